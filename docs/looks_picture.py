@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from facepipe.heads.assembly import make_head
-from facepipe.heads.look import STYLES, Look
-from facepipe.heads.people import MODES
+from facepipe.heads.people import MODES, STYLES, Look
 from facepipe.heads.surfaces import dressed
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
 

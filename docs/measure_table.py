@@ -16,7 +16,7 @@ from directions import REACH  # noqa: E402
 
 from facepipe.heads import make  # noqa: E402
 from facepipe.heads.asset import arrays, asset  # noqa: E402
-from facepipe.heads.directions import directions  # noqa: E402
+from facepipe.heads.controls import directions  # noqa: E402
 from facepipe.stage import Face  # noqa: E402
 
 PAGE = HERE / "people.md"

@@ -86,7 +86,7 @@ def find_action(verb: str) -> type[Action[Any]] | None:
     """
     if verb in _own():
         module = importlib.import_module(_own()[verb][0])
-        kinds = (one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Action))
+        kinds = (var for var in vars(module).values() if isinstance(var, type) and issubclass(var, Action))
         return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
     entry = _others().get(verb)
     return None if entry is None else _of_others(entry)
@@ -114,7 +114,7 @@ def _check_fields(kind: type[Action[Any]], where: str) -> None:
         if _TAKEN & {one.name.replace("_", "-"), one.shown.removeprefix("--")}:
             raise InputError(f"{where} -> {one.name}", "is called as what every command has, expected another name")
     made_of_nothing = issubclass(kind, FileAction) and not issubclass(kind, InPlaceAction)
-    if not made_of_nothing and all(one.role != "source" for one in fields):
+    if not made_of_nothing and all(field.role != "source" for field in fields):
         raise InputError(where, "has no source, expected one")
 
 

@@ -98,7 +98,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
         from facepipe.performing import check_result, files_of, perform
 
         values = _bound(signature, function_name(kind.verb), files, named)
-        action = kind(**{one.name: _value(one, values[one.name]) for one in fields if one.name in values})
+        action = kind(**{field.name: _value(field, values[field.name]) for field in fields if field.name in values})
         if isinstance(action, Inspector):
             action.check()
             report: Report = action.look(unwatched)
@@ -107,7 +107,10 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
         if given_out is None and isinstance(action, InPlaceAction):
             check_result(action, action.base, (), overwrite=True)
             return perform(action, action.base).report
-        out, read = Path(str(given_out)), [values[one.name] for one in fields if one.is_read and one.name in values]
+        out, read = (
+            Path(str(given_out)),
+            [values[field.name] for field in fields if field.is_read and field.name in values],
+        )
         inputs = [*files_of(action), *(Path(one) for one in read if isinstance(one, str | os.PathLike))]
         _check(out, inputs, overwrite=overwrite)
         check_result(action, out, inputs, overwrite=overwrite)
@@ -153,8 +156,8 @@ def _parameters(fields: tuple[Field, ...], more: Mapping[str, tuple[Any, str]]) 
         parameters.append(inspect.Parameter(one.name, kind, default=default))
     keyword = inspect.Parameter.KEYWORD_ONLY
     own = [inspect.Parameter(name, keyword, default=default) for name, (default, _) in more.items()]
-    alone = [one for one in parameters if one.kind is not keyword]
-    return [*alone, *own, *(one for one in parameters if one.kind is keyword)]
+    alone = [parameter for parameter in parameters if parameter.kind is not keyword]
+    return [*alone, *own, *(parameter for parameter in parameters if parameter.kind is keyword)]
 
 
 def _value(field: Field, value: Any) -> Any:
@@ -174,6 +177,6 @@ def _value(field: Field, value: Any) -> Any:
 
 def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[str, tuple[Any, str]]) -> str:
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
-    lines += [f":param {one.name}: {one.said}" for one in fields]
+    lines += [f":param {field.name}: {field.said}" for field in fields]
     lines += [f":param {name}: {said}" for name, (_, said) in own.items()]
     return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is"])

@@ -390,7 +390,7 @@ def _is_literal(kind: Any) -> bool:
 
 def _fits(value: object, kind: Any) -> bool:
     if _is_literal(kind):
-        return any(type(value) is type(one) and value == one for one in typing.get_args(kind))
+        return any(type(value) is type(get_arg) and value == get_arg for get_arg in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
         return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
     if typing.get_origin(kind) is Mapping:

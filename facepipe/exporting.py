@@ -128,9 +128,9 @@ def _asked(
     kind: Any, rename: str | None, neural: Path | None, distil: bool, lod: int, options: Mapping[str, Any]
 ) -> _Asked:
     """:raises InputError: options that are unknown, out of range, or don't go together"""
-    known = {one.name for one in dataclasses.fields(kind)}
-    attach = {one.name for one in dataclasses.fields(AttachOptions)}
-    learned = {f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)}
+    known = {field.name for field in dataclasses.fields(kind)}
+    attach = {field.name for field in dataclasses.fields(AttachOptions)}
+    learned = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
     for name in options:
         if name not in known | attach | learned:
             near = did_you_mean(name, known | attach | learned)
@@ -190,7 +190,7 @@ def _made(face: Face, asked: _Asked) -> _Made:
         return made
     renamed = asked.rename(made.face.parts())
     if getattr(asked.format, "lods", False):
-        lower = tuple(asked.rename(one).parts for one in face.lower_levels())
+        lower = tuple(asked.rename(lower_level).parts for lower_level in face.lower_levels())
         return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
     held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
     return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
@@ -206,9 +206,9 @@ def _encoded(face: Face, rig: Path) -> _EncodedFace:
 
 
 def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    own = {one.name: getattr(report, one.name) for one in dataclasses.fields(report)}
+    own = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    own["warnings"] = (*report.warnings, *(line for one in others for line in one.warnings), *plausible)
+    own["warnings"] = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
     if made.renamed is not None:
         own["renamed"] = made.renamed.names
     if made.attached is not None:

@@ -105,7 +105,7 @@ class Action(ABC, Generic[R]):
 
         :raises InputError: there is none
         """
-        first = next(one for one in fields_of(type(self)) if one.role == "source")
+        first = next(field for field in fields_of(type(self)) if field.role == "source")
         value = getattr(self, first.name)
         if not value:
             raise InputError(first.shown, f"none given, expected {first.help.split(';')[0]}")

@@ -82,7 +82,7 @@ def _staged(
     warnings = (*base.warnings, *report.warnings)
     if exported:
         module = exporter(out)
-        known = {one.name for one in fields_of(module.Options)}
+        known = {field.name for field in fields_of(module.Options)}
         options = {name: value for name, value in action.exported.items() if name in known}
         export = module.export(open_face(stage), out, module.Options(**options))
         said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
@@ -170,9 +170,9 @@ def job_of(action: Action[Any], out: Path, watch: Watch = unwatched) -> Job:
 
 
 def _beside(action: Action[Any]) -> Iterator[tuple[Field, Path]]:
-    for one in fields_of(type(action)):
-        if one.role == "beside" and getattr(action, one.name) is not None:
-            yield one, Path(getattr(action, one.name))
+    for field in fields_of(type(action)):
+        if field.role == "beside" and getattr(action, field.name) is not None:
+            yield field, Path(getattr(action, field.name))
 
 
 @contextmanager
@@ -213,10 +213,10 @@ def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:
 
 
 def _sources(action: Action[Any]) -> Iterator[tuple[Field, Any]]:
-    for one in fields_of(type(action)):
-        value = getattr(action, one.name)
-        if one.role == "source" and value is not None:
-            yield one, value
+    for field in fields_of(type(action)):
+        value = getattr(action, field.name)
+        if field.role == "source" and value is not None:
+            yield field, value
 
 
 def _named(one: Field, value: Any) -> Iterator[tuple[str, str]]:
@@ -237,10 +237,10 @@ def recipe_to(action: Action[Any], out: str | os.PathLike[str], **found: Any) ->
     """
     folder = Path(out).absolute().parent
     options = {}
-    for one in fields_of(type(action)):
-        if one.kept:
-            value = getattr(action, one.name)
-            options[one.name] = _seen_from(folder, one, value) if one.role == "source" else one.dump(value)
+    for field in fields_of(type(action)):
+        if field.kept:
+            value = getattr(action, field.name)
+            options[field.name] = _seen_from(folder, field, value) if field.role == "source" else field.dump(value)
     files = {relative_path(str(file), folder): file for file in files_of(action, kept=True)}
     return Recipe(
         verb=action.verb,
@@ -283,7 +283,7 @@ def read_kept(
     """
     file = Path(path)
     recipe, standalone = recipe_of(file, kind.verb)
-    where, fields = f"{file} -> recipe", {one.name: one for one in fields_of(kind) if one.kept}
+    where, fields = f"{file} -> recipe", {field.name: field for field in fields_of(kind) if field.kept}
     try:
         values = _values(recipe.options, fields, where)
     except InputError as error:
@@ -331,7 +331,7 @@ def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str)
             values[name] = _load(fields[name], value, where)
         elif name != FOUND:
             raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
-    missing = [one.name for one in fields.values() if one.needed and one.name not in values]
+    missing = [field.name for field in fields.values() if field.needed and field.name not in values]
     if missing:
         raise InputError(where, f"no '{missing[0]}', expected one")
     return values

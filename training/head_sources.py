@@ -10,9 +10,8 @@ import numpy.typing as npt
 
 from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import asset
-from facepipe.heads.bone_sliders import bone_sliders
-from facepipe.heads.look import Look
-from facepipe.heads.people import MODES, draw
+from facepipe.heads.controls import bone_sliders
+from facepipe.heads.people import MODES, Look, draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.rig import build, slide

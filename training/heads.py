@@ -29,7 +29,7 @@ import pictures
 import scenes
 from script_arguments import add_shards
 
-from facepipe.heads.look import Look
+from facepipe.heads.people import Look
 from facepipe.pictures.scene import Scene, build_scene
 
 SHARD, VIEWS = 500, 10

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.colors import from_srgb
 from facepipe.heads.asset import asset
-from facepipe.heads.look import Look
+from facepipe.heads.people import Look
 from facepipe.learn.features.crops import TEMPLATE
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.draw import draw

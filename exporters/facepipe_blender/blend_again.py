@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.hosting.reblended import reblended
+from facepipe.hosting.live_blend import reblended
 
 from .face_objects import FaceObjects
 from .groups import write_skin

@@ -12,15 +12,13 @@ from pxr import Usd
 
 from facepipe.checks import control_checks as control
 from facepipe.checks import layout_checks as layout
-from facepipe.checks import network_checks as networks
 from facepipe.checks import neural_rig_checks as neural
 from facepipe.checks import photo_checks as photos
 from facepipe.checks import point_checks as points
 from facepipe.checks import shape_checks as shapes
 from facepipe.checks import skeleton_checks as skeleton
 from facepipe.checks import skin_checks as skin
-from facepipe.checks.problem import Problem
-from facepipe.checks.views import FaceView
+from facepipe.checks.views import FaceView, Problem
 from facepipe.core.reports import Finding
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 
@@ -103,7 +101,7 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderTargets", control.slider_targets),
     Check("SliderCurves", control.slider_curves),
     Check("SliderMirrors", control.slider_mirrors),
-    Check("SliderNetwork", networks.slider_network),
+    Check("SliderNetwork", control.slider_network),
     Check("NeuralRigFile", neural.neural_rig_file),
     Check("NeuralRigDigest", neural.neural_rig_digest),
     Check("NeuralRigTopology", neural.neural_rig_topology),

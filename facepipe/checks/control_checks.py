@@ -1,4 +1,4 @@
-"""Checks of sliders and of the recipe."""
+"""Checks of sliders, of their learned network, and of the recipe."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from itertools import islice
 import numpy as np
 from pxr import Usd
 
-from facepipe.checks.problem import Problem, at, some
-from facepipe.checks.views import FaceView, array, value, words
+from facepipe.checks.views import FaceView, Problem, array, at, some, value, words
 from facepipe.core import tokens
+from facepipe.core.errors import FacepipeError
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault
-from facepipe.stage.display_names import exact_name
+from facepipe.stage.prims import exact_name
+from facepipe.stage.slider_network import read_slider_network
 
 
 def slider_names(prim: Usd.Prim | None) -> list[str]:
@@ -31,7 +32,7 @@ def person_pose(face: FaceView) -> Iterator[Problem]:
     if face.prim is None:
         return
     name = str(value(face.prim.GetAttribute(tokens.PERSON)) or "")
-    if name and name not in {exact_name(one.GetPrim()) for one in face.animations}:
+    if name and name not in {exact_name(animation.GetPrim()) for animation in face.animations}:
         yield at(f"{face.prim.GetPath()}.{tokens.PERSON}", f"'{name}' is no animation of the face")
 
 
@@ -149,3 +150,27 @@ def _number(prim: Usd.Prim | None, slider: str, field: str) -> float:
     if found is not None and len(found) and np.isfinite(found[0]):
         return float(found[0])
     return 1.0 if field == "maximum" else 0.0
+
+
+def slider_network(face: FaceView) -> Iterator[Problem]:
+    """The learned network of the sliders is whole, and takes and gives what the face has."""
+    if face.prim is None:
+        return
+    where = f"{face.prim.GetPath()}.{tokens.NETWORK_LAYERS.rpartition(':')[0]}"
+    try:
+        network = read_slider_network(face.prim)
+    except FacepipeError as error:
+        yield at(error.where or where, error.what)
+        return
+    if network is None:
+        return
+    joints, channels = (tuple(channel[i] for channel in network.channels) for i in range(2))
+    for field, found, known in (
+        ("sliders", network.sliders, set(slider_names(face.prim))),
+        ("joints", joints, set(face.joints)),
+        ("channels", channels, set(CHANNELS)),
+        ("shapes", network.shapes, face.shape_names),
+    ):
+        unknown = sorted(set(found) - set(known))
+        if unknown:
+            yield at(f"{where}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")

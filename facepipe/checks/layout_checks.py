@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
 
-from facepipe.checks.problem import Problem, at, some
-from facepipe.checks.views import FaceView, array
+from facepipe.checks.views import FaceView, Problem, array, at, some
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.parts import FaceParts
 from facepipe.rig import implausible
@@ -104,7 +103,7 @@ def skel_root(face: FaceView) -> Iterator[Problem]:
 def skeleton_count(face: FaceView) -> Iterator[Problem]:
     """One Skeleton below the face, always: UsdSkel ignores blendshapes where there is none."""
     if len(face.skeletons) != 1:
-        named = f" ({some(one.path for one in face.skeletons)})" if face.skeletons else ""
+        named = f" ({some(skeleton.path for skeleton in face.skeletons)})" if face.skeletons else ""
         yield at(face.prim or "/", f"{len(face.skeletons)} Skeleton prims{named}, expected one")
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from facepipe.checks.problem import Problem, at
-from facepipe.checks.views import FaceView
+from facepipe.checks.views import FaceView, Problem, at
 from facepipe.core import tokens
-from facepipe.core.digests import digest
 from facepipe.core.errors import FacepipeError
+from facepipe.core.reading import digest
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig import load_neural_rig

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from facepipe.checks.problem import Problem, at
-from facepipe.checks.views import FaceView, array, numbers, value, words
+from facepipe.checks.views import FaceView, Problem, array, at, numbers, value, words
 from facepipe.core import tokens
-from facepipe.stage.display_names import exact_name
 from facepipe.stage.guard import UNREADABLE
-from facepipe.stage.photo_faults import LIGHT_ROWS, MOST_PIXELS, key_fault
-from facepipe.stage.read_photos import is_photo, read_key_lamp
+from facepipe.stage.photos import LIGHT_ROWS, MOST_PIXELS, is_photo, key_fault, read_key_lamp
+from facepipe.stage.prims import exact_name
 
 _STRETCHED = 1e-4  # of a pixel's width
 
@@ -71,7 +69,7 @@ def photo_key(face: FaceView) -> Iterator[Problem]:
 
 def photo_poses(face: FaceView) -> Iterator[Problem]:
     """The pose that a photo names is an animation of the face."""
-    known = {exact_name(one.GetPrim()) for one in face.animations}
+    known = {exact_name(animation.GetPrim()) for animation in face.animations}
     for prim in _photos(face):
         name = str(value(prim.GetAttribute(tokens.PHOTO_ANIMATION)) or "")
         if name and name not in known:

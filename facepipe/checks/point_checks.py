@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from facepipe.checks.problem import Problem, at, outside
-from facepipe.checks.views import FaceView, MeshView, array, numbers, value, words
+from facepipe.checks.views import FaceView, MeshView, Problem, array, at, numbers, outside, value, words
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 
@@ -103,7 +102,7 @@ def region_sum(face: FaceView) -> Iterator[Problem]:
     """The regions of a mesh sum to 1 at every point."""
     for mesh in face.meshes:
         masks = [values for _, values in _regions(mesh)]
-        if not masks or not mesh.count or any(len(one) != mesh.count or not np.isfinite(one).all() for one in masks):
+        if not masks or not mesh.count or any(len(mask) != mesh.count or not np.isfinite(mask).all() for mask in masks):
             continue
         sums = np.sum(masks, axis=0)
         wrong = np.flatnonzero(np.abs(sums - 1) > REGION_SUM_TOLERANCE)

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdSkel
 
-from facepipe.checks.problem import Problem, at, outside, some
-from facepipe.checks.views import FaceView, MeshView, numbers
+from facepipe.checks.views import FaceView, MeshView, Problem, at, numbers, outside, some
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.read_blendshapes import MOST_INBETWEENS
+from facepipe.stage.blendshapes import MOST_INBETWEENS
 
 
 def target_count(face: FaceView) -> Iterator[Problem]:

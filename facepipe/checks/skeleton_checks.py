@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd
 
-from facepipe.checks.problem import Problem, at, some
 from facepipe.checks.skin_checks import is_singular
-from facepipe.checks.views import FaceView, SkeletonView, array, numbers, times, value, words
+from facepipe.checks.views import FaceView, Problem, SkeletonView, array, at, numbers, some, times, value, words
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import UsdGeom
 
-from facepipe.checks.problem import Problem, at, outside, some
-from facepipe.checks.views import FaceView, MeshView, array, value, words
+from facepipe.checks.views import FaceView, MeshView, Problem, array, at, outside, some, value, words
 
 WEIGHT_SUM_TOLERANCE = 1e-4  # float32 weights of 9 influences round to 1e-6; half-precision ones miss 1 by more
 
@@ -82,7 +81,9 @@ def mesh_joints(face: FaceView) -> Iterator[Problem]:
     """skel:joints of a mesh are joints of its skeleton, each once."""
     for mesh in _skinned(face):
         own = words(mesh.inherited("skel:joints"))
-        bound = [one for one in face.skeletons if one.prim.GetPath() == mesh.skeleton_path] or face.skeletons[:1]
+        bound = [
+            skeleton for skeleton in face.skeletons if skeleton.prim.GetPath() == mesh.skeleton_path
+        ] or face.skeletons[:1]
         unknown = sorted(set(own) - set(bound[0].joints)) if bound else []
         if unknown:
             yield at(f"{mesh.path}.skel:joints", f"{some(unknown)}: no joint of the skeleton, expected its joints")

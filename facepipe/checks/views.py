@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
@@ -14,7 +14,34 @@ from facepipe.core.arrays import FloatArray
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
 from facepipe.stage.guard import UNREADABLE
-from facepipe.stage.traversal import check_kinds, prims_below
+from facepipe.stage.prims import check_kinds, prims_below
+
+
+class Problem(NamedTuple):
+    """A defect: the path of the prim or property that has it, and one line that says what was found and expected."""
+
+    path: str
+    message: str
+
+
+def at(culprit: Usd.Prim | Usd.Property | str, message: str) -> Problem:
+    """The problem of a prim, property or path."""
+    return Problem(culprit if isinstance(culprit, str) else str(culprit.GetPath()), message)
+
+
+def some(values: Iterable[Any], limit: int = 5) -> str:
+    """A few of `values`, and how many there are in all."""
+    listed = [str(value) for value in values]
+    return ", ".join(listed[:limit]) + (f" ... ({len(listed)} in all)" if len(listed) > limit else "")
+
+
+def outside(values: Any, count: int) -> str | None:
+    """Says which indices are not in 0..count-1; None where all are."""
+    wrong = np.unique(values[(values < 0) | (values >= count) | (values != np.floor(values))])
+    if not len(wrong):
+        return None
+    expected = f"0 to {count - 1}" if count else "none, since there is nothing to index"
+    return f"index {some(f'{one:g}' for one in wrong)} out of range, expected {expected}"
 
 
 def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> Any:
@@ -195,5 +222,5 @@ class FaceView:
         own = words(mesh.inherited("skel:joints"))
         if own:
             return own
-        bound = [one.joints for one in self.skeletons if one.prim.GetPath() == mesh.skeleton_path]
+        bound = [skeleton.joints for skeleton in self.skeletons if skeleton.prim.GetPath() == mesh.skeleton_path]
         return bound[0] if bound else self.joints

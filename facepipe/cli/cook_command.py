@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    from facepipe.cooking.options import CookOptions
+    from facepipe.cooking.report import CookOptions
 
     parser.add_argument("stages", nargs="+", type=Path, metavar="STAGE", help="face stage, or one that stands on some")
     add_options(parser, CookOptions)

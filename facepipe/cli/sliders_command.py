@@ -9,7 +9,7 @@ from facepipe.cli import action_line
 from facepipe.cli.parser import Parser
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.processors.sliders import sliders_action
 from facepipe.processors.sliders.sliders_action import SlidersOfFace
 

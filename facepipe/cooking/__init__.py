@@ -6,8 +6,7 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.cooking.cooking import cook
-    from facepipe.cooking.options import CookOptions
-    from facepipe.cooking.report import CookReport, NodeReport
+    from facepipe.cooking.report import CookOptions, CookReport, NodeReport
 else:
     __getattr__, __dir__ = lazy(__name__)
 

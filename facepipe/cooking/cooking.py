@@ -10,10 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from facepipe.actions import cookable
-from facepipe.cooking.freshness import Digests, changes, waiting
-from facepipe.cooking.graph import Graph, Node, read_graph, read_node, shown
-from facepipe.cooking.options import CookOptions
-from facepipe.cooking.report import Action, CookReport, NodeReport
+from facepipe.cooking.graph import Digests, Graph, Node, changes, read_graph, read_node, shown, waiting
+from facepipe.cooking.report import Action, CookOptions, CookReport, NodeReport
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked

@@ -1,19 +1,20 @@
-"""Files with recipes, in the order that they depend on each other."""
+"""Files with recipes, in the order that they depend on each other, and why one has to be cooked."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.reading import digest
 from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.layer_links import layer_links
-from facepipe.stage.recipes import check_recipe, check_source, file_recipe
+from facepipe.stage.recipes import check_recipe, check_source, file_recipe, source_files
 
 _IMPORT = "import "  # its faces are taken as they are
 _ENDS = 8  # files at each end of a trail that are named
@@ -32,12 +33,12 @@ class Node:
     def below(self) -> tuple[Path, ...]:
         """The USD files that it is made of."""
         files = (*self.sources, *self.layers)
-        return tuple(one for one in files if one.suffix.lower() in SUFFIXES and one.is_file())
+        return tuple(file for file in files if file.suffix.lower() in SUFFIXES and file.is_file())
 
     @property
     def lost(self) -> tuple[Path, ...]:
         """Layers that are not there."""
-        return tuple(one for one in self.layers if not one.is_file())
+        return tuple(layer for layer in self.layers if not layer.is_file())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,7 @@ class Graph:
 
     def cookable(self) -> tuple[Node, ...]:
         """Those with recipes, in order."""
-        return tuple(one for one in self.nodes.values() if one.recipe is not None)
+        return tuple(node for node in self.nodes.values() if node.recipe is not None)
 
     def holds(self, node: Node) -> bool:
         """Whether all that `node` is made of is here."""
@@ -213,3 +214,46 @@ def _line(trail: Sequence[Path]) -> str:
     """Files that led to each other; of very many the first and the last."""
     names = [shown(one) for one in trail]
     return " -> ".join(names if len(names) <= 2 * _ENDS else [*names[:_ENDS], "...", *names[-_ENDS:]])
+
+
+class Digests:
+    """Digests of sources, each found once until something that it covers is written."""
+
+    def __init__(self) -> None:
+        self._found: dict[Path, tuple[str, set[Path]]] = {}
+
+    def of(self, path: Path) -> str:
+        """:raises InputError: a file can't be read"""
+        if path not in self._found:
+            files = source_files(path)
+            self._found[path] = digest(files), {file.resolve() for file in files}
+        return self._found[path][0]
+
+    def forget(self, written: Path) -> None:
+        """The file at a resolved path is another now."""
+        self._found = {path: one for path, one in self._found.items() if written not in one[1]}
+
+    def forget_all(self) -> None:
+        """Another process may have written anything."""
+        self._found = {}
+
+
+def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]) -> tuple[str, ...]:
+    """A line for each thing that is not what it was when `node` was made.
+
+    :param cooked: resolved paths of files that were written meanwhile
+    :raises InputError: a source can't be read
+    """
+    lines = []
+    before = node.recipe.digests if node.recipe else ()
+    for source, old in zip(node.sources, before, strict=True):
+        if digests.of(source) != old:
+            made = any(one in cooked for one in graph.made_of(source))
+            lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
+    return (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
+
+
+def waiting(graph: Graph, node: Node, stale: Collection[Path]) -> tuple[str, ...]:
+    """A line for each source that is one of `stale` or stands on one."""
+    found = [source for source in node.sources if any(one in stale for one in graph.made_of(source))]
+    return tuple(f"{source.name} is to be cooked" for source in found)

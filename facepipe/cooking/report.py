@@ -1,4 +1,4 @@
-"""What a cook did, file by file."""
+"""What a cook is asked to do, and what it did, file by file."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 from facepipe.core.reports import Finding, Report
+from facepipe.declare import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class CookOptions:
+    """What to do with the recipes that are found."""
+
+    force: bool = option(False, "cook also what is up to date")
+    dry_run: bool = option(False, "tell what would be cooked, and write nothing")
+    validate: bool = option(False, "then check each STAGE, as facepipe validate does")
+
 
 Action = Literal["up to date", "cooked", "stale", "outside the roots"]
 
@@ -38,5 +49,5 @@ class CookReport(Report):
     def good(self) -> bool:
         """Whether everything is up to date now, no threshold was missed and no check found an error."""
         errors = [one for found in self.findings.values() for one in found if one.severity == "error"]
-        done = all(one.action in ("up to date", "cooked") and not one.missed for one in self.nodes)
+        done = all(node.action in ("up to date", "cooked") and not node.missed for node in self.nodes)
         return done and not errors

@@ -72,14 +72,14 @@ def release(folder: HiddenFolder) -> None:
 
 def is_within_live(path: Path) -> bool:
     """Whether `path`, without links, is in such a folder of this process: nobody sees it yet."""
-    return any(one in _live for one in path.parents)
+    return any(parent in _live for parent in path.parents)
 
 
 def left_behind(parent: Path) -> Iterator[HiddenFolder]:
     """Folders in `parent` whose makers are dead, each held by this process."""
     try:
         with os.scandir(parent) as entries:
-            names = sorted(one.name for one in entries if _NAME.fullmatch(one.name))
+            names = sorted(entry.name for entry in entries if _NAME.fullmatch(entry.name))
     except OSError:  # nothing that we could tidy
         return
     for name in names:

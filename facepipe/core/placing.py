@@ -141,8 +141,8 @@ def write_journal(moves: Sequence[Move], folders: Sequence[Path]) -> None:
     first = folders[0]
     for other in folders[1:]:
         _write(other / _JOINED, _relative(first.parent, other.parent))
-    steps = [(folders.index(one.hidden), one.name, one.former, one.role) for one in moves]
-    parents = [_relative(one.parent, first.parent) for one in folders]
+    steps = [(folders.index(move.hidden), move.name, move.former, move.role) for move in moves]
+    parents = [_relative(folder.parent, first.parent) for folder in folders]
     _write(first / JOURNAL, json.dumps({"folders": parents, "moves": steps}))
 
 

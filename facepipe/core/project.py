@@ -69,15 +69,15 @@ def _read(file: Path) -> Project:
         if key not in _KEYS:
             raise InputError(file, f"'{key[:40]}' is unknown{did_you_mean(key, _KEYS) or f', expected {_KEYS}'}")
     roots, names, defaults = (content.get(key, kind()) for key, kind in zip(_KEYS, (list, dict, dict), strict=True))
-    if not isinstance(roots, list) or not all(isinstance(one, str) for one in roots):
+    if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         raise InputError(f"{file} -> roots", 'expected a list of folders, like ["../library"]')
     if not isinstance(names, dict) or not all(isinstance(one, str) for one in names.values()):
         raise InputError(f"{file} -> names", 'expected tables, like studio = "names.csv"')
-    if not isinstance(defaults, dict) or not all(isinstance(one, dict) for one in defaults.values()):
+    if not isinstance(defaults, dict) or not all(isinstance(default, dict) for default in defaults.values()):
         raise InputError(f"{file} -> defaults", "expected a table for each command, like [defaults.export]")
     return Project(
         file=file,
-        roots=tuple(file.parent / one for one in roots),
+        roots=tuple(file.parent / root for root in roots),
         names={name: file.parent / one for name, one in names.items()},
         defaults=defaults,
     )

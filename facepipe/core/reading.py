@@ -1,11 +1,13 @@
-"""Bytes and JSON of files, up to a size that a reader can want."""
+"""Bytes, JSON and digests of files, up to a size that a reader can want."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import stat
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -133,3 +135,24 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
             raise _TwiceError(key[:60])
         found[key] = value
     return found
+
+
+def digest(files: Iterable[Path]) -> str:
+    """``sha256:...`` of one file's bytes, or, for several, of their sorted lines ``<sha256>  <file name>``.
+
+    :raises InputError: a file can't be read
+    """
+    sums = sorted((path.name, _sha256(path)) for path in files)
+    if len(sums) == 1:
+        return f"sha256:{sums[0][1]}"
+    listing = "".join(f"{value}  {name}\n" for name, value in sums)
+    return f"sha256:{hashlib.sha256(listing.encode()).hexdigest()}"
+
+
+def _sha256(path: Path) -> str:
+    check_regular(path)
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(path, f"can't be read: {error.strerror or error}") from error

@@ -1,10 +1,10 @@
-"""Reports: what a command or exporter did, as frozen dataclasses that serialise to JSON."""
+"""Reports: what a command or exporter did, as frozen dataclasses that serialise to JSON, and as text for people."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -63,3 +63,18 @@ def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return dataclasses.asdict(value)
     return value.tolist() if hasattr(value, "tolist") else str(value)  # arrays and numbers of numpy
+
+
+def table(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as aligned columns; numbers to the right."""
+    texts = [[str(cell) for cell in row] for row in rows]
+    if not texts:
+        return ""
+    widths = [max(len(row[i]) for row in texts if i < len(row)) for i in range(max(map(len, texts)))]
+    return "\n".join(
+        "  ".join(_cell(cell, width) for cell, width in zip(row, widths, strict=False)).rstrip() for row in texts
+    )
+
+
+def _cell(text: str, width: int) -> str:
+    return text.rjust(width) if text.replace(".", "").replace(",", "").replace("-", "").isdigit() else text.ljust(width)

@@ -13,8 +13,8 @@ from facepipe.core import __version__
 from facepipe.core.errors import InputError
 from facepipe.core.trust import roots_of, trust
 from facepipe.declare import check_ranges
+from facepipe.farm.child import Engine, Processes
 from facepipe.farm.cluster import Cluster
-from facepipe.farm.engines import Engine, Processes
 from facepipe.farm.ledger import ledger_in
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan, Step, plan_of, read_plan

@@ -65,7 +65,7 @@ class Cache:
             for number, name in enumerate(record["writes"]):
                 shutil.copyfile(self._place(name), passing / str(number))
             (passing / _RECORD).write_text(json.dumps(record), encoding="utf-8")
-            fresh = sum(one.stat().st_size for one in passing.iterdir())
+            fresh = sum(path.stat().st_size for path in passing.iterdir())
             passing.rename(self._folder / key)
         except OSError:  # a full disk, or another process has kept the same
             shutil.rmtree(passing, ignore_errors=True)
@@ -80,7 +80,7 @@ class Cache:
         entries = []
         for entry in self._folder.iterdir():
             with contextlib.suppress(OSError):
-                used = sum(one.stat().st_size for one in entry.iterdir())
+                used = sum(path.stat().st_size for path in entry.iterdir())
                 entries.append((entry.stat().st_mtime_ns, used, entry))
         over = sum(used for _, used, _ in entries) - self._most
         for _, used, entry in sorted(entries):
@@ -91,6 +91,6 @@ class Cache:
 
 
 def _digest(path: Path) -> str:
-    """As `facepipe.core.digests.digest`, of a file that lines may not read."""
+    """As `facepipe.core.reading.digest`, of a file that lines may not read."""
     with path.open("rb") as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"

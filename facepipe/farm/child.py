@@ -1,8 +1,9 @@
-"""A process of its own for tasks, one after another: what they do to it, or take too long over, ends it alone."""
+"""Processes for tasks, each done in one of its own: what a task does to it, or takes too long over, ends it alone."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import queue
@@ -10,11 +11,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.threads import THREADS
+from facepipe.farm.ledger import Record
+from facepipe.farm.work import FAILED
 
 PROGRAM = "facepipe.cli.batch_child"  # a module that answers requests, a line of JSON each, from its standard input
 _PAUSE = 0.2  # seconds between two looks at its memory
@@ -124,3 +127,58 @@ def memory_of(pid: int) -> float | None:
         return float(psutil.Process(pid).memory_info().rss) / 1e6
     except psutil.Error:
         return None
+
+
+Done = Callable[[Record], object]
+LOST = "lost"  # status of a task whose process ended before it answered
+
+
+class Engine(Protocol):
+    """Does tasks, and says when one is done from any thread.
+
+    A record of an engine that can do no more has the reason as `gone`; `warnings` are lines for the report.
+    """
+
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+        """Do a task, before those of a higher order."""
+
+    def close(self) -> None:
+        """End; what is being done is lost."""
+
+
+def answer(child: Child, request: Mapping[str, Any]) -> Record:
+    """A task done by a child; where that is lost, a record that says so."""
+    try:
+        return child.ask(request, request.get("seconds"), request.get("memory_mb"))
+    except ChildLostError as error:
+        return {"task": request["task"], "words": request["words"], "status": LOST, "error": str(error)}
+    except FacepipeError as error:
+        return {"task": request["task"], "words": request["words"], "status": FAILED, "error": str(error)}
+
+
+class Processes:
+    """Processes on this machine, each with one thread."""
+
+    def __init__(self, count: int, setting: Mapping[str, Any]) -> None:
+        self._tasks: queue.PriorityQueue[Any] = queue.PriorityQueue()
+        self._numbers = itertools.count()
+        self._children = [Child(setting) for _ in range(count)]
+        for child in self._children:
+            threading.Thread(target=self._serve, args=(child,), daemon=True).start()
+
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+        """Do a task, before those of a higher order."""
+        self._tasks.put((order, next(self._numbers), request, done))
+
+    def close(self) -> None:
+        """End; what is being done is lost."""
+        for child in self._children:
+            self._tasks.put(((-(1 << 62),), next(self._numbers), None, None))
+            child.end()
+
+    def _serve(self, child: Child) -> None:
+        while True:
+            _, _, request, done = self._tasks.get()
+            if request is None:
+                return
+            done(answer(child, request))

@@ -17,8 +17,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.farm.child import Child
-from facepipe.farm.engines import LOST, Done, answer
+from facepipe.farm.child import LOST, Child, Done, answer
 from facepipe.farm.ledger import Record
 
 _CONNECT = 10.0  # seconds for a scheduler to answer

@@ -8,9 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from facepipe.core.digests import digest
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes, read_json_object
+from facepipe.core.reading import digest, read_bytes, read_json_object
 from facepipe.importers.materials_mtl import texture_name
 from facepipe.stage.files import SUFFIXES, dependencies, named_in
 
@@ -58,7 +57,7 @@ class Contents:
 
 def _read(path: Path) -> Content:
     files = sorted(stands_on(path))
-    before = {str(one): state_of(one) for one in files}
+    before = {str(file): state_of(file) for file in files}
     found = digest(files)
     states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
     if len(states) != len(files):
@@ -76,7 +75,7 @@ def stands_on(path: Path) -> set[Path]:
     if not path.is_file():
         raise InputError(path, "no such file")
     if path.suffix.lower() in SUFFIXES:
-        return {_shortest(one) for one in dependencies(path) if one.is_file()} | {path}
+        return {_shortest(dependency) for dependency in dependencies(path) if dependency.is_file()} | {path}
     found, todo = {path}, [path]
     while todo:
         fresh = {one for one in named(todo.pop()) if one.is_file()} - found
@@ -106,7 +105,9 @@ def named(path: Path) -> set[Path]:
         names = map(texture_name, _MAP_KD.findall(_text(path)))
     else:
         names = ()
-    return {Path(os.path.normpath(path.parent / one.strip().replace("\\", "/"))) for one in names if "://" not in one}
+    return {
+        Path(os.path.normpath(path.parent / name.strip().replace("\\", "/"))) for name in names if "://" not in name
+    }
 
 
 def _text(path: Path) -> str:

@@ -85,7 +85,7 @@ def _is_record(record: Any) -> bool:
     reads, writes = record.get("reads", {}), record.get("writes", {})
     if not isinstance(reads, dict) or not isinstance(writes, dict) or not isinstance(record.get("report", {}), dict):
         return False
-    states = [*reads.values(), *(one[0] for one in writes.values() if isinstance(one, list) and len(one) == 2)]
+    states = [*reads.values(), *(write[0] for write in writes.values() if isinstance(write, list) and len(write) == 2)]
     whole = "key" in record and "reads" in record and "writes" in record
     return all(isinstance(one, list) for one in (*states, *writes.values())) and (whole or record["status"] == "failed")
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
-from facepipe.core.digests import digest
 from facepipe.core.errors import InputError
+from facepipe.core.reading import digest
 from facepipe.farm import contents
 from facepipe.farm.cache import Cache
 from facepipe.farm.remote import SCHEMES, State, Store, checked, is_url, state_in
@@ -41,7 +41,7 @@ class Mirror:
         :param copies: folder that keeps copies for other tasks, of other processes too, up to a size
         :raises InputError: a root that is no URL
         """
-        self._folder, self._urls = folder, [checked(one, [one]) for one in urls]
+        self._folder, self._urls = folder, [checked(url, [url]) for url in urls]
         self._copies, self._most = copies, most_bytes
         self._states: dict[str, State | None] = {}  # of the files that this task has looked at
         self._stores: dict[str, Store] = {}
@@ -51,7 +51,7 @@ class Mirror:
     @property
     def roots(self) -> list[Path]:
         """The folders of the URLs that lines may read and write."""
-        return [self.path(one) for one in self._urls]
+        return [self.path(url) for url in self._urls]
 
     def clear(self) -> None:
         """Forget what a task had."""
@@ -93,7 +93,7 @@ class Mirror:
 
         :raises FacepipeError: one outside the roots, a damaged one, or a store that does not answer
         """
-        todo = {self.name(one) for one in paths if self._holds(one)}
+        todo = {self.name(path) for path in paths if self._holds(path)}
         while todo:
             files = self._files(sorted(todo - self._states.keys()))
             _at_once(self._copy, files, files.values())

@@ -43,10 +43,10 @@ def checked(url: str, roots: Collection[str]) -> str:
     """
     plain = url.rstrip("/")
     parts = plain.split("/")
-    if not _URL.fullmatch(plain) or {".", ".."} & {*parts} or any(one.startswith(PREFIX) for one in parts):
+    if not _URL.fullmatch(plain) or {".", ".."} & {*parts} or any(part.startswith(PREFIX) for part in parts):
         shown = re.sub(r"//[^/]*@", "//...@", url)[:200]
         raise InputError(shown, f"can't be used, expected one like {'://, '.join(SCHEMES)}://BUCKET/FOLDER/FILE")
-    if not any(f"{plain}/".startswith(f"{one.rstrip('/')}/") for one in roots):
+    if not any(f"{plain}/".startswith(f"{root.rstrip('/')}/") for root in roots):
         shown = ", ".join(roots) or "none has a URL"
         raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(parts[:3])}")
     return plain

@@ -64,10 +64,10 @@ class BatchReport(Report):
 
 def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
     """The report of a run that has ended."""
-    failed = [one for one in run.records.values() if one["status"] not in _DONE]
+    failed = [record for record in run.records.values() if record["status"] not in _DONE]
     own = [one for one in failed if one["status"] != "skipped"]
     skipped = len(failed) - len(own)
-    done = [one for one in run.records.values() if one["status"] in _DONE]
+    done = [record for record in run.records.values() if record["status"] in _DONE]
     left = (f"{run.gone}: {run.left} tasks are left, run it again to do them",) if run.gone else ()
     lines = Counter(one["error"] for one in own).items()
     return BatchReport(

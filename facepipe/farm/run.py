@@ -15,13 +15,12 @@ from typing import Any
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
+from facepipe.farm.child import LOST, Engine
 from facepipe.farm.contents import unchanged
-from facepipe.farm.engines import LOST, Engine
 from facepipe.farm.ledger import Ledger, Record
 from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import Plan
+from facepipe.farm.plan import Plan, Task, line_of, needed, result_of, tasks_named, tasks_of
 from facepipe.farm.remote import States, is_url
-from facepipe.farm.tasks import Task, line_of, needed, result_of, tasks_named, tasks_of
 from facepipe.farm.work import CACHED, FAILED, KEPT, MADE
 
 DONE = (MADE, KEPT, CACHED)
@@ -58,7 +57,7 @@ class Run:
     @property
     def counts(self) -> Counter[str]:
         """Tasks by status."""
-        return Counter(one["status"] for one in self.records.values())
+        return Counter(record["status"] for record in self.records.values())
 
     @property
     def left(self) -> int:
@@ -93,7 +92,7 @@ class Run:
             if name in self.records:
                 continue
             needs = needed(self.plan, task)
-            self._waits[name] = sum(one not in self.records for one in needs)
+            self._waits[name] = sum(need not in self.records for need in needs)
             for one in needs:
                 self._for.setdefault(one, []).append(name)
             if self._waits[name] == 0:

@@ -71,8 +71,8 @@ def _of_glob(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     if not found:
         raise InputError(where, f"no file is called like {said[:80]}")
     faces = [Path(one.rpartition("://")[2]) for one in found]
-    stems = Counter(one.stem for one in faces)
-    alone = [one.stem if stems[one.stem] == 1 else "_".join(one.with_suffix("").parts) for one in faces]
+    stems = Counter(face.stem for face in faces)
+    alone = [face.stem if stems[face.stem] == 1 else "_".join(face.with_suffix("").parts) for face in faces]
     return [{"face": one.replace(os.sep, "/"), "name": name} for one, name in zip(found, alone, strict=True)]
 
 
@@ -108,7 +108,7 @@ def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
 
 def _of_range(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     ends = next(iter(said.values())) if isinstance(said, dict) and len(said) == 1 else None
-    if not isinstance(ends, list) or len(ends) != 2 or not all(type(one) is int for one in ends):
+    if not isinstance(ends, list) or len(ends) != 2 or not all(type(end) is int for end in ends):
         raise InputError(where, "expected a column with its first and last number, like { seed = [1, 500] }")
     first, last = ends
     if not 0 <= last - first < _MOST_ROWS:

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core import __version__
-from facepipe.core.digests import digest
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.reading import digest
 from facepipe.core.trust import is_writable, trust
 from facepipe.farm.cache import Cache
 from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import Record
 from facepipe.farm.mirror import Mirror
 from facepipe.farm.remote import StoreError, is_url
-from facepipe.stage.attribution import attribution_of
 from facepipe.stage.files import SUFFIXES
+from facepipe.stage.recipes import attribution_of
 from facepipe.stage.textures import texture_folder
 
 _MOST = 40  # entries of a list or mapping in a report that is kept
@@ -115,7 +115,7 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     if cache is not None and known is None:
         cache.keep(key, record)
     writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
-    folders = tuple(f"{mirror.name(one)}/" for path in line.writes for one in _places(path))
+    folders = tuple(f"{mirror.name(place)}/" for path in line.writes for place in _places(path))
     before = (request.get("last") or {}).get("writes", {})
     mirror.remove(name for name in before if name not in writes and name.startswith(folders))
     return {**record, "status": CACHED if known else MADE, "writes": writes}

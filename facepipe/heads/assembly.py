@@ -11,23 +11,22 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
-from facepipe.heads.bone_sliders import bone_sliders
-from facepipe.heads.expressing import sliders
+from facepipe.heads.controls import bone_sliders, identity_shapes, identity_sliders
+from facepipe.heads.expressions import TALK, animations, sliders
 from facepipe.heads.eye_fit import Shapes, fit_eyes
-from facepipe.heads.identity_sliders import identity_shapes, identity_sliders
-from facepipe.heads.joints import bone_limits, skeleton
-from facepipe.heads.motions import TALK, animations
 from facepipe.heads.mouth_fit import fit_mouth
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import (
     Blendshape,
+    BoneLimits,
     FaceParts,
     Inbetween,
     Landmarks,
     MaterialFaces,
     Mesh,
     Recipe,
+    Skeleton,
     Skin,
     UvSet,
 )
@@ -70,7 +69,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
         animations=animations(frozenset(head.shapes)),
         played=TALK,
         sliders=(*sliders(frozenset(head.shapes)), *(identity_sliders() if controls == "measures" else bone_sliders())),
-        bone_limits=bone_limits(head.joints),
+        bone_limits=_bone_limits(head.joints),
         attribution=ATTRIBUTION,
     )
 
@@ -122,3 +121,31 @@ def _material_faces(head: Asset, part: Part) -> tuple[MaterialFaces, ...]:
         MaterialFaces(material=head.material_names[number], faces=np.flatnonzero(own == number).astype(np.int32))
         for number in np.unique(own)
     )
+
+
+def skeleton(points: FloatArray) -> Skeleton:
+    """The skeleton of a head with the points (n, 3), all joints along the axes of the world at rest."""
+    head = asset()
+    places = np.einsum("jk,jkc->jc", head.joint_shares, points[head.joint_points])
+    world = np.tile(np.eye(4), (len(places), 1, 1))
+    world[:, :3, 3] = places
+    found = Skeleton(joints=head.joints, bind_transforms=world)
+    rest, below = world.copy(), found.parents >= 0
+    rest[below, :3, 3] -= places[found.parents[below]]
+    return Skeleton(joints=head.joints, bind_transforms=world, rest_transforms=rest)
+
+
+def _bone_limits(joints: tuple[str, ...]) -> BoneLimits:
+    """Limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes."""
+    lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(joints), 1))
+    upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(joints), 1))
+    for i, joint in enumerate(joints):
+        name = joint.rpartition("/")[2]
+        if name in ("root", "neck", "head"):
+            lower[i, :3], upper[i, :3] = 0.0, 0.0
+            lower[i, 3:6], upper[i, 3:6] = -0.7, 0.7
+        elif name == "jaw":
+            lower[i, 3], upper[i, 3] = -0.05, 0.45
+        elif name.startswith(("eye", "lid")):
+            lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
+    return BoneLimits(lower=lower, upper=upper)

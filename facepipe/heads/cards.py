@@ -107,13 +107,14 @@ def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray
         lift = _lift(held, held.carry(skin) + held.offsets + moved, skin + whole, triangles)
         return moved + np.where(np.abs(moved).max(axis=1, keepdims=True) > _STILL, lift, 0.0)
 
-    moves = {one.weight: offsets(one.offsets, one.weight) for one in shape.inbetweens}
+    moves = {inbetween.weight: offsets(inbetween.offsets, inbetween.weight) for inbetween in shape.inbetweens}
     full = offsets(shape.offsets, 1.0)
     moved = np.flatnonzero(np.max([np.abs(move).max(axis=1) for move in (full, *moves.values())], axis=0) > _STILL)
     if not len(moved):
         return None
     inbetweens = (
-        Inbetween(name=one.name, weight=one.weight, offsets=moves[one.weight][moved]) for one in shape.inbetweens
+        Inbetween(name=inbetween.name, weight=inbetween.weight, offsets=moves[inbetween.weight][moved])
+        for inbetween in shape.inbetweens
     )
     indices, between = moved.astype(np.int32), tuple(inbetweens)
     return replace(shape, point_indices=indices, offsets=full[moved], normal_offsets=None, inbetweens=between)

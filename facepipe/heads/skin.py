@@ -6,14 +6,42 @@ is coarse is made of the place in space, so that both tiles agree where they mee
 
 from __future__ import annotations
 
+from io import BytesIO
+from typing import Any
+
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
 from facepipe.heads.asset import arrays
-from facepipe.heads.look import STYLES, Look
-from facepipe.heads.pixels import enlarged, to_bytes
+from facepipe.heads.people import STYLES, Look
+from facepipe.parts import Texture
+
+
+def _enlarged(values: Any, size: int) -> Any:
+    """(size, size[, 3]) a picture of another size, bicubic; float32 (h, w), or bytes (h, w, 3)."""
+    from PIL import Image
+
+    if values.shape[0] == size:
+        return values
+    picture = Image.fromarray(values if values.dtype == np.uint8 else values.astype(np.float32))
+    return np.array(picture.resize((size, size), Image.Resampling.BICUBIC))
+
+
+def to_bytes(values: FloatArray) -> Any:
+    """0..1 as 0..255."""
+    return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def jpeg(name: str, pixels: Any) -> Texture:
+    """An image file of bytes (h, w, 3)."""
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(pixels).save(stream, format="JPEG", quality=90, subsampling=0)
+    return Texture(name=f"{name}.jpg", data=stream.getvalue())
+
 
 TILES = ("face", "back")
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
@@ -38,7 +66,7 @@ def _noise(look: Look, tile: int, wavelength: float, number: int, step: int = 1)
     skipped = max(step // 2, 1)  # places are known at every second texel
     at = np.moveaxis(_places(tile)[::skipped, ::skipped], -1, 0) / wavelength
     values = map_coordinates(lattice, at, order=3, mode="grid-wrap", prefilter=False)
-    return np.asarray(enlarged(values, 512 // step) / 0.5)
+    return np.asarray(_enlarged(values, 512 // step) / 0.5)
 
 
 def coarse(look: Look, tile: int, step: int = 1) -> FloatArray:
@@ -74,12 +102,12 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) sRGB bytes."""
     rng = np.random.default_rng((look.seed, 100 + tile))
     m, scalp = masks(tile), STYLES[look.style][0]
-    base = enlarged(to_bytes(to_srgb(coarse(look, tile))), size)
-    skin = enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
+    base = _enlarged(to_bytes(to_srgb(coarse(look, tile))), size)
+    skin = _enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
-    blood = 0.03 * skin * enlarged(patches, size)
-    melanin = skin * (0.05 * grain + enlarged(_spots(look, tile, rng), size))
+    blood = 0.03 * skin * _enlarged(patches, size)
+    melanin = skin * (0.05 * grain + _enlarged(_spots(look, tile, rng), size))
     hairs = _hairs(look, m, size, rng)
     for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
         light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding
@@ -91,8 +119,8 @@ def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
     """(1024, 1024) melanin of freckles, moles and the spots of age."""
     m, size = masks(tile), 1024
     zone = m["cheeks"] + 0.8 * m["bridge"] + 0.5 * m["nose"] + 0.25 * m["forehead"] + 0.12 * m["neck"]
-    zone = enlarged(np.clip(zone, 0, 1), size)
-    skin = enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), size)
+    zone = _enlarged(np.clip(zone, 0, 1), size)
+    skin = _enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), size)
     result = np.zeros((size, size), np.float32)
     kinds = (  # share of texels, radius in texels, strength
         (0.004 * look.freckles * zone, 1.7, 0.55),
@@ -112,7 +140,7 @@ def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Gener
     share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
     if not share.any():
         return np.zeros((1, 1), np.float32)
-    dots = (rng.random((size, size), np.float32) < 0.06 * enlarged(share, size)).astype(np.float32)
+    dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
     contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
     return np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
 
@@ -125,7 +153,7 @@ def roughness(look: Look, tile: int, size: int) -> FloatArray:
     rough += 0.03 * _noise(look, tile, 0.8, 5) + 0.1 * m["scalp"]
     wet = np.maximum.reduce([m["mouth"], m["socket"], m["rim"]])
     rough = np.clip(rough + (0.22 - rough) * wet, 0.1, 1)
-    return np.asarray(enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
+    return np.asarray(_enlarged(to_bytes(np.stack([m["open"] ** 0.7, rough, np.zeros_like(rough)], axis=-1)), size))
 
 
 def relief(look: Look, tile: int, size: int) -> FloatArray:
@@ -134,17 +162,17 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     m, places = masks(tile), _places(tile)
     texel = np.linalg.norm(np.gradient(places, axis=1), axis=-1) * places.shape[0] / size
     scale = size / 2048
-    texel = enlarged(np.clip(gaussian_filter(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
+    texel = _enlarged(np.clip(gaussian_filter(texel, 2), 0.006 / scale, 0.04 / scale), size)  # cm
     skin = (1 - m["lips"]) * (1 - m["mouth"]) * (1 - m["socket"]) * (1 - m["rim"]) * (1 - 0.7 * m["neck"])
     pores = np.clip(0.35 + 0.9 * m["nose"] + 0.7 * m["cheeks"] + 0.4 * m["forehead"] + 0.4 * m["chin"], 0, 1.3) * skin
-    pores = enlarged(pores, size)
+    pores = _enlarged(pores, size)
     dots = (rng.random((size, size), np.float32) < 0.012 / scale**2).astype(np.float32)
     height = -0.013 * pores * gaussian_filter(dots, 1.4 * scale) * 4
     grain = rng.standard_normal((size, size), np.float32)
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
-    height += 0.0016 * fine * enlarged(skin, size) * (0.6 + 0.4 * pores)
-    height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * enlarged(m["lips"], size) * 2
-    height += enlarged(_lines(look, tile), size)
+    height += 0.0016 * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
+    height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
+    height += _enlarged(_lines(look, tile), size)
     slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
     up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normals = np.empty((size, size, 3), np.uint8)
@@ -156,7 +184,7 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
 def _lines(look: Look, tile: int) -> FloatArray:
     """(512, 512) height of the lines of forehead and neck, cm."""
     m, wave = masks(tile), _noise(look, tile, 2.6, 7)
-    y = enlarged(_places(tile)[..., 1], 512)
+    y = _enlarged(_places(tile)[..., 1], 512)
     across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
     forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
     rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]

@@ -12,8 +12,8 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import mapped
 from facepipe.heads import cards, skin
-from facepipe.heads.look import IRIS, STYLES, Look
-from facepipe.heads.pixels import jpeg
+from facepipe.heads.people import IRIS, STYLES, Look
+from facepipe.heads.skin import jpeg
 from facepipe.parts import Color, FaceParts, Material, Mesh, Texture, TextureInput
 
 SMALLEST = 16  # texels a side

@@ -29,7 +29,7 @@ class DeliveryReport(Report):
     @property
     def errors(self) -> int:
         """Findings that are errors."""
-        return sum(one.severity == "error" for one in self.findings)
+        return sum(finding.severity == "error" for finding in self.findings)
 
 
 def outputs(folder: Path, name: str) -> tuple[Path, ...]:
@@ -50,7 +50,7 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
         raise InputError(folder, "the folder does not exist")
     if not name or Path(name).name != name:
         raise InputError(f"name '{name}'", "expected a file name without folder and suffix")
-    there = [one.name for one in outputs(folder, name) if one.exists()]
+    there = [output.name for output in outputs(folder, name) if output.exists()]
     if there and not overwrite:
         raise InputError(folder / there[0], "exists, expected another name or folder (or to overwrite it)")
     face = open_face(path)
@@ -74,15 +74,17 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
 def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], findings: list[Finding]) -> DeliveryReport:
     """The report with files where they go to."""
     moved = [
-        dataclasses.replace(one, path=folder / one.path.name, files=tuple(folder / file.name for file in one.files))
-        for one in exports
+        dataclasses.replace(
+            export, path=folder / export.path.name, files=tuple(folder / file.name for file in export.files)
+        )
+        for export in exports
     ]
     return DeliveryReport(
-        files=tuple(folder / one for one in names),
+        files=tuple(folder / name for name in names),
         exports=tuple(moved),
         findings=tuple(findings),
-        facts=tuple(dict.fromkeys(line for one in exports for line in one.dropped)),
-        warnings=tuple(dict.fromkeys(line for one in exports for line in one.warnings)),
+        facts=tuple(dict.fromkeys(line for export in exports for line in export.dropped)),
+        warnings=tuple(dict.fromkeys(line for export in exports for line in export.warnings)),
     )
 
 

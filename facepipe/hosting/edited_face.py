@@ -53,7 +53,7 @@ def edited_face(before: FaceParts, made: FaceParts, bones: Mapping[str, FloatArr
         sliders=sliders,
         slider_network=_network(before.slider_network, sliders, joints, shapes, warnings),
         bone_limits=_limits(before, skeleton, warnings),
-        animations=tuple(one for one in before.animations if joints.issuperset(one.joints)),
+        animations=tuple(animation for animation in before.animations if joints.issuperset(animation.joints)),
         materials=made.materials,
     )
     if len(parts.animations) < len(before.animations):
@@ -73,7 +73,11 @@ def _mesh(before: Mesh | None, made: Mesh, warnings: list[str]) -> Mesh:
     if before is None:
         return _made_mesh(made)
     if same_topology(before, made):
-        gone = [one.name for one in before.blendshapes if one.name not in {shape.name for shape in made.blendshapes}]
+        gone = [
+            blendshape.name
+            for blendshape in before.blendshapes
+            if blendshape.name not in {shape.name for shape in made.blendshapes}
+        ]
         if gone:
             warnings.append(f"{made.name}: shapes {', '.join(gone[:3])} ({len(gone)} in all) are not there any more")
         return edited_mesh(before, made)
@@ -187,7 +191,7 @@ def _network(
     if before is None:
         return None
     own = kept_outputs(before, joints.__contains__, shapes.__contains__)
-    if own is None or not {one.name for one in sliders}.issuperset(own.sliders):
+    if own is None or not {slider.name for slider in sliders}.issuperset(own.sliders):
         warnings.append("slider network: left out, its sliders or all that it adds to are not there any more")
         return None
     return own

@@ -43,14 +43,19 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
         normals=made.normals if moved and kept.normals is not None else kept.normals,
         uv_sets=_uv_sets(kept, made),
         colors=kept.colors if _near(kept.colors, made.colors) else made.colors,
-        blendshapes=tuple(edited_shape(shapes.get(one.name), one, len(kept.points), step) for one in made.blendshapes),
+        blendshapes=tuple(
+            edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
+            for blendshape in made.blendshapes
+        ),
         regions=kept.regions if same_regions(kept.regions, made.regions) else summed_to_one(made.regions),
         point_subsets=_subsets(kept.point_subsets, made.point_subsets),
         skin=_skin(kept.skin, made.skin, len(kept.points)),
         material=_material(kept, made),
         material_faces=made.material_faces,
     )
-    again = {one.name for one in result.blendshapes if moved or one is not shapes.get(one.name)}
+    again = {
+        blendshape.name for blendshape in result.blendshapes if moved or blendshape is not shapes.get(blendshape.name)
+    }
     return with_normal_offsets(result, again)
 
 
@@ -60,8 +65,8 @@ def edited_shape(kept: Blendshape | None, made: Blendshape, count: int, step: fl
         return made
     old, new = _sculpts(kept, count), _sculpts(made, count)
     same = {name: np.abs(old[name] - new[name]).max(axis=1) <= step for name in new if name in old}
-    weights = {one.name: one.weight for one in kept.inbetweens}
-    at = {one.name: one.weight for one in made.inbetweens}
+    weights = {inbetween.name: inbetween.weight for inbetween in kept.inbetweens}
+    at = {inbetween.name: inbetween.weight for inbetween in made.inbetweens}
     if old.keys() == new.keys() and weights == at and all(mask.all() for mask in same.values()):
         return kept
     mixed = {name: np.where(same[name][:, None], old[name], new[name]) if name in same else new[name] for name in new}
@@ -107,10 +112,17 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
 
     def own(shape: Blendshape) -> Blendshape:
         at = shape.point_indices
-        between = tuple(replace(one, normal_offsets=turned(at, one.offsets)) for one in shape.inbetweens)
+        between = tuple(
+            replace(inbetween, normal_offsets=turned(at, inbetween.offsets)) for inbetween in shape.inbetweens
+        )
         return replace(shape, normal_offsets=turned(at, shape.offsets), inbetweens=between)
 
-    return replace(mesh, blendshapes=tuple(own(one) if one.name in names else one for one in mesh.blendshapes))
+    return replace(
+        mesh,
+        blendshapes=tuple(
+            own(blendshape) if blendshape.name in names else blendshape for blendshape in mesh.blendshapes
+        ),
+    )
 
 
 def same_regions(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> bool:
@@ -146,19 +158,21 @@ def _skin(kept: Skin | None, made: Skin | None, points: int) -> Skin | None:
 
 def _material(kept: Mesh, made: Mesh) -> str | None:
     """That of the whole mesh; where every face has one of its own, which hosts know alone, that it had before."""
-    there = kept.material in {one.material for one in made.material_faces}
+    there = kept.material in {material_face.material for material_face in made.material_faces}
     return kept.material if made.material is None and there else made.material
 
 
 def _uv_sets(kept: Mesh, made: Mesh) -> tuple[UvSet, ...]:
-    old = {one.name: one for one in kept.uv_sets}
+    old = {uv_set.name: uv_set for uv_set in kept.uv_sets}
 
     def corners(uv: UvSet, mesh: Mesh) -> FloatArray:
         return np.asarray(uv.values[mesh.face_vertex_indices if uv.indices is None else uv.indices])
 
     return tuple(
-        old[one.name] if one.name in old and _near(corners(old[one.name], kept), corners(one, made)) else one
-        for one in made.uv_sets
+        old[uv_set.name]
+        if uv_set.name in old and _near(corners(old[uv_set.name], kept), corners(uv_set, made))
+        else uv_set
+        for uv_set in made.uv_sets
     )
 
 
@@ -172,7 +186,10 @@ def _subsets(kept: Mapping[str, IntArray], made: Mapping[str, IntArray]) -> dict
 def _sculpts(shape: Blendshape, count: int) -> dict[str, FloatArray]:
     """Dense offsets (n, 3) of the shape, called '', and of its inbetweens by name."""
     found = {}
-    for name, offsets in [("", shape.offsets), *((one.name, one.offsets) for one in shape.inbetweens)]:
+    for name, offsets in [
+        ("", shape.offsets),
+        *((inbetween.name, inbetween.offsets) for inbetween in shape.inbetweens),
+    ]:
         dense = np.zeros((count, 3), dtype=np.float32)
         dense[shape.point_indices] = offsets
         found[name] = dense

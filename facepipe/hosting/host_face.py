@@ -67,7 +67,7 @@ def face_layer(parts: FaceParts) -> Sdf.Layer:
 
 def face_to_bytes(parts: FaceParts) -> bytes:
     """The face as the bytes of a .usdc file, of materials only the names."""
-    layer = face_layer(replace(parts, materials=tuple(Material(name=one.name) for one in parts.materials)))
+    layer = face_layer(replace(parts, materials=tuple(Material(name=material.name) for material in parts.materials)))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "face.usdc"
         save_layer(layer, file)
@@ -89,7 +89,9 @@ def recipe_from(recipe: Recipe | None, old: Path, new: Path) -> Recipe | None:
     """The recipe with its sources as seen from the folder `new` instead of `old`, where they are files."""
     if recipe is None:
         return None
-    sources = [relative_path(str(old / one), new) if (old / one).exists() else one for one in recipe.sources]
+    sources = [
+        relative_path(str(old / source), new) if (old / source).exists() else source for source in recipe.sources
+    ]
     return replace(recipe, sources=tuple(sources))
 
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from facepipe.parts import FaceParts
-from facepipe.performing import read_kept
+from facepipe.performing import job_of, read_kept
 from facepipe.processors.blend import BlendFaces, BlendSession, Weights
 from facepipe.processors.blend.result import result_parts
 from facepipe.processors.blend.weights import weights_from_json
-from facepipe.stage import open_face
+from facepipe.stage import Face, open_face
 
 _DEFAULT = "default"
 
@@ -87,3 +89,28 @@ class LiveBlend:
         own = {name: row for name, row in rows.items() if name not in self.weights.locked}
         given = weights_from_json(own, "weights")
         return dataclasses.replace(self.weights, regions=given.regions, default=given.default)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reblended:
+    """A blended face, and one line for each source that has changed since."""
+
+    parts: FaceParts
+    warnings: tuple[str, ...] = ()
+
+
+def reblended(path: Path) -> Reblended:
+    """Blend again what `facepipe blend` wrote as `path`, which stays as it is.
+
+    :raises InputError: no recipe of a blend, a source that is gone
+    :raises SchemaError, TopologyError: a damaged recipe, or sources that can't be blended any more
+    """
+    kept = read_kept(path, BlendFaces)
+    blend = BlendFaces(**kept.values)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        open_face(blend.base).deriving(Path(folder) / "blended.usda", flatten=kept.standalone) as face,
+    ):
+        report = blend.author(face, job_of(blend, path))
+        parts = Face(face.stage, face.prim).parts()
+    return Reblended(parts=parts, warnings=(*kept.warnings, *report.warnings))

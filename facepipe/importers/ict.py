@@ -6,20 +6,22 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reading import read_json
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
+from facepipe.geometry.vectors import to_segment
 from facepipe.importers import ict_topology as topology
-from facepipe.importers.ict_eyes import face_materials
 from facepipe.importers.ict_model import IctModel, read_model
-from facepipe.importers.ict_regions import REGIONS, head_regions
+from facepipe.importers.ict_topology import LANDMARKS, MATERIALS, PARTS
 from facepipe.importers.mesh_pieces import (
     compact_uvs,
     face_corners,
@@ -146,3 +148,101 @@ def _blendshapes(model: IctModel, points: slice, options: Options) -> tuple[Blen
         for name, offsets in model.shapes.items()
     )
     return tuple(shape for shape in shapes if shape is not None)
+
+
+_IRIS_RADIUS = 0.6  # cm, across the axis of the eye, which looks along +Z
+_PUPIL_RADIUS = 0.22  # cm
+
+_CAP = 0.1  # cm of depth at the front of an eyeball, the middle of which is on the axis
+
+
+def face_materials(model: IctModel) -> IntArray:
+    """(F,) index of every face's material in `ict_topology.MATERIALS`, -1 for none or an unknown one."""
+    names = list(MATERIALS)
+    number = np.array([names.index(name) if name in names else -1 for name in model.materials] + [-1])
+    materials = number[model.face_material]
+    for part in PARTS:
+        if part.title.startswith("Eyeball"):
+            faces = np.arange(*part.faces)
+            side = part.title.rpartition(" ")[2].capitalize()
+            radius = _off_axis(model, faces, model.neutral[slice(*part.points)])
+            shell = materials[faces] == names.index(f"M_Sclera{side}")
+            inner = materials[faces] == names.index(f"M_Iris{side}")
+            materials[faces[shell & (radius < _IRIS_RADIUS)]] = names.index("Cornea")
+            materials[faces[inner & (radius < _PUPIL_RADIUS)]] = names.index("Pupil")
+    return materials
+
+
+def _off_axis(model: IctModel, faces: IntArray, points: FloatArray) -> FloatArray:
+    """Distance of every face's middle from the axis of the eye; infinite behind the eyeball's middle."""
+    axis = points[points[:, 2] > points[:, 2].max() - _CAP, :2].mean(axis=0)
+    corners = model.face_vertex_indices[face_corners(model.face_vertex_counts, faces)]
+    starts = np.cumsum(model.face_vertex_counts[faces]) - model.face_vertex_counts[faces]
+    middles = np.add.reduceat(model.neutral[corners], starts) / model.face_vertex_counts[faces][:, None]
+    behind = middles[:, 2] < (points[:, 2].min() + points[:, 2].max()) / 2
+    return np.where(behind, np.inf, np.linalg.norm(middles[:, :2] - axis, axis=1))
+
+
+_BLEND = 0.35  # cm
+
+_Spot = int | tuple[float, float, float]  # a landmark's position in the list of 68, or a place in cm
+
+
+class _Bundle(NamedTuple):
+    """Polylines and their radius in centimetres."""
+
+    radius: float
+    lines: tuple[tuple[_Spot, ...], ...]
+
+
+_BUNDLES: dict[str, _Bundle] = {
+    "forehead": _Bundle(
+        8.0,
+        (((0.0, 7.6, 2.2), (0.0, 6.0, -1.0), (0.0, 4.0, -1.8)),),
+    ),
+    "eyebrows": _Bundle(0.85, ((17, 18, 19, 20, 21), (26, 25, 24, 23, 22))),
+    "eyes": _Bundle(1.0, ((36, 37, 38, 39, 40, 41, 36), (42, 43, 44, 45, 46, 47, 42), (36, 39), (42, 45))),
+    "nose": _Bundle(1.0, ((27, 28, 29, 30, 33), (31, 30, 35), (31, 33, 35))),
+    "mouth": _Bundle(0.9, ((48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 48), (60, 64))),
+    "cheek": _Bundle(
+        1.9,
+        (
+            ((-4.4, -0.6, 9.0), (-4.6, -3.0, 8.4), (-5.0, -5.0, 6.5), (-6.2, -2.0, 4.6), (-6.4, 0.4, 4.6)),
+            ((4.4, -0.6, 9.0), (4.6, -3.0, 8.4), (5.0, -5.0, 6.5), (6.2, -2.0, 4.6), (6.4, 0.4, 4.6)),
+        ),
+    ),
+    "chin": _Bundle(1.1, ((6, 7, 8, 9, 10), ((0.0, -6.0, 10.2), (0.0, -7.0, 9.8)))),
+    "ears": _Bundle(
+        1.6,
+        (((-8.0, 2.0, -0.6), (-7.8, -0.5, 0.4)), ((8.0, 2.0, -0.6), (7.8, -0.5, 0.4))),
+    ),
+    "neck": _Bundle(
+        6.2,
+        (((0.0, -12.0, 0.0), (0.0, -20.0, 0.0)), ((0.0, -7.0, -3.0), (0.0, -14.0, -2.0))),
+    ),
+}
+
+REGIONS = tuple(_BUNDLES)
+
+
+def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
+    """Masks (h,) of the points of Head, summing to 1 at each.
+
+    :param neutral: (points, 3) of the generic neutral, whatever the identity, so that masks never depend on it
+    """
+    count = max(part.points[1] for part in PARTS if part.mesh == "Head")
+    landmarks = neutral[list(LANDMARKS)]
+    distances = np.stack([_distance(neutral[:count], landmarks, bundle) for bundle in _BUNDLES.values()])
+    masks = np.exp(-(distances - distances.min(axis=0)) / _BLEND)
+    masks[masks < 0.01] = 0.0  # far regions are exactly absent
+    masks /= masks.sum(axis=0)
+    for part in PARTS:
+        if part.mesh == "Head" and part.region:
+            masks[:, slice(*part.points)] = np.array([name == part.region for name in REGIONS])[:, None]
+    return dict(zip(REGIONS, masks, strict=True))
+
+
+def _distance(points: FloatArray, landmarks: FloatArray, bundle: _Bundle) -> FloatArray:
+    places = [[landmarks[spot] if isinstance(spot, int) else np.array(spot) for spot in line] for line in bundle.lines]
+    segments = [(a, b) for line in places for a, b in itertools.pairwise(line)]
+    return np.asarray(np.min([to_segment(points, a, b) for a, b in segments], axis=0) - bundle.radius)

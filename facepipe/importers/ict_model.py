@@ -14,8 +14,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.npz import Field, check_indices, read_arrays
-from facepipe.importers.obj_shapes import read_offsets
-from facepipe.importers.wavefront import Obj, read_obj
+from facepipe.importers.wavefront import Obj, read_obj, read_offsets
 
 NEUTRAL = "generic_neutral_mesh.obj"
 

@@ -19,8 +19,6 @@ from facepipe.core.names import did_you_mean, identifier
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
-from facepipe.importers.makehuman_landmarks import landmark_points
-from facepipe.importers.makehuman_regions import REGIONS, skin_regions
 from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
 from facepipe.importers.makehuman_sliders import arkit_sliders, unit_sliders
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
@@ -144,7 +142,7 @@ def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[st
         uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
         skin=_skin(data["skin_weights"][own]),
         blendshapes=_blendshapes(shapes, own),
-        regions=skin_regions(data) if head else whole_region(REGIONS, region, len(own)),
+        regions=_skin_regions(data) if head else whole_region(_REGIONS, region, len(own)),
         landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
         anchor=back_of_border(data["vertices"][own], counts, indices) if head else None,
         material=material,
@@ -164,3 +162,82 @@ def _skin(dense: FloatArray) -> Skin:
 def _blendshapes(shapes: Mapping[str, FloatArray], own: IntArray) -> tuple[Blendshape, ...]:
     sparse = (sparse_shape(name, offsets[own], threshold=0.0) for name, offsets in shapes.items())
     return tuple(shape for shape in sparse if shape is not None)
+
+
+# fmt: off
+BASE_VERTICES = (  # vertex numbers of base.obj, 0-based
+    # jaw line, from the subject's right ear to the left
+    5237, 269, 270, 5241, 893, 3697, 922, 5292, 5296,
+    11898, 7624, 10365, 7595, 11850, 7039, 7038, 11846,
+    261, 225, 222, 223, 208, 6983, 6997, 6996, 6999, 7030,  # brows
+    132, 131, 201, 297, 333, 314, 317, 7077, 7095,  # nose: bridge, tip, then nostrils
+    21, 0, 54, 67, 47, 41, 6851, 6838, 6784, 6805, 6825, 6831,  # eyes: outer corner of the right one first
+    422, 447, 460, 466, 7219, 7207, 7182, 7130, 11939, 492, 5335, 370,  # outer lips
+    428, 470, 474, 7226, 7188, 7236, 493, 481,  # inner lips
+)
+# fmt: on
+
+
+def landmark_points(data: MakeHumanData) -> IntArray:
+    """(68,) int32 indices into the skin points.
+
+    :raises InputError: a vertex of the table is not in the skin
+    """
+    numbers = data["source_vertex_index"][data.points_of("skin")]
+    order = np.argsort(numbers, kind="stable")
+    place = np.searchsorted(numbers, BASE_VERTICES, sorter=order)
+    found = order[np.minimum(place, len(order) - 1)]
+    missing = numbers[found] != np.array(BASE_VERTICES)
+    if missing.any():
+        number = BASE_VERTICES[int(np.argmax(missing))]
+        raise InputError(f"{data.path} -> source_vertex_index", f"vertex {number} of base.obj is not in the skin")
+    return found.astype(np.int32)
+
+
+_REGIONS = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")
+
+_WEAK = 0.1  # strength (0..1) that the region of last resort has everywhere
+
+
+def _skin_regions(data: MakeHumanData) -> dict[str, FloatArray]:
+    """Masks of the skin points, summing to 1 at each.
+
+    :raises InputError: a region is missing
+    """
+    skin = data.points_of("skin")
+    names = data.names("region_names")
+    if set(names) != set(_REGIONS):
+        raise InputError(f"{data.path} -> region_names", f"are {', '.join(names)}, expected {', '.join(_REGIONS)}")
+    strength = data["region_strength"][[names.index(name) for name in _REGIONS]][:, skin].astype(np.float64)
+    neck = _neck_share(data)[skin]
+    strength[_REGIONS.index("neck")] = 0.0
+    _add_last_resort(data["vertices"][skin], strength)
+    masks = strength**2
+    masks *= (1.0 - neck) / masks.sum(axis=0)
+    masks[_REGIONS.index("neck")] = neck
+    return dict(zip(_REGIONS, masks, strict=True))
+
+
+def _neck_share(data: MakeHumanData) -> FloatArray:
+    names = data.names("bone_names")
+    if "head" not in names:
+        raise InputError(f"{data.path} -> bone_names", "no bone head there")
+    in_head = np.zeros(len(names), dtype=bool)
+    for bone, parent in enumerate(data["bone_parent"].tolist()):
+        in_head[bone] = names[bone] == "head" or (parent >= 0 and in_head[parent])
+    share = data["skin_weights"][:, ~in_head].astype(np.float64).sum(axis=1)
+    return np.asarray(np.clip(share, 0.0, 1.0))
+
+
+def _add_last_resort(points: FloatArray, strength: FloatArray) -> None:
+    """Raise eyes (where the nearest point that targets shape is one of eyes) or forehead to `_WEAK`, in place."""
+    from scipy.spatial import cKDTree
+
+    strong = np.flatnonzero(strength.max(axis=0) >= _WEAK)
+    resort = np.full(len(points), _REGIONS.index("forehead"))
+    if len(strong):
+        nearest = strong[cKDTree(points[strong]).query(points)[1]]
+        inside = strength.argmax(axis=0)[nearest] == _REGIONS.index("eyes")
+        resort[inside & (strength.max(axis=0) < _WEAK)] = _REGIONS.index("eyes")
+    everyone = np.arange(len(points))
+    strength[resort, everyone] = np.maximum(strength[resort, everyone], _WEAK)

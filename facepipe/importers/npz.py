@@ -67,7 +67,7 @@ def read_arrays(path: Path, fields: Mapping[str, Field], sizes: dict[str, int]) 
     """
     with _opened(path) as archive:
         members = {name: _member(path, archive, name, field, sizes) for name, field in fields.items()}
-        total = sum(math.prod(one.shape) * one.dtype.itemsize for one in members.values())
+        total = sum(math.prod(member.shape) * member.dtype.itemsize for member in members.values())
         most = FREE_BYTES + PER_BYTE * path.stat().st_size
         if total > most:
             raise InputError(path, f"arrays of {total} bytes, expected at most {most} in a file of its size")

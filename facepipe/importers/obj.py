@@ -20,9 +20,8 @@ from facepipe.declare import check_ranges
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
-from facepipe.importers.obj_shapes import read_offsets
 from facepipe.importers.options import ObjOptions
-from facepipe.importers.wavefront import Obj, read_obj
+from facepipe.importers.wavefront import Obj, read_obj, read_offsets
 from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.merged_points import merge_points
 from facepipe.geometry.polygons import point_triangles
@@ -21,10 +22,9 @@ from facepipe.importers import load
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import material_faces
 from facepipe.importers.scan_ply import read_ply
-from facepipe.importers.scan_texture import point_colors
 from facepipe.importers.scan_trimesh import read_off, read_stl
 from facepipe.importers.wavefront import Obj, read_obj
-from facepipe.parts import Material, Mesh, UvSet
+from facepipe.parts import Material, Mesh, Texture, TextureInput, UvSet
 from facepipe.scans import Scan
 from facepipe.stage.imported import Imported
 
@@ -112,7 +112,7 @@ def _read_usd(path: Path) -> Scan:
 
 
 def _scan_of_imported(imported: Imported, name: str) -> Scan:
-    materials = {one.name: one for one in imported.parts.materials}
+    materials = {material.name: material for material in imported.parts.materials}
     return replace(_scan_of(list(imported.parts.meshes), materials, name), warnings=imported.warnings)
 
 
@@ -127,7 +127,7 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         # a mirroring transform turns triangles round
         order = (0, 1, 2) if np.linalg.det(mesh.transform[:3, :3]) >= 0 else (0, 2, 1)
         triangles.append(corners.reshape(-1, 3)[:, order] + start)
-        own = point_colors(mesh, materials)
+        own = _point_colors(mesh, materials)
         colors.append(None if own is None else own[used])
         start += len(used)
     return Scan(
@@ -157,3 +157,84 @@ READERS: dict[str, Callable[[Path], Scan]] = {
     ".usd": _read_usd,
     ".usdz": _read_usd,
 }
+
+
+_TEXELS = 8  # a point: beyond, a texture holds pores that points can only make noise of
+
+
+def _point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | None:
+    """(n, 3) linear colours of the points; None where the mesh has neither colours nor a coloured material.
+
+    :raises InputError: a texture that is no image
+    """
+    if mesh.colors is not None:
+        return np.clip(np.asarray(mesh.colors, dtype=np.float64), 0.0, 1.0)
+    corner = _corners(mesh)
+    named = [(material_face.material, material_face.faces) for material_face in mesh.material_faces]
+    faces = np.repeat(np.arange(len(mesh.face_vertex_counts)), mesh.face_vertex_counts)
+    colors = np.full((len(mesh.points), 3), np.nan)
+    for name, own in [(mesh.material, None), *named]:
+        if name is None or name not in materials:
+            continue
+        among = np.ones(len(mesh.face_vertex_counts), bool)
+        if own is not None:
+            among[:] = False
+            among[own] = True
+        at = np.flatnonzero((corner >= 0) & among[faces[corner]])
+        found = _material_colors(mesh, materials[name], at, corner[at])
+        if found is not None:
+            colors[at] = found
+    missing = np.isnan(colors[:, 0])
+    if missing.all():
+        return None
+    colors[missing] = 0.18
+    return np.asarray(np.clip(colors, 0.0, 1.0))
+
+
+def _corners(mesh: Mesh) -> IntArray:
+    """(n,) a face corner of every point, the first; -1 for points of no face."""
+    points, first = np.unique(mesh.face_vertex_indices, return_index=True)
+    corner = np.full(len(mesh.points), -1, np.int64)
+    corner[points] = first
+    return corner
+
+
+def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: IntArray) -> FloatArray | None:
+    """(k, 3) colours at `points`."""
+    color = material.diffuse_color
+    if not isinstance(color, TextureInput):
+        return np.tile(color, (len(points), 1))
+    uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
+    if uv_set is None:
+        return None
+    texels = _texels(color.texture, _TEXELS * len(mesh.points))
+    texel = _sampled(texels, _uvs(uv_set, points, corners))
+    return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
+
+
+def _uvs(uv_set: UvSet, points: IntArray, corners: IntArray) -> FloatArray:
+    values = np.asarray(uv_set.values, dtype=np.float64)
+    return np.asarray(values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
+
+
+def _texels(texture: Texture, most: int) -> FloatArray:
+    """(h, w, 3) linear pixels, top row first, averaged down to about `most`.
+
+    :raises InputError: no image, or one too large
+    """
+    where = f"texture {texture.name}"
+    image = open_image(texture.data, where)
+    factor = int(np.sqrt(image.width * image.height / max(most, 1)))
+    return from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
+
+
+def _sampled(pixels: FloatArray, uv: FloatArray) -> FloatArray:
+    """(k, 3) bilinear values at UVs (k, 2), v up; textures repeat."""
+    height, width = pixels.shape[:2]
+    x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    across, down = (x - left)[:, None], (y - top)[:, None]
+    columns, rows = (left % width, (left + 1) % width), (top % height, (top + 1) % height)
+    upper = pixels[rows[0], columns[0]] * (1 - across) + pixels[rows[0], columns[1]] * across
+    lower = pixels[rows[1], columns[0]] * (1 - across) + pixels[rows[1], columns[1]] * across
+    return np.asarray(upper * (1 - down) + lower * down)

@@ -59,7 +59,7 @@ def write_scan_landmarks(landmarks: ScanLandmarks, path: Path) -> None:
     lines = ",\n".join(f"    {json.dumps(row)}" for row in points)
     parts = [f'  "scheme": {json.dumps(landmarks.scheme)}', f'  "points": [\n{lines}\n  ]']
     sigmas = [one if one == one else None for one in landmarks.sigma_mm.tolist()]
-    if any(one is not None for one in sigmas):
+    if any(sigma is not None for sigma in sigmas):
         parts.append(f'  "sigma_mm": {json.dumps(sigmas)}')
     if landmarks.markers:
         rows = (f"    {json.dumps(name)}: {json.dumps(place.tolist())}" for name, place in landmarks.markers.items())

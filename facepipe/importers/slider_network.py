@@ -33,7 +33,7 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
     """
     arrays = _arrays(path)
     outputs = [str(one) for one in arrays["outputs"]]
-    found = [_output(path, one, joints, shapes) for one in outputs]
+    found = [_output(path, output, joints, shapes) for output in outputs]
     order = [i for i, one in enumerate(found) if isinstance(one, tuple)]
     order += [i for i, one in enumerate(found) if not isinstance(one, tuple)]  # shapes come after bones
     count = sum(name.endswith(".weight") for name in arrays)
@@ -47,8 +47,8 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
         sliders=tuple(str(one) for one in arrays["sliders"]),
         channels=tuple(one for one in found if isinstance(one, tuple)),
         shapes=tuple(one for one in found if isinstance(one, str)),
-        weights=(*(one.astype(np.float32) for one in weights[:-1]), weights[-1][order].astype(np.float32)),
-        biases=(*(one.astype(np.float32) for one in biases[:-1]), biases[-1][order].astype(np.float32)),
+        weights=(*(weight.astype(np.float32) for weight in weights[:-1]), weights[-1][order].astype(np.float32)),
+        biases=(*(biase.astype(np.float32) for biase in biases[:-1]), biases[-1][order].astype(np.float32)),
         activation=str(arrays["activation"]) if "activation" in arrays else "tanh",  # type: ignore[arg-type]
         info=_info(path, str(arrays["info"]) if "info" in arrays else "{}"),
     )

@@ -40,7 +40,9 @@ def read(source: Path, options: Options) -> Imported:
     skeleton, new_names = _renamed(parts.skeleton, warnings)
     _check_transforms(source, parts)
     animations = tuple(
-        kept for one in parts.animations if (kept := _kept(one, new_names, _shape_names(meshes))) is not None
+        kept
+        for animation in parts.animations
+        if (kept := _kept(animation, new_names, _shape_names(meshes))) is not None
     )
     sliders = _kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings)
     parts = replace(
@@ -48,7 +50,7 @@ def read(source: Path, options: Options) -> Imported:
         meshes=meshes,
         skeleton=skeleton,
         animations=animations,
-        played=parts.played if any(one.name == parts.played for one in animations) else None,
+        played=parts.played if any(animation.name == parts.played for animation in animations) else None,
         sliders=sliders,
         slider_network=_kept_network(parts.slider_network, sliders, new_names, _shape_names(meshes), warnings),
         materials=_distinct_textures(parts.materials),
@@ -167,7 +169,7 @@ def _kept_network(
     if network is None:
         return None
     own = kept_outputs(network, new_names.__contains__, shapes.__contains__)
-    if own is None or not {one.name for one in sliders}.issuperset(own.sliders):
+    if own is None or not {slider.name for slider in sliders}.issuperset(own.sliders):
         warnings.append("slider network: left out, the face lacks its sliders or all that it adds to")
         return None
     lost = len(network.channels) + len(network.shapes) - len(own.channels) - len(own.shapes)
@@ -213,6 +215,6 @@ def _distinct_textures(materials: Iterable[Material]) -> tuple[Material, ...]:
         return replace(value, texture=replace(value.texture, name=own_name(value.texture)))
 
     return tuple(
-        replace(one, **{part.name: renamed(getattr(one, part.name)) for part in fields(one)})  # type: ignore[arg-type]
-        for one in materials
+        replace(material, **{part.name: renamed(getattr(material, part.name)) for part in fields(material)})  # type: ignore[arg-type]
+        for material in materials
     )

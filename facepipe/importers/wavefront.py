@@ -1,4 +1,4 @@
-"""Wavefront OBJ geometry as arrays, with quads and the order of points as in the file.
+"""Wavefront OBJ geometry as arrays, with quads and the order of points as in the file; sets of files on one topology.
 
 trimesh reads OBJ too, but triangulates, reorders and merges points, which breaks the correspondence between the
 files of a shape set. Numeric lines are converted in bulk; a line at fault is looked for only when that fails.
@@ -17,7 +17,7 @@ from typing import NoReturn
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reading import read_bytes
 
 MAX_BYTES = 1 << 30
@@ -229,3 +229,54 @@ def _groups(lines: _Lines, keyword: str) -> tuple[tuple[str, ...], IntArray]:
     of_line = np.array([-1, *(index.setdefault(text, len(index)) for text in stripped)], dtype=np.int32)
     face_lines = np.array(lines.of("f")[0], dtype=np.int64)
     return tuple(index), of_line[np.searchsorted(np.array(numbers, dtype=np.int64), face_lines)]
+
+
+def read_offsets(path: Path, neutral: Obj) -> FloatArray:
+    """(n, 3) float64: points of the shape at `path` minus the neutral's.
+
+    :raises InputError: the file can't be read
+    :raises TopologyError: its points or faces aren't those of the neutral
+    """
+    shape = read_obj(path)
+    _check_topology(path, neutral, shape)
+    return np.asarray(shape.points - neutral.points)
+
+
+def _check_topology(path: Path, neutral: Obj, shape: Obj) -> None:
+    """Check that `shape` has the points and faces of `neutral`; a shape without any faces is taken as it is.
+
+    :raises TopologyError: the first thing that differs
+    """
+    if len(shape.points) != len(neutral.points):
+        raise TopologyError(path, f"{len(shape.points)} points, expected {len(neutral.points)} as in the neutral")
+    counts, expected = shape.face_vertex_counts, neutral.face_vertex_counts
+    if len(counts) == 0 or _same_faces(neutral, shape):
+        return
+    if len(counts) != len(expected):
+        raise TopologyError(path, f"{len(counts)} faces, expected {len(expected)} as in the neutral")
+    face = _first_different_face(neutral, shape)
+    raise TopologyError(
+        path, f"face {face + 1} has points {_points(shape, face)}, expected {_points(neutral, face)} as in the neutral"
+    )
+
+
+def _same_faces(neutral: Obj, shape: Obj) -> bool:
+    return np.array_equal(shape.face_vertex_counts, neutral.face_vertex_counts) and np.array_equal(
+        shape.face_vertex_indices, neutral.face_vertex_indices
+    )
+
+
+def _first_different_face(neutral: Obj, shape: Obj) -> int:
+    different = shape.face_vertex_counts != neutral.face_vertex_counts
+    first = int(np.argmax(different)) if different.any() else len(different)
+    corners = int(neutral.face_vertex_counts[:first].sum())
+    unequal = shape.face_vertex_indices[:corners] != neutral.face_vertex_indices[:corners]
+    if unequal.any():
+        ends = np.cumsum(neutral.face_vertex_counts)
+        return int(np.searchsorted(ends, int(np.argmax(unequal)), side="right"))
+    return first
+
+
+def _points(obj: Obj, face: int) -> list[int]:
+    start = int(obj.face_vertex_counts[:face].sum())
+    return [int(i) + 1 for i in obj.face_vertex_indices[start : start + int(obj.face_vertex_counts[face])]]

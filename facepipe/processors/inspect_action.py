@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 from facepipe.declare import source
 from facepipe.kinds import Inspector, Watch, action
 
@@ -115,7 +114,7 @@ def _faces(face: Face) -> int:
 
 def _neural_rig(face: Face) -> dict[str, str] | None:
     """The file that a face links, and whether it is still what was applied."""
-    from facepipe.core.digests import digest
+    from facepipe.core.reading import digest
     from facepipe.stage.neural_rig_link import read_neural_rig_link
 
     link = read_neural_rig_link(face.prim)

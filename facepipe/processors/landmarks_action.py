@@ -34,7 +34,7 @@ class AuthorLandmarks(StageAction["LandmarksReport"]):
     def author(self, face: Face, job: Job) -> LandmarksReport:
         from facepipe.importers.landmark_file import read_landmarks
         from facepipe.processors.landmarks import LandmarksReport, mesh_of, set_landmarks
-        from facepipe.stage.author_skeleton import author_recipe
+        from facepipe.stage.skeleton import author_recipe
 
         recipe, mesh = job.recipe(), mesh_of(face, self.mesh)
         schemes = read_landmarks(self.landmarks, len(mesh.points))

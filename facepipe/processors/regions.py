@@ -12,8 +12,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, select, unknown
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import Image8, region_masks
 from facepipe.parts import Mesh, UvSet

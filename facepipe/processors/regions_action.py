@@ -41,7 +41,7 @@ class AuthorRegions(MapSampling, StageAction["RegionsReport"]):
         from facepipe.importers.region_image import read_region_image
         from facepipe.processors.region_legend import read_legend
         from facepipe.processors.regions import SetRegions
-        from facepipe.stage.author_skeleton import author_recipe
+        from facepipe.stage.skeleton import author_recipe
 
         recipe = job.recipe()
         set_regions = SetRegions(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from pxr import UsdSkel
+from pxr import Usd, UsdSkel
 
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Animation
-from facepipe.stage.author_animations import author_source
+from facepipe.stage.animations import author_source
 from facepipe.stage.face import Face, animation_prims
 from facepipe.stage.guard import usd_errors
-from facepipe.stage.opinions import editable
-from facepipe.stage.read_skeleton import read_animation
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.prims import editable, prims_below
+from facepipe.stage.skeleton import read_animation
 
 
 def play(face: Face, name: str) -> None:
@@ -22,12 +21,10 @@ def play(face: Face, name: str) -> None:
 
     :raises InputError: no such animation
     """
-    prims = list(prims_below(face.prim, face.where))
-    found = animation_prims(face).get(name)
-    if found is None:
-        raise InputError(face.where, unknown(name, [one.name for one in face.animations], "animation"))
-    skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))
-    author_source(editable(skeleton), found.GetPath())
+    prim = animation_prims(face).get(name)
+    if prim is None:
+        raise InputError(face.where, unknown(name, [animation.name for animation in face.animations], "animation"))
+    author_source(editable(_skeleton_prim(face)), prim.GetPath())
 
 
 def moving_animation(face: Face) -> Animation | None:
@@ -36,18 +33,18 @@ def moving_animation(face: Face) -> Animation | None:
     :raises InputError: NaN, or several over time of which the skeleton plays none
     :raises TopologyError: arrays that don't fit the joints or shapes
     """
-    skeleton = next(prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Skeleton))
     with usd_errors(face.where):
-        source = UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
+        source = UsdSkel.BindingAPI(_skeleton_prim(face)).GetInheritedAnimationSource()
     if source and source.IsA(UsdSkel.Animation):
         played = read_animation(source)
         require_finite(played, f"{face.where} -> {source.GetPath()}")
         return played
-    moving = [one for one in face.animations if one.times is not None]
+    moving = [animation for animation in face.animations if animation.times is not None]
     if len(moving) > 1:
-        some = ", ".join(one.name for one in moving[:6])
-        what = f"{len(moving)} animations over time ({some})"
-        raise InputError(face.where, f"{what}, expected one, or one that the skeleton plays")
+        some = ", ".join(animation.name for animation in moving[:6])
+        raise InputError(
+            face.where, f"{len(moving)} animations over time ({some}), expected one, or one that the skeleton plays"
+        )
     return moving[0] if moving else None
 
 
@@ -56,3 +53,7 @@ def on_frames(face: Face, seconds: FloatArray) -> FloatArray:
     rate = face.stage.GetTimeCodesPerSecond()
     whole = np.rint(np.asarray(seconds, dtype=np.float64) * rate) / rate
     return np.where(whole.astype(np.float32) == np.asarray(seconds, dtype=np.float32), whole, seconds)
+
+
+def _skeleton_prim(face: Face) -> Usd.Prim:
+    return next(prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Skeleton))

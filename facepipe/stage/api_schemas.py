@@ -12,6 +12,8 @@ from typing import Any
 import facepipe_schemas
 from pxr import Sdf, Usd
 
+from facepipe.core.errors import InputError
+
 _INSTANCE = "__INSTANCE_NAME__"  # in the names of a multiple-apply schema's attributes
 
 
@@ -63,7 +65,9 @@ def put_value(prim: Usd.Prim, name: str, value: Any) -> None:
 def is_reserved(schema: str, instance: str) -> bool:
     """Whether an instance of a multiple-apply schema can't be called so, since an attribute of the schema is."""
     last = instance.rpartition(":")[2]
-    return any(one.name.rpartition(":")[2] == last for one in _layer().GetPrimAtPath(f"/{schema}").attributes)
+    return any(
+        attribute.name.rpartition(":")[2] == last for attribute in _layer().GetPrimAtPath(f"/{schema}").attributes
+    )
 
 
 def _declared_name(name: str) -> str:
@@ -74,9 +78,27 @@ def _declared_name(name: str) -> str:
 
 @functools.cache
 def _attributes() -> dict[str, tuple[Sdf.ValueTypeName, Sdf.Variability]]:
-    return {str(one.name): (one.typeName, one.variability) for prim in _layer().rootPrims for one in prim.attributes}
+    return {
+        str(attribute.name): (attribute.typeName, attribute.variability)
+        for prim in _layer().rootPrims
+        for attribute in prim.attributes
+    }
 
 
 @functools.cache
 def _layer() -> Sdf.Layer:
     return Sdf.Layer.FindOrOpen(str(facepipe_schemas.path() / "generatedSchema.usda"))
+
+
+_RESERVED_SUFFIX = ":indices"
+
+
+def check_property_name(where: object, what: str, name: str, schema: str | None = None) -> None:
+    """Check the name of a primvar, or of an instance of a multiple-apply `schema`.
+
+    :raises InputError: a name that USD can't hold
+    """
+    if not Sdf.Path.IsValidNamespacedIdentifier(name) or name.endswith(_RESERVED_SUFFIX):
+        raise InputError(where, f"{what} '{name}', expected letters, digits, underscores and no digit first")
+    if schema and is_reserved(schema, name):
+        raise InputError(where, f"{what} '{name}' is the name of a property of {schema}, expected another")

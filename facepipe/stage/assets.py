@@ -23,7 +23,7 @@ def read_image(asset: Sdf.AssetPath) -> bytes | None:
     """
     if not asset.resolvedPath:
         return None
-    file = file_of(asset.resolvedPath)
+    file = _file_of(asset.resolvedPath)
     check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_BYTES)
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
     data = bytes(opened.GetBuffer() or b"") if opened else b""  # an empty file has no buffer
@@ -39,13 +39,30 @@ def copy_refusal(
     namer = _naming_file(attribute, time)
     try:
         if namer is not None:
-            check_copied(where, file_of(asset.resolvedPath), namer)
+            check_copied(where, _file_of(asset.resolvedPath), namer)
     except InputError as error:
         return error
     return None
 
 
-def asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCode, Sdf.AssetPath]]:
+def images_of(stage: Usd.Stage) -> dict[str, bytes]:
+    """The images that a stage names, by resolved path.
+
+    :raises InputError: one that may not be copied
+    """
+    images: dict[str, bytes] = {}
+    for attribute, time, asset in _asset_values(stage):
+        data = read_image(asset)
+        if data is None:
+            continue
+        refusal = copy_refusal(attribute.GetPath(), attribute, asset, time)
+        if refusal is not None:
+            raise refusal
+        images[asset.resolvedPath] = data
+    return images
+
+
+def _asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCode, Sdf.AssetPath]]:
     """All values of attributes that name files."""
     for top in (stage.GetPseudoRoot(), *stage.GetPrototypes()):
         for prim in Usd.PrimRange(top, Usd.PrimAllPrimsPredicate):
@@ -54,7 +71,7 @@ def asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCode
                     yield from _values(attribute)
 
 
-def file_of(path: str) -> Path:
+def _file_of(path: str) -> Path:
     """The file that a resolved path is in: the outer package, where it is packed."""
     return Path(Ar.SplitPackageRelativePathOuter(path)[0])
 
@@ -77,7 +94,7 @@ def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
     if layer is None or layer.anonymous:  # a mend in memory, of what a file says
         below = [one for one in attribute.GetStage().GetLayerStack() if not one.anonymous]
         layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
-    return None if layer is None else file_of(layer.realPath or layer.identifier)
+    return None if layer is None else _file_of(layer.realPath or layer.identifier)
 
 
 def _layer(attribute: Usd.Attribute, time: Usd.TimeCode, *, files: bool = False) -> Sdf.Layer | None:

@@ -13,15 +13,15 @@ from facepipe.core.arrays import require_finite
 from facepipe.core.atomic import together
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.parts import FaceParts
+from facepipe.stage.animations import author_animation, author_source, author_time_range
 from facepipe.stage.api_schemas import apply_schema, put_value
-from facepipe.stage.author_animations import author_animation, author_source, author_time_range
-from facepipe.stage.author_materials import author_materials, textures_of
 from facepipe.stage.author_mesh import author_mesh
-from facepipe.stage.author_photos import author_photo_changes, check_photos
-from facepipe.stage.author_skeleton import author_limits, author_recipe, author_skeleton, author_sliders, check_sliders
-from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
-from facepipe.stage.read_slider_network import check_face_network
+from facepipe.stage.materials import author_materials, textures_of
+from facepipe.stage.photos import author_photo_changes, check_photos
+from facepipe.stage.skeleton import author_limits, author_recipe, author_skeleton
+from facepipe.stage.slider_network import author_slider_network, check_face_network
+from facepipe.stage.sliders import author_sliders, check_sliders
 from facepipe.stage.textures import TextureFolder, texture_home
 
 

@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdGeom
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.rig.neural_rig import Control
+from facepipe.stage.api_schemas import check_property_name
 from facepipe.stage.files import check_suffix, new_stage, save_layer
-from facepipe.stage.property_names import check_property_name
 
 
 def save_controls(

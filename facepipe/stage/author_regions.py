@@ -9,8 +9,7 @@ from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Mesh
-from facepipe.stage.api_schemas import apply_schema, instances, remove_schema
-from facepipe.stage.property_names import check_property_name
+from facepipe.stage.api_schemas import apply_schema, check_property_name, instances, remove_schema
 from facepipe.stage.values import floats, ints, to_floats, to_ints
 
 SUBSET_FAMILY = "facepipeRegion"

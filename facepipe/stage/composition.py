@@ -42,13 +42,13 @@ class _Stack:
 
     @cached_property
     def with_arcs(self) -> tuple[LayerTable, ...]:
-        return tuple(one for one in self.tables if one.arcs)
+        return tuple(table for table in self.tables if table.arcs)
 
     def size(self, path: Sdf.Path) -> int:
-        return sum(one.sizes.get(path, 0) for one in self.tables)
+        return sum(table.sizes.get(path, 0) for table in self.tables)
 
     def ways(self, path: Sdf.Path) -> set[Sdf.Path]:
-        return {way for one in self.with_arcs for way in one.ways.get(path, ())}
+        return {way for table in self.with_arcs for way in table.ways.get(path, ())}
 
 
 def checked_layers(path: Path) -> list[Sdf.Layer]:
@@ -56,7 +56,7 @@ def checked_layers(path: Path) -> list[Sdf.Layer]:
 
     :raises InputError: too many, sublayers too deep, or one of no regular file or that promises too much
     """
-    return [one.layer for one in Composition(path).tables.values()]
+    return [table.layer for table in Composition(path).tables.values()]
 
 
 def composable_layers(path: Path) -> list[Sdf.Layer]:
@@ -67,12 +67,12 @@ def composable_layers(path: Path) -> list[Sdf.Layer]:
     stage = Composition(path)
     total = stage.count()
     if total is not None:
-        most = MOST_COMPOSED + 2 * sum(one.sizes[_ROOT] for one in stage.tables.values())
+        most = MOST_COMPOSED + 2 * sum(table.sizes[_ROOT] for table in stage.tables.values())
         if total.opinions > most:
             raise stage.too_much(f"{total.opinions}" if total.opinions < 10**12 else "more than 10^12", most)
-        if any(one.has_classes for one in stage.tables.values()):
+        if any(table.has_classes for table in stage.tables.values()):
             stage.compose(most)
-    return [one.layer for one in stage.tables.values()]
+    return [table.layer for table in stage.tables.values()]
 
 
 class Composition:
@@ -92,7 +92,7 @@ class Composition:
 
     def count(self) -> _Count | None:
         """What arcs make of the stage; None where it has none."""
-        if self.root is None or not any(one.with_arcs for one in self._stacks.values() if one):
+        if self.root is None or not any(stack.with_arcs for stack in self._stacks.values() if stack):
             return None
         with Ar.ResolverContextBinder(self._context):
             return self._below(self.root, _ROOT, 0)
@@ -269,13 +269,13 @@ def _joined(base: _Count, parts: Sequence[_Count]) -> _Count:
     """A prim with what its arcs add: each prim below has opinions of all of them, even where they say nothing."""
     if not parts:
         return base
-    prims = base.prims + sum(one.prims - 1 for one in parts)  # what an arc leads to is the prim itself
-    crossed = sum((prims - one.prims) * one.most for one in parts) + (prims - base.prims)
+    prims = base.prims + sum(part.prims - 1 for part in parts)  # what an arc leads to is the prim itself
+    crossed = sum((prims - part.prims) * part.most for part in parts) + (prims - base.prims)
     return _Count(
         prims,
-        base.opinions + sum(one.opinions for one in parts) + crossed,
-        base.most + sum(one.most for one in parts),
-        max(base.levels, 1 + max(one.levels for one in parts)),
+        base.opinions + sum(part.opinions for part in parts) + crossed,
+        base.most + sum(part.most for part in parts),
+        max(base.levels, 1 + max(part.levels for part in parts)),
     )
 
 

@@ -27,15 +27,14 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.display_names import told_apart
 from facepipe.stage.files import check_units, derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
-from facepipe.stage.read_materials import read_material
+from facepipe.stage.materials import read_material
+from facepipe.stage.prims import INSTANCES, check_kinds, prims_below, told_apart
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.read_skeleton import read_animation, read_limits, read_recipe, read_skeleton
-from facepipe.stage.read_slider_network import check_face_network, read_slider_network
-from facepipe.stage.read_sliders import read_sliders
-from facepipe.stage.traversal import INSTANCES, check_kinds, prims_below
+from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.slider_network import check_face_network, read_slider_network
+from facepipe.stage.sliders import read_sliders
 
 if TYPE_CHECKING:
     import trimesh
@@ -69,7 +68,7 @@ class Face:
     def from_parts(cls, parts: FaceParts) -> Face:
         """A face authored on a stage in memory, which names its textures; `save` needs a file (`save_parts`)."""
         from facepipe.stage.author import author
-        from facepipe.stage.author_materials import textures_of
+        from facepipe.stage.materials import textures_of
 
         face = cls(author(parts))
         if textures_of(parts):
@@ -171,9 +170,9 @@ class Face:
             cameras = [one for one in self._below() if one.IsA(UsdGeom.Camera)]
             if not cameras:
                 return ()
-            from facepipe.stage.read_photos import is_photo, read_photo
+            from facepipe.stage.photos import is_photo, read_photo
 
-            return self._finite(tuple(read_photo(one) for one in cameras if is_photo(one)))
+            return self._finite(tuple(read_photo(camera) for camera in cameras if is_photo(camera)))
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -218,7 +217,7 @@ class Face:
         for mesh in self.meshes:
             if scheme in mesh.landmarks:
                 return mesh, mesh.landmarks[scheme]
-        schemes = sorted({one for mesh in self.meshes for one in mesh.landmarks})
+        schemes = sorted({landmark for mesh in self.meshes for landmark in mesh.landmarks})
         raise SchemaError(self.where, unknown(scheme, schemes, "landmarks of scheme"))
 
     def parts(self) -> FaceParts:
@@ -359,7 +358,7 @@ class Face:
         values = [
             read_point_values(prim, name, len(mesh.points)) for prim, mesh in zip(prims, self.meshes, strict=True)
         ]
-        if not any(np.isfinite(one).any() for one in values):
+        if not any(np.isfinite(value).any() for value in values):
             regions = {f"{tokens.REGION_PRIMVAR}{region}" for mesh in self.meshes for region in mesh.regions}
             near = did_you_mean(name, sorted(regions))
             raise InputError(self.where, f"no primvar '{name}' with one number per point{near}")
@@ -384,7 +383,7 @@ class Face:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""
-        from facepipe.stage.standalone import save_standalone
+        from facepipe.stage.textures import save_standalone
 
         save_standalone(self.stage, path)
 
@@ -414,7 +413,7 @@ class Face:
     def material_names(self) -> dict[str, str]:
         """Prim path of each material -> what it is called."""
         prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
-        paths = [str(one.GetPath()) for one in prims]
+        paths = [str(prim.GetPath()) for prim in prims]
         return dict(zip(paths, told_apart(prims, paths), strict=True))
 
     def _bindings(self) -> dict[str, Binding]:
@@ -450,8 +449,8 @@ def _check_metadata(face: Face) -> None:
 
 def animation_prims(face: Face) -> dict[str, Usd.Prim]:
     """The SkelAnimations below a face, by what each is called."""
-    prims = [one for one in prims_below(face.prim, face.where) if one.IsA(UsdSkel.Animation)]
-    return dict(zip(told_apart(prims, [str(one.GetPath()) for one in prims]), prims, strict=True))
+    prims = [prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Animation)]
+    return dict(zip(told_apart(prims, [str(prim.GetPath()) for prim in prims]), prims, strict=True))
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:

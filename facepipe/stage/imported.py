@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facepipe.core import __version__
-from facepipe.core.digests import digest
+from facepipe.core.reading import digest
 from facepipe.declare import to_json
 from facepipe.parts import FaceParts, Recipe
 

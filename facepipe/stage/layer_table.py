@@ -118,6 +118,6 @@ def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:
             if not step > 0 or not (last - first) / step <= _MOST_CLIPS:
                 raise InputError(where, f"value clips of more than {_MOST_CLIPS} files")
             pattern = Path(layer.ComputeAbsolutePath(template))
-            names += [str(one) for one in pattern.parent.glob(pattern.name.replace("#", "[0-9]"))]
+            names += [str(path) for path in pattern.parent.glob(pattern.name.replace("#", "[0-9]"))]
         for name in names:
             check_regular(str(Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name))))

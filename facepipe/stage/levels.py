@@ -18,8 +18,7 @@ from facepipe.core import tokens
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import Mesh
 from facepipe.stage.author_mesh import author_mesh
-from facepipe.stage.opinions import editable
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.values import matrix
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
 
 def _author_level(face: Face, name: str, meshes: Sequence[Mesh]) -> None:
     prims = list(prims_below(face.prim, face.where))
-    (skeleton,) = (UsdSkel.Skeleton(one) for one in prims if one.IsA(UsdSkel.Skeleton))
+    (skeleton,) = (UsdSkel.Skeleton(prim) for prim in prims if prim.IsA(UsdSkel.Skeleton))
     materials = {
         label: UsdShade.Material(face.stage.GetPrimAtPath(path)) for path, label in face.material_names.items()
     }
@@ -101,10 +100,10 @@ def flattened(stage: Usd.Stage) -> Sdf.Layer:
 def _put_level(level: Usd.Stage, full: Usd.Prim, place: Sdf.PrimSpec) -> None:
     """Write what a level turns off and what it adds, into a variant."""
     layer, flat = place.layer, level.Flatten()
-    for one in Usd.PrimRange(full):
-        same = level.GetPrimAtPath(one.GetPath())
+    for prim in Usd.PrimRange(full):
+        same = level.GetPrimAtPath(prim.GetPath())
         if same and not same.IsActive():
-            below = one.GetPath().MakeRelativePath(full.GetPath())
+            below = prim.GetPath().MakeRelativePath(full.GetPath())
             Sdf.CreatePrimInLayer(layer, place.path.AppendPath(below)).active = False
     for child in level.GetPrimAtPath(full.GetPath()).GetChildren():
         if not full.GetChild(child.GetName()):

@@ -61,7 +61,7 @@ def check_report_folder(
         return
     if not overwrite:
         raise InputError(folder, "exists, expected a new folder (or --force)")
-    names = sorted(one.relative_to(place).as_posix() for one in place.rglob("*"))
+    names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*"))
     foreign = [name for name in names if not known.fullmatch(name)]
     if foreign or (names and _REPORT not in names):
         found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT}"

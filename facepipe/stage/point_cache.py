@@ -1,27 +1,30 @@
-"""Meshes of any stage over time: points that change from sample to sample, with or without a face."""
+"""Meshes of any stage over time: points that change from sample to sample, with or without a face; and one authored."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Mesh
+from facepipe.rig.neural_rig import Control
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.files import check_units, open_stage
+from facepipe.stage.author_controls import author_controls
+from facepipe.stage.files import check_suffix, check_units, new_stage, open_stage, save_layer
 from facepipe.stage.guard import reads_prim, usd_errors
+from facepipe.stage.prims import prims_below
 from facepipe.stage.read_mesh import is_left_handed, turned
-from facepipe.stage.read_skeleton import read_animation
-from facepipe.stage.traversal import prims_below
-from facepipe.stage.values import floats, ints, matrix
+from facepipe.stage.skeleton import read_animation
+from facepipe.stage.values import floats, ints, matrix, to_ints, to_vec3f
 
 MOST_SAMPLES = 100_000
 
@@ -183,6 +186,59 @@ def _still(attribute: Usd.Attribute, where: str) -> IntArray:
     :raises TopologyError: it does
     """
     samples = [ints(attribute.Get(time)) for time in attribute.GetTimeSamples()] or [ints(attribute.Get())]
-    if any(not np.array_equal(one, samples[0]) for one in samples):
+    if any(not np.array_equal(sample, samples[0]) for sample in samples):
         raise TopologyError(where, f"{attribute.GetName()} change over time, expected the same faces throughout")
     return samples[0]
+
+
+_MILLIMETRE = 0.001
+
+
+def save_point_cache(
+    path: str | os.PathLike[str],
+    name: str,
+    meshes: Sequence[Mesh],
+    controls: Sequence[Control],
+    values: FloatArray,
+    points: FloatArray,
+    rest: FloatArray,
+    codes: FloatArray,
+    codes_per_second: float,
+) -> None:
+    """Meshes whose points have time samples, below a prim with numbers ``facepipe:control:<name>``; atomically.
+
+    :param name: of that prim
+    :param meshes: names and faces
+    :param values: (f, c)
+    :param points: (f, n, 3) of all meshes one after another, millimetres, Y up
+    :param rest: (n, 3) authored without time
+    :param codes: (f,) ascending time codes
+    :raises InputError: NaN, a name that USD can't hold, or a file that can't be written
+    """
+    check_suffix(Path(path))
+    stage = new_stage(_MILLIMETRE, "Y", codes_per_second)
+    root = UsdGeom.Xform.Define(stage, f"/{name}").GetPrim()
+    stage.SetDefaultPrim(root)
+    stage.SetStartTimeCode(float(codes[0]))
+    stage.SetEndTimeCode(float(codes[-1]))
+    author_controls(root, path, controls, values, codes)
+    ends = np.cumsum([len(mesh.points) for mesh in meshes])
+    for mesh, end in zip(meshes, ends, strict=True):
+        own = slice(end - len(mesh.points), end)
+        _author_mesh(stage, root.GetPath().AppendChild(mesh.name), mesh, points[:, own], rest[own], codes)
+    save_layer(stage.GetRootLayer(), path)
+
+
+def _author_mesh(
+    stage: Usd.Stage, path: Sdf.Path, mesh: Mesh, points: FloatArray, rest: FloatArray, codes: FloatArray
+) -> None:
+    prim = UsdGeom.Mesh.Define(stage, path)
+    prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
+    prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
+    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    attribute = prim.CreatePointsAttr(to_vec3f(rest))
+    ends = np.concatenate([points.min(axis=1)[:, None], points.max(axis=1)[:, None]], axis=1)
+    extent = prim.CreateExtentAttr(to_vec3f(np.stack([rest.min(axis=0), rest.max(axis=0)])))
+    for code, frame, bounds in zip(codes.tolist(), points, ends, strict=True):
+        attribute.Set(to_vec3f(frame), code)
+        extent.Set(to_vec3f(bounds), code)

@@ -4,21 +4,61 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.parts import Animation, Slider
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.control_track import Clip, ControlTrack
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim, usd_errors
-from facepipe.stage.read_skeleton import read_animation
-from facepipe.stage.read_sliders import read_sliders
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.prims import prims_below
+from facepipe.stage.skeleton import read_animation
+from facepipe.stage.sliders import read_sliders
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlTrack:
+    """One control over time. What is not authored of its range and default is None."""
+
+    name: str
+    where: str  # the trail to its attribute
+    codes: FloatArray  # (k,) time codes, ascending; none for one that has a value without time only
+    values: FloatArray  # (k,), or (1,)
+    minimum: float | None = None
+    maximum: float | None = None
+    default: float | None = None
+
+    def at(self, codes: FloatArray) -> FloatArray:
+        """(T,) values at time codes, straight between samples and held beyond them, as USD does."""
+        if not len(self.codes):
+            return np.full(len(codes), self.values[0])
+        return np.interp(codes, self.codes, self.values)
+
+    def guessed(self, codes: FloatArray) -> npt.NDArray[np.bool_]:
+        """(T,) time codes without a sample, between two that differ."""
+        if not len(self.codes):
+            return np.zeros(len(codes), dtype=bool)
+        after = np.searchsorted(self.codes, codes)
+        before = np.searchsorted(self.codes, codes, side="right") - 1
+        inside = (before >= 0) & (after < len(self.codes)) & (before != after)
+        last = len(self.codes) - 1
+        return np.asarray(inside & (self.values[np.maximum(before, 0)] != self.values[np.minimum(after, last)]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """Controls that move together."""
+
+    name: str
+    tracks: tuple[ControlTrack, ...]
+    moves_joints: bool = False  # it animates joints too, which no control tells
+
 
 _NUMBERS = ("double", "float", "half", "int", "bool")
 _USER = "userProperties:"  # where Maya and Blender put attributes of their own
@@ -41,7 +81,7 @@ def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tu
                 return found
             sliders, driven = _sliders(stage)
             clip = _clip(_playing(stage))
-            return (*sliders, *(one for one in clip.tracks if one.name not in driven))
+            return (*sliders, *(track for track in clip.tracks if track.name not in driven))
         except FacepipeError as error:
             raise error.under(path) from None
 
@@ -56,7 +96,7 @@ def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
         try:
             clips = [Clip(name="controls", tracks=_declared(stage)), Clip(name="sliders", tracks=_sliders(stage)[0])]
             clips += [_clip(prim) for prim in _animations(stage)]
-            return tuple(one for one in clips if one.tracks)
+            return tuple(clip for clip in clips if clip.tracks)
         except FacepipeError as error:
             raise error.under(path) from None
 
@@ -80,12 +120,15 @@ def is_recorded(path: str | os.PathLike[str]) -> bool:
 
 
 def _animated(prim: Usd.Prim) -> bool:
-    return bool(prim.IsA(UsdSkel.Animation) and any(one.GetNumTimeSamples() for one in prim.GetAuthoredAttributes()))
+    return bool(
+        prim.IsA(UsdSkel.Animation) and any(attribute.GetNumTimeSamples() for attribute in prim.GetAuthoredAttributes())
+    )
 
 
 def _sampled(prim: Usd.Prim, prefix: str) -> bool:
     return any(
-        one.GetNumTimeSamples() and str(one.GetName()).startswith(prefix) for one in prim.GetAuthoredAttributes()
+        attribute.GetNumTimeSamples() and str(attribute.GetName()).startswith(prefix)
+        for attribute in prim.GetAuthoredAttributes()
     )
 
 
@@ -94,7 +137,7 @@ def _cached(prim: Usd.Prim) -> bool:
 
 
 def _controlled(prim: Usd.Prim) -> bool:
-    names = [str(one.GetName()) for one in prim.GetAuthoredAttributes() if one.GetNumTimeSamples()]
+    names = [str(attribute.GetName()) for attribute in prim.GetAuthoredAttributes() if attribute.GetNumTimeSamples()]
     return any(
         name.startswith(tokens.CONTROL_PREFIX)
         or (name.startswith(tokens.SLIDER_PREFIX) and name.endswith(":value"))
@@ -119,7 +162,11 @@ def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...
         prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) and path.startswith("/") else None
         if not prim:
             raise InputError(f"<{path}>", "no such prim, expected the path of one with controls")
-        own = [one for one in prim.GetAuthoredAttributes() if one.IsCustom() and one.HasAuthoredValue()]
+        own = [
+            attribute
+            for attribute in prim.GetAuthoredAttributes()
+            if attribute.IsCustom() and attribute.HasAuthoredValue()
+        ]
         own = [one for one in own if str(one.GetTypeName()) in _NUMBERS]
         if not own:
             raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
@@ -153,7 +200,7 @@ def _track(attribute: Usd.Attribute) -> ControlTrack:
 def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
     """What the attribute declares: USD's limits, the hard ones first (USD 25.11 and later), or customData."""
     kinds = (attribute.GetHardLimits(), attribute.GetSoftLimits()) if hasattr(attribute, "GetHardLimits") else ()
-    pairs = [(one.GetMinimum(), one.GetMaximum()) for one in kinds]
+    pairs = [(kind.GetMinimum(), kind.GetMaximum()) for kind in kinds]
     data = attribute.GetCustomData()
     pairs.append((data.get("minimum"), data.get("maximum")))
     low, high = (next((one for one in ends if one is not None), None) for ends in zip(*pairs, strict=True))
@@ -190,14 +237,18 @@ def _animations(stage: Usd.Stage) -> list[Usd.Prim]:
 
 def _playing(stage: Usd.Stage) -> Usd.Prim | None:
     """The SkelAnimation with weights over time; of several, the one that a skeleton plays."""
-    prims = [one for one in _animations(stage) if UsdSkel.Animation(one).GetBlendShapeWeightsAttr().GetNumTimeSamples()]
+    prims = [
+        animation
+        for animation in _animations(stage)
+        if UsdSkel.Animation(animation).GetBlendShapeWeightsAttr().GetNumTimeSamples()
+    ]
     if len(prims) < 2:
         return prims[0] if prims else None
-    skeletons = (one for one in prims_below(stage.GetPseudoRoot(), "stage") if one.IsA(UsdSkel.Skeleton))
-    played = {UsdSkel.BindingAPI(one).GetInheritedAnimationSource().GetPath() for one in skeletons}
-    chosen = [one for one in prims if one.GetPath() in played]
+    skeletons = (prim for prim in prims_below(stage.GetPseudoRoot(), "stage") if prim.IsA(UsdSkel.Skeleton))
+    played = {UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource().GetPath() for skeleton in skeletons}
+    chosen = [prim for prim in prims if prim.GetPath() in played]
     if len(chosen) != 1:
-        some = ", ".join(str(one.GetName()) for one in prims[:6])
+        some = ", ".join(str(prim.GetName()) for prim in prims[:6])
         raise InputError(
             some, f"{len(prims)} SkelAnimations with weights over time, expected one that a skeleton plays"
         )

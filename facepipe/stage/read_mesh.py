@@ -14,9 +14,9 @@ from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
-from facepipe.stage.display_names import data_label, label
+from facepipe.stage.blendshapes import read_blendshapes
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.read_blendshapes import read_blendshapes
+from facepipe.stage.prims import data_label, label
 from facepipe.stage.values import floats, ints, matrix
 
 UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")

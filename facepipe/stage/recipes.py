@@ -1,4 +1,4 @@
-"""Recipes of files whose layers may be lost, and the sources that recipes name: found, and told from what they were."""
+"""Recipes and attribution of files whose layers may be lost; the sources of recipes, and whether they changed."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from facepipe.core import __version__
-from facepipe.core.digests import digest
+from pxr import Sdf
+
+from facepipe.core import __version__, tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
-from facepipe.core.reading import is_file, read_json_object
+from facepipe.core.reading import digest, is_file, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
-from facepipe.stage.files import SUFFIXES, dependencies, open_stage
-from facepipe.stage.read_skeleton import read_recipe
+from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
+from facepipe.stage.guard import USD_ERRORS
+from facepipe.stage.skeleton import read_recipe
 
 _MOST_BYTES = 1 << 28  # of a glTF document
 
@@ -115,8 +117,10 @@ def source_files(path: Path) -> set[Path]:
     """The files that `source_digest` reads."""
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
-        layers = {path.resolve()} | {one for one in dependencies(path) if one.suffix.lower() in SUFFIXES}
-        return {one.resolve() for one in layers}
+        layers = {path.resolve()} | {
+            dependency for dependency in dependencies(path) if dependency.suffix.lower() in SUFFIXES
+        }
+        return {layer.resolve() for layer in layers}
     return {path, *(_buffers(path) if suffix == ".gltf" else ())}
 
 
@@ -126,5 +130,18 @@ def _buffers(path: Path) -> set[Path]:
         buffers = read_json_object(path, _MOST_BYTES).get("buffers")
     except InputError:
         return set()
-    uris = [one.get("uri") for one in buffers if isinstance(one, dict)] if isinstance(buffers, list) else []
+    uris = [buffer.get("uri") for buffer in buffers if isinstance(buffer, dict)] if isinstance(buffers, list) else []
     return {path.parent / unquote(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")}
+
+
+def attribution_of(path: Path) -> str:
+    """The copyright and license line on the default prim of a layer; empty where it holds none, as over another."""
+    if path.suffix.lower() not in SUFFIXES:
+        return ""
+    with quiet_diagnostics():
+        try:
+            layer = Sdf.Layer.FindOrOpen(str(path))
+            spec = layer.GetAttributeAtPath(f"/{layer.defaultPrim}.{tokens.ATTRIBUTION}") if layer else None
+        except (*USD_ERRORS, RuntimeError):
+            return ""
+    return str(spec.default or "") if spec else ""

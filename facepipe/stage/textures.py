@@ -1,15 +1,21 @@
-"""Texture files beside a stage."""
+"""Texture files beside a stage, and stages saved as one file with copies of theirs."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from facepipe.core.atomic import collect, hidden_folder, replacing_folder, write_bytes
+from pxr import Usd, UsdUtils
+
+from facepipe.core.atomic import collect, hidden_folder, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.trust import check_beside
+from facepipe.stage.assets import images_of, name_of
+from facepipe.stage.files import check_suffix, save_layer
+from facepipe.stage.levels import flattened
 
 
 class TextureFolder:
@@ -80,3 +86,20 @@ def texture_home(target: Path) -> Iterator[Path]:
 def texture_folder(stage_file: Path) -> Path:
     """Where the textures of a stage that is written go."""
     return stage_file.parent / f"{stage_file.stem}_textures"
+
+
+def save_standalone(stage: Usd.Stage, path: str | os.PathLike[str]) -> None:
+    """Flatten a stage and save it atomically; its textures are copied, so that the result can be moved.
+
+    :raises InputError: a suffix that is not USD, a folder that can't be written, or a texture that may not be copied
+    """
+    target = Path(path)
+    check_suffix(target)
+    images = images_of(stage)
+    layer = flattened(stage)
+    with texture_home(target) as home, together(target):
+        folder = TextureFolder(home)
+        copies = {resolved: folder.add(name_of(resolved), data) for resolved, data in images.items()}
+        UsdUtils.ModifyAssetPaths(layer, lambda name: copies.get(name, name))
+        folder.write()
+        save_layer(layer, target, beside=home.parent)

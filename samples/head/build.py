@@ -34,7 +34,7 @@ from tongue import tongue_out
 
 from facepipe.geometry.polygons import back_of_border
 from facepipe.heads.asset import unpacked
-from facepipe.importers.ict_regions import REGIONS, head_regions
+from facepipe.importers.ict import REGIONS, head_regions
 from facepipe.importers.ict_topology import LANDMARKS, MATERIALS
 
 ROOT = Path(__file__).parents[2]

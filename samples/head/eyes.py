@@ -15,8 +15,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
-from facepipe.heads.look import IRIS
-from facepipe.heads.pixels import to_bytes
+from facepipe.heads.people import IRIS
+from facepipe.heads.skin import to_bytes
 
 # Of the texture's side, from its middle: the asset's texture coordinates are discs around the eye's axis.
 _PUPIL, _IRIS = 0.125, 0.415  # on the inner ball

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.importers.ict import shape_name
-from facepipe.importers.ict_eyes import face_materials
+from facepipe.importers.ict import face_materials, shape_name
 from facepipe.importers.ict_model import read_model
 from facepipe.importers.ict_topology import EXPRESSIONS, PARTS
 

@@ -19,7 +19,7 @@ from skin_maps import baked, step
 
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import triangulate
-from facepipe.heads.pixels import to_bytes
+from facepipe.heads.skin import to_bytes
 
 Array = Any
 SIZE = 512  # texels a side

@@ -24,13 +24,13 @@ import facepipe
 from facepipe import parts as p
 from facepipe.checks import CHECKS, validate, validate_stage
 from facepipe.checks.usd_registry import available, register
-from facepipe.core.digests import digest
 from facepipe.core.errors import InputError
+from facepipe.core.reading import digest
 from facepipe.importers import load
 from facepipe.processors.neural_rig import save_neural_rig
 from facepipe.stage import Face, save_parts
-from facepipe.stage.author_slider_network import author_slider_network
 from facepipe.stage.neural_rig_link import author_neural_rig_link
+from facepipe.stage.slider_network import author_slider_network
 
 NAN = float("nan")
 RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link

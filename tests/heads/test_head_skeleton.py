@@ -35,7 +35,7 @@ def test_eyes_turn_about_the_middle_of_their_balls(seed: int) -> None:
 
 
 def test_a_stretched_head_has_stretched_joints(average: FaceParts) -> None:
-    from facepipe.heads.joints import skeleton
+    from facepipe.heads.assembly import skeleton
 
     stretch = np.array([1.1, 0.9, 1.2])
     moved = skeleton(asset().points * stretch).bind_transforms[:, :3, 3]

@@ -12,7 +12,7 @@ from PIL import Image
 from facepipe.core.errors import InputError
 from facepipe.heads import cards, skin
 from facepipe.heads.assembly import make_head
-from facepipe.heads.look import IRIS, STYLES, Look
+from facepipe.heads.people import IRIS, STYLES, Look
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts, TextureInput
 

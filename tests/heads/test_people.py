@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from places import REPOSITORY
 
-from facepipe.heads.look import HAIR, STYLES
-from facepipe.heads.people import MODES, Person, draw
+from facepipe.heads.people import HAIR, MODES, STYLES, Person, draw
 
 
 @pytest.fixture(scope="module")

@@ -86,7 +86,7 @@ def test_no_module_imports_one_that_imports_it() -> None:
         | (given.find_modules_directly_imported_by(one) if given.find_children(one) and one != "facepipe" else set())
         for one in graph.modules
     }
-    assert len(imports) > 600
+    assert len(imports) > 400
     graphlib.TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle
 
 

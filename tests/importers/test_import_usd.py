@@ -22,7 +22,7 @@ from facepipe.core.errors import FacepipeError, InputError, SchemaError, Topolog
 from facepipe.rig import coefficient_matrices
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author import author
-from facepipe.stage.traversal import prims_below
+from facepipe.stage.prims import prims_below
 from facepipe.stage.values import floats, ints, to_floats, to_ints, to_matrices, to_vec3f
 
 TOLERANCE = 1e-5  # of the head height

@@ -14,9 +14,9 @@ from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.importers import load
 from facepipe.stage import Face, open_face, save_parts
+from facepipe.stage.blendshapes import MOST_INBETWEENS
 from facepipe.stage.files import open_stage
-from facepipe.stage.read_blendshapes import MOST_INBETWEENS
-from facepipe.stage.traversal import MOST_OF
+from facepipe.stage.prims import MOST_OF
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
 

@@ -207,7 +207,7 @@ def reading(reader: str, file: str) -> Callable[[Path], Words]:
     def build(folder: Path) -> Words:
         from facepipe_gltf.raw import RawDocument
 
-        from facepipe.core.digests import digest
+        from facepipe.core.reading import digest
         from facepipe.importers.landmark_file import read_landmarks
         from facepipe.importers.npz import array_names
 

@@ -23,7 +23,7 @@ from facepipe.parts import TextureInput
 from facepipe.pictures.textures import decode
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
-from facepipe.stage.author_materials import textures_of
+from facepipe.stage.materials import textures_of
 from facepipe.stage.recipes import source_digest
 
 OWN = "./face_textures/skin.png"

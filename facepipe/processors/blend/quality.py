@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.polygons import triangle_normals, turned_triangles
 from facepipe.processors.blend.graph import mix

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 
 if TYPE_CHECKING:
     from facepipe.processors.database.face_database import Entry, FaceDatabase, Update

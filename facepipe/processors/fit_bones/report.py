@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.reports import Report, unsaid
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table, unsaid
 from facepipe.rig import CHANNELS
 
 _SHOWN = 4  # names of a list

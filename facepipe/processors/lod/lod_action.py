@@ -60,7 +60,7 @@ class Lod(StageAction["LodReport"]):
 
     def author(self, face: Face, job: Job) -> LodReport:
         from facepipe.processors.lod.make import make_levels
-        from facepipe.stage.author_skeleton import author_recipe
+        from facepipe.stage.skeleton import author_recipe
 
         recipe = job.recipe()
         report = make_levels(face, self.triangles, self.skin_share, job.watch)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 from facepipe.kinds import Watch
 from facepipe.parts import Mesh
 from facepipe.processors.lod.decimate import Surface

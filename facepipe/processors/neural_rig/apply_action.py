@@ -45,7 +45,7 @@ class ApplyNeuralRig(AttachOptions, StageAction[ApplyNeuralRigReport]):
     rig: Path = source("neural rig: .fpnr")
 
     def author(self, face: Face, job: Job) -> ApplyNeuralRigReport:
-        from facepipe.core.digests import digest
+        from facepipe.core.reading import digest
         from facepipe.processors.neural_rig.attach import AttachNeuralRig
         from facepipe.processors.neural_rig.neural_rig_file import load_neural_rig
         from facepipe.stage.author_changes import author_changes

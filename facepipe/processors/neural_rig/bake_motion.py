@@ -17,7 +17,7 @@ from facepipe.processors.neural_rig.options import FrameBlocksOptions, SampleMot
 from facepipe.processors.neural_rig.sample_motion import SampleMotion, controls_of
 from facepipe.rig.neural_rig import Control
 from facepipe.stage import Face
-from facepipe.stage.author_point_cache import save_point_cache
+from facepipe.stage.point_cache import save_point_cache
 from facepipe.stage.read_controls import read_clips
 
 _WHOLE = FrameBlocksOptions(block=1_000_000, margin=0)  # clips are cut where they are learned from

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import option, source
 from facepipe.kinds import FileAction, Job, action
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions

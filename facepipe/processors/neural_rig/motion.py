@@ -14,8 +14,7 @@ from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control
-from facepipe.stage.control_track import Clip
-from facepipe.stage.read_controls import read_clips
+from facepipe.stage.read_controls import Clip, read_clips
 
 _OUTSIDE = 1e-6  # of a control's range: what rounding may take a value beyond its limits
 _GAP = 2.5  # steps

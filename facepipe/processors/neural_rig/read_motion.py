@@ -19,9 +19,8 @@ from facepipe.processors.neural_rig.motion import Motion, frame_blocks
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig.neural_rig import Control, NeuralRig
-from facepipe.stage.control_track import ControlTrack
 from facepipe.stage.point_cache import PointCache, read_point_cache
-from facepipe.stage.read_controls import read_controls
+from facepipe.stage.read_controls import ControlTrack, read_controls
 
 Codes = npt.NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Literal
 
 from facepipe.core.atomic import when_placed
 from facepipe.core.errors import InputError
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import Options, beside, option, source, values_of
 from facepipe.kinds import FileAction, Job, action
 from facepipe.processors.neural_rig.options import (

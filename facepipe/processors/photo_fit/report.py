@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.reports import Report, unsaid
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table, unsaid
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped

@@ -27,8 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.reports import Report, unsaid
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table, unsaid
 from facepipe.declare import option, source
 from facepipe.kinds import FileAction, Job, action
 from facepipe.start_options import StartOptions

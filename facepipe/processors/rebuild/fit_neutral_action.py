@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
 from facepipe.processors.rebuild.options import FitNeutralOptions

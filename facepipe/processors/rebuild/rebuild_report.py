@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.reports import Report, unsaid
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table, unsaid
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source
 from facepipe.kinds import Job, action
 from facepipe.processors.rebuild.options import RegisterScansOptions

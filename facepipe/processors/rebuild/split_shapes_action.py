@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import source
 from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.rebuild.options import SplitExpressionsOptions

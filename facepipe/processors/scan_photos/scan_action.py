@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.texts import table
+from facepipe.core.reports import table
 from facepipe.declare import beside, option, source
 from facepipe.kinds import FileAction, Job, Watch, action
 from facepipe.processors.scan_photos.options import ScanPhotosOptions

@@ -17,8 +17,8 @@ from facepipe.processors.sliders.slider_table import SliderTable
 from facepipe.rig import CHANNELS, slide
 from facepipe.rig.sliders import sliders_fault
 from facepipe.stage import Face
+from facepipe.stage.api_schemas import check_property_name
 from facepipe.stage.author_changes import author_changes
-from facepipe.stage.property_names import check_property_name
 
 _SHOWN = 4  # names of a list
 

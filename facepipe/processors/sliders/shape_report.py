@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.reports import Report
-from facepipe.core.texts import table
+from facepipe.core.reports import Report, table
 
 _HEAD = ("distance, mm", "by", "joints", "channels", "reach", "RMS", "max", "RMS left", "max left")
 

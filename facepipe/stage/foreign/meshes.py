@@ -1,4 +1,4 @@
-"""Which meshes of a foreign stage are the face's, and what they need to be read."""
+"""Which meshes of a foreign stage are the face's, what they need to be read, and the materials that they use."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdLux, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
 
 from facepipe.core import tokens
+from facepipe.core.errors import InputError
+from facepipe.parts import Material, TextureInput
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
+from facepipe.stage.materials import read_material
+from facepipe.stage.prims import told_apart
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
 
@@ -53,7 +57,7 @@ def note_custom(scene: Scene) -> None:
     """Properties and data of a prim that no schema knows are named in a warning."""
     own: dict[str, list[Usd.Prim]] = {}
     for prim in scene.prims:
-        properties = [one.GetName() for one in prim.GetAuthoredProperties() if one.IsCustom()]
+        properties = [prop.GetName() for prop in prim.GetAuthoredProperties() if prop.IsCustom()]
         data = [key for key in prim.GetCustomData() if prim.HasAuthoredCustomDataKey(key) and key != "Blender"]
         for name in [*properties, *(f"customData {key}" for key in data)]:
             if not name.startswith(_KNOWN_PROPERTIES):
@@ -161,3 +165,69 @@ def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
         for binding in cache.ComputeSkelBindings(UsdSkel.Root(root), Usd.PrimDefaultPredicate):
             found |= {str(query.GetPrim().GetPath()): query for query in binding.GetSkinningTargets()}
     return found
+
+
+_READ = {
+    "diffuseColor",
+    "emissiveColor",
+    "metallic",
+    "roughness",
+    "opacity",
+    "opacityThreshold",
+    "occlusion",
+    "normal",
+    "ior",
+    "clearcoat",
+    "clearcoatRoughness",
+    "useSpecularWorkflow",  # named apart
+}
+
+
+def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str], tuple[Material, ...]]:
+    """Names by prim path, and the materials, of those bound to meshes or their faces that are UsdPreviewSurface."""
+    bound: dict[str, Usd.Prim] = {}
+    for mesh in meshes:
+        subsets = UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh))
+        for prim in [mesh, *(subset.GetPrim() for subset in subsets)]:
+            material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
+            if material:
+                bound[str(material.GetPath())] = material.GetPrim()
+    names = dict(zip(bound, told_apart([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True))
+    read = {path: _read(scene, prim, names[path]) for path, prim in bound.items()}
+    materials = tuple(material for material in read.values() if material is not None)
+    return {path: names[path] for path, material in read.items() if material is not None}, materials
+
+
+def _refusal(material: Material | None) -> InputError | None:
+    """Why an image of the material may not be copied."""
+    values = vars(material).values() if material else ()
+    images = (value.texture for value in values if isinstance(value, TextureInput))
+    return next((image.refusal for image in images if image.refusal), None)
+
+
+def _read(scene: Scene, prim: Usd.Prim, name: str) -> Material | None:
+    """One material; a texture that can't be had is left out of it."""
+    while True:
+        try:
+            material = read_material(prim, name)
+            if refusal := _refusal(material):
+                raise refusal
+            break
+        except InputError as error:
+            attribute = scene.stage.GetAttributeAtPath(Sdf.Path(error.where))
+            if not attribute or not attribute.HasAuthoredValue():
+                raise
+            scene.warn(f"{error}: left out")
+            attribute.Block()
+    if material is None:
+        scene.warn("material without UsdPreviewSurface: left out", [prim])
+        return None
+    surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
+    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _READ)
+    if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
+        lost.append("the specular workflow")
+    if any(UsdShade.Shader(one).GetShaderId() == "UsdTransform2d" for one in Usd.PrimRange(prim)):
+        lost.append("texture transforms")
+    if lost:
+        scene.warn(f"{', '.join(lost)} of the material: left out", [prim])
+    return material

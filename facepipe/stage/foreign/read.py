@@ -1,28 +1,30 @@
-"""A foreign stage as parts: the table of contents."""
+"""A foreign stage as parts, with what it says in facepipe's own words where it is or holds a face."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pxr import Usd, UsdGeom, UsdSkel
 
+from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError, TopologyError
 from facepipe.core.names import identifier
-from facepipe.parts import Animation, FaceParts, Mesh, Skeleton
-from facepipe.stage.display_names import told_apart
+from facepipe.parts import Animation, BoneLimits, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
+from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.files import quiet_diagnostics
-from facepipe.stage.foreign import face
-from facepipe.stage.foreign.materials import bound_materials
-from facepipe.stage.foreign.meshes import bindings, choose_meshes, mend_meshes, note_custom
-from facepipe.stage.foreign.scene import Scene
+from facepipe.stage.foreign.meshes import bindings, bound_materials, choose_meshes, mend_meshes, note_custom
+from facepipe.stage.foreign.scene import Scene, ancestors
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
 from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
 from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.prims import told_apart
 from facepipe.stage.read_mesh import Binding, read_mesh
-from facepipe.stage.read_skeleton import read_animation, read_skeleton
+from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
+from facepipe.stage.slider_network import read_slider_network
+from facepipe.stage.sliders import read_sliders
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +85,7 @@ def _trail(path: Path) -> Iterator[None]:
 
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
     skeleton = Skeleton() if prim is None else read_skeleton(prim)
-    names = told_apart(meshes, [str(one.GetName()) for one in meshes])
+    names = told_apart(meshes, [str(mesh.GetName()) for mesh in meshes])
     material_names, materials = bound_materials(scene, meshes)
     queries = bindings(scene)
     read = tuple(
@@ -91,7 +93,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         for one, name in zip(meshes, names, strict=True)
     )
     twins = twin_shapes(meshes)
-    sliders = face.sliders(scene)
+    sliders = _sliders(scene)
     source = None if prim is None else UsdSkel.BindingAPI(prim).GetInheritedAnimationSource() or None
     animations = _animations(scene, source, skeleton, read)
     twins = alike_in(twins, animations.values())
@@ -110,11 +112,11 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         played=None if source is None or source not in animations else animations[source].name,
         frames_per_second=float(scene.stage.GetTimeCodesPerSecond()) or 24.0,
         sliders=sliders,
-        slider_network=face.slider_network(scene, sliders),
-        bone_limits=None if prim is None else face.limits(scene, prim, len(skeleton.joints)),
+        slider_network=_slider_network(scene, sliders),
+        bone_limits=None if prim is None else _limits(scene, prim, len(skeleton.joints)),
         materials=materials,
-        attach_joint=face.attach_joint(scene),
-        attribution=face.attribution(scene),
+        attach_joint=_attach_joint(scene),
+        attribution=_attribution(scene),
     )
 
 
@@ -172,3 +174,71 @@ def _up_axis(scene: Scene) -> str:
     if not scene.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
         scene.warn(f"upAxis not authored: taken as {axis}")
     return axis
+
+
+def _attribution(scene: Scene) -> str:
+    """The licence lines of every face that is read or that holds what is read, each once."""
+    return "; ".join(_texts(scene, tokens.ATTRIBUTION))
+
+
+def _attach_joint(scene: Scene) -> str | None:
+    """The body joint that the root joints hang under; the first where the stage names several."""
+    found = _texts(scene, tokens.ATTACH_JOINT)
+    if len(found) > 1:
+        scene.warn(f"{len(found)} attach joints: '{found[0]}' is kept")
+    return found[0] if found else None
+
+
+def _sliders(scene: Scene) -> tuple[Slider, ...]:
+    """The sliders of all faces, the first of each name; those of a prim where they don't fit are left out."""
+    found: dict[str, Slider] = {}
+    for prim in _prims(scene):
+        try:
+            own = read_sliders(prim)
+        except FacepipeError as error:
+            scene.warn(f"{error}: sliders left out")
+            continue
+        twice = sorted({one.name for one in own} & {*found})
+        if twice:
+            scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
+        found = {one.name: one for one in own} | found
+    return with_mutual_mirrors([found[name] for name in sorted(found)])
+
+
+def _slider_network(scene: Scene, own: Sequence[Slider]) -> SliderNetwork | None:
+    """The first learned network that the sliders `own` are enough for; others are left out."""
+    names, found = {one.name for one in own}, None
+    for prim in _prims(scene):
+        try:
+            network = read_slider_network(prim)
+        except FacepipeError as error:
+            scene.warn(f"{error}: network left out")
+            continue
+        if network is not None and (found is not None or not names.issuperset(network.sliders)):
+            scene.warn(
+                "a learned network of sliders left out: it is one too many, or its sliders are not there", [prim]
+            )
+        elif network is not None:
+            found = network
+    return found
+
+
+def _limits(scene: Scene, skeleton: Usd.Prim, joint_count: int) -> BoneLimits | None:
+    """The bone limits of the skeleton; None where they don't fit its joints."""
+    try:
+        return read_limits(skeleton, joint_count)
+    except FacepipeError as error:
+        scene.warn(f"{error}: bone limits left out")
+        return None
+
+
+def _texts(scene: Scene, name: str) -> list[str]:
+    values = [prim.GetAttribute(name).Get() for prim in _prims(scene)]
+    return list(dict.fromkeys(text for value in values if value and (text := str(value).strip())))
+
+
+def _prims(scene: Scene) -> Iterator[Usd.Prim]:
+    """The default prim, what stands above the roots, and all that is read, each once."""
+    default = scene.stage.GetDefaultPrim()
+    above = [prim for root in scene.roots for prim in ancestors(root)]
+    yield from dict.fromkeys([*([default] if default else []), *above, *scene.prims])

@@ -1,4 +1,4 @@
-"""The part of a stage that is read, with its session layer as the place for mends."""
+"""The part of a foreign stage that is read, with which variants, and its session layer as the place for mends."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.files import open_stage
-from facepipe.stage.foreign.variants import choose_variants, variants_in_effect
-from facepipe.stage.traversal import check_kinds, prims_below
+from facepipe.stage.prims import check_kinds, prims_below
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 
@@ -25,20 +25,20 @@ class Scene:
         self.stage = open_stage(path)
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         self.warnings: list[str] = []
-        choose_variants(self.stage, path, variants)
+        _choose_variants(self.stage, path, variants)
         self.roots = self._find_roots(root)
         self._open_instances()
         self.prims = list(self._below())
         check_kinds(self.prims, self.path)
-        above = [one for top in self.roots for one in ancestors(top)]
-        self.warnings += variants_in_effect([*above, *self.prims], variants)
+        above = [prim for top in self.roots for prim in ancestors(top)]
+        self.warnings += _variants_in_effect([*above, *self.prims], variants)
         self._default_values()
         self._skel_roots()
         self._binding_api()
 
     def warn(self, what: str, culprits: Iterable[object] = ()) -> None:
         """Note something, with a few of the prims it is about."""
-        listed = [f"<{one.GetPath()}>" if isinstance(one, Usd.Prim) else str(one) for one in culprits]
+        listed = [f"<{culprit.GetPath()}>" if isinstance(culprit, Usd.Prim) else str(culprit) for culprit in culprits]
         more = f" and {len(listed) - 3} more" if len(listed) > 3 else ""
         self.warnings.append(f"{', '.join(listed[:3])}{more}: {what}" if listed else what)
 
@@ -118,3 +118,50 @@ def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
     while prim and not prim.IsPseudoRoot():
         yield prim
         prim = prim.GetParent()
+
+
+def _choose_variants(stage: Usd.Stage, path: Path, chosen: Mapping[str, str]) -> None:
+    """Select in the edit target what is `chosen`, variant by set, on every prim that has such a set.
+
+    :raises InputError: no prim has such a set, or none that has it such a variant
+    """
+    sets: dict[str, None] = {}
+    offered: dict[str, list[str]] = {name: [] for name in chosen}
+    selected: set[tuple[str, str]] = set()
+    while True:  # a variant may bring further sets
+        fresh = 0
+        for prim in stage.TraverseAll():
+            for name in prim.GetVariantSets().GetNames():
+                variants = prim.GetVariantSets().GetVariantSet(name)
+                sets[name] = None
+                key = (str(prim.GetPath()), name)
+                if name not in chosen or key in selected:
+                    continue
+                offered[name] += variants.GetVariantNames()
+                if chosen[name] in variants.GetVariantNames():
+                    selected.add(key)
+                    fresh += variants.SetVariantSelection(chosen[name])
+        if not fresh:
+            break
+    for name, variant in chosen.items():
+        if name not in sets:
+            raise InputError(path, unknown(name, sets, "variant set"))
+        if variant not in offered[name]:
+            known = list(dict.fromkeys(offered[name]))
+            raise InputError(f"{path} -> variant set {name}", unknown(variant, known, "variant"))
+
+
+def _variants_in_effect(prims: Iterable[Usd.Prim], chosen: Mapping[str, str]) -> list[str]:
+    """One line for every set that was not chosen and offers more than what was read."""
+    found: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    for prim in prims:
+        for name in prim.GetVariantSets().GetNames():
+            variants = prim.GetVariantSets().GetVariantSet(name)
+            names, current = variants.GetVariantNames(), variants.GetVariantSelection()
+            if name not in chosen and names != [current]:
+                found.setdefault((name, current, tuple(names)), []).append(f"<{prim.GetPath()}>")
+    return [
+        f"{owners[0]}{f' and {len(owners) - 1} more' if len(owners) > 1 else ''}: variant {current or 'none'} of the "
+        f"set {name} is read, of {', '.join(names)} (--variant {name}=NAME chooses)"
+        for (name, current, names), owners in found.items()
+    ]

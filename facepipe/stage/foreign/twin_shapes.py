@@ -65,7 +65,12 @@ def alike_in(twins: Mapping[str, str], animations: Iterable[Animation]) -> dict[
 def joined_meshes(meshes: Iterable[Mesh], twins: Mapping[str, str]) -> tuple[Mesh, ...]:
     """The meshes with twins called as the shapes that they are."""
     return tuple(
-        replace(mesh, blendshapes=tuple(replace(one, name=twins.get(one.name, one.name)) for one in mesh.blendshapes))
+        replace(
+            mesh,
+            blendshapes=tuple(
+                replace(blendshape, name=twins.get(blendshape.name, blendshape.name)) for blendshape in mesh.blendshapes
+            ),
+        )
         for mesh in meshes
     )
 

@@ -1,4 +1,4 @@
-"""The learned network of a face's sliders on the face prim."""
+"""The learned network of a face's sliders on the face prim: read and authored."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reading import check_values
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.rig.slider_network import network_fault
-from facepipe.stage.api_schemas import is_applied
+from facepipe.stage.api_schemas import apply_schema, is_applied, put, put_value, remove_schema
+from facepipe.stage.differences import same
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.values import floats, ints
+from facepipe.stage.values import floats, ints, to_floats
 
-_PREFIX = tokens.NETWORK_LAYERS.rpartition(":")[0]
+_NETWORK_PREFIX = tokens.NETWORK_LAYERS.rpartition(":")[0]
 
 
 @reads_prim
@@ -36,7 +37,7 @@ def read_slider_network(prim: Usd.Prim) -> SliderNetwork | None:
     def words(name: str) -> tuple[str, ...]:
         return tuple(str(word) for word in value(name) or ())
 
-    where = f"{prim.GetPath()}.{_PREFIX}"
+    where = f"{prim.GetPath()}.{_NETWORK_PREFIX}"
     joints, channels = words(tokens.NETWORK_JOINTS), words(tokens.NETWORK_CHANNELS)
     if len(joints) != len(channels):
         raise SchemaError(where, f"{len(joints)} joints and {len(channels)} channels, expected as many of each")
@@ -89,7 +90,38 @@ def check_face_network(where: object, parts: FaceParts, error: type[FacepipeErro
     if network is None:
         return
     fault = network_fault(network)
-    known = {one.name for one in parts.sliders}
+    known = {slider.name for slider in parts.sliders}
     gone = [name for name in network.sliders if name not in known]
     if fault or gone:
         raise error(f"{where} -> slider network", fault or f"no slider '{gone[0]}'")
+
+
+def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
+    """Apply a network to the face prim."""
+    apply_schema(prim, tokens.SLIDER_NETWORK_API)
+    layers = [len(network.sliders), *(len(bias) for bias in network.biases)]
+    for name, found in (
+        (tokens.NETWORK_SLIDERS, list(network.sliders)),
+        (tokens.NETWORK_JOINTS, [joint for joint, _ in network.channels]),
+        (tokens.NETWORK_CHANNELS, [channel for _, channel in network.channels]),
+        (tokens.NETWORK_SHAPES, list(network.shapes)),
+        (tokens.NETWORK_LAYERS, layers),
+        (tokens.NETWORK_WEIGHTS, to_floats(np.concatenate([weight.ravel() for weight in network.weights]))),
+        (tokens.NETWORK_BIASES, to_floats(np.concatenate(network.biases))),
+        (tokens.NETWORK_ACTIVATION, network.activation),
+        (tokens.NETWORK_INFO, json.dumps(dict(network.info), sort_keys=True) if network.info else ""),
+    ):
+        put_value(prim, name, found)
+
+
+def author_network_change(prim: Usd.Prim, old: SliderNetwork | None, new: SliderNetwork | None) -> tuple[str, ...]:
+    """Author on the face prim the network where it differs, or hide the one that is gone; a line for it."""
+    if same(old, new):
+        return ()
+    if new is not None:
+        author_slider_network(prim, new)
+        return ("slider network",)
+    for attribute in prim.GetAuthoredPropertiesInNamespace(_NETWORK_PREFIX):
+        put(attribute, None)
+    remove_schema(prim, tokens.SLIDER_NETWORK_API)
+    return ("slider network removed",)

@@ -1,16 +1,18 @@
-"""Sliders of a stage as parts."""
+"""Sliders of a face: read, checked and authored."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
 
 from pxr import Usd
 
 from facepipe.core import tokens
-from facepipe.core.errors import SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import Curve, Slider
 from facepipe.rig.sliders import curves_fault, sliders_fault
+from facepipe.stage.api_schemas import apply_schema, check_property_name, put_value
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.values import floats, ints
 
@@ -94,3 +96,54 @@ def _curves(knots: list[tuple[float, float]], counts: list[int]) -> tuple[Curve 
     ends = accumulate(counts)
     curves = tuple(tuple(knots[end - count : end]) or None for count, end in zip(counts, ends, strict=True))
     return curves if any(curves) else ()
+
+
+def check_sliders(where: object, sliders: Sequence[Slider]) -> None:
+    """Check what the sliders of a face must be together, and their curves.
+
+    :raises InputError: a damaged curve, or a mirror that is not mutual
+    """
+    found = sliders_fault(sliders)
+    if found:
+        raise InputError(f"{where} -> slider {found[0]}", found[1])
+
+
+def author_sliders(prim: Usd.Prim, sliders: Sequence[Slider]) -> None:
+    """Apply sliders to the face prim.
+
+    :raises InputError: a name that USD can't hold, or damaged curves
+    """
+    for slider in sliders:
+        check_property_name(prim.GetPath(), "slider", slider.name, tokens.SLIDER_API)
+        fault = curves_fault(slider)
+        if fault:
+            raise InputError(f"{prim.GetPath()} -> slider {slider.name}", fault)
+    for slider in sliders:  # all before any attribute: USD composes the prim's definition anew after each
+        apply_schema(prim, tokens.SLIDER_API, slider.name)
+    for slider in sliders:
+        _author_slider(prim, slider)
+
+
+def _author_slider(prim: Usd.Prim, slider: Slider) -> None:
+    prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
+    for name in ("group", "default", "minimum", "maximum"):
+        put_value(prim, prefix + name, getattr(slider, name))
+    put_value(prim, f"{prefix}value", slider.value)
+    for fields, rows in (
+        (("joints", "channels", "channelGains"), slider.channels),
+        (("shapes", "shapeGains"), slider.shapes),
+    ):
+        for i, field in enumerate(fields):
+            put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)
+    put_value(prim, f"{prefix}mirror", slider.mirror)
+    _author_curves(prim, prefix, slider)
+
+
+def _author_curves(prim: Usd.Prim, prefix: str, slider: Slider) -> None:
+    lists = (("channelKnots", slider.channel_curves), ("shapeKnots", slider.shape_curves))
+    knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
+    for field, curves in lists:
+        counts = [len(curve or ()) for curve in curves]
+        put_value(prim, prefix + field, counts if any(counts) else None)
+    for i, field in enumerate(("knotValues", "knotAmounts")):
+        put_value(prim, prefix + field, [knot[i] for knot in knots] or None)

@@ -1,20 +1,21 @@
-"""Skeleton, animations, limits and recipe of a stage as parts."""
+"""Skeleton, animations, bone limits and recipe of a face: read as parts; all but animations authored from them."""
 
 from __future__ import annotations
 
 import json
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import SchemaError, TopologyError
+from facepipe.core.errors import InputError, SchemaError, TopologyError
 from facepipe.core.reading import check_values
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
-from facepipe.stage.display_names import exact_name, label
+from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.values import floats, matrices, matrix, quaternions
+from facepipe.stage.prims import exact_name, label
+from facepipe.stage.values import floats, matrices, matrix, quaternions, to_floats, to_matrices, to_matrix
 
 
 @reads_prim
@@ -138,3 +139,40 @@ def read_recipe(prim: Usd.Prim) -> Recipe | None:
         options=options,
         version=str(prim.GetAttribute(tokens.RECIPE_VERSION).Get() or ""),
     )
+
+
+def author_skeleton(stage: Usd.Stage, path: Sdf.Path, skeleton: Skeleton) -> UsdSkel.Skeleton:
+    """Define the Skeleton prim.
+
+    :raises InputError: transforms that are not finite or not one per joint
+    """
+    prim = UsdSkel.Skeleton.Define(stage, path)
+    UsdSkel.BindingAPI.Apply(prim.GetPrim())
+    for name, transforms in (("bind", skeleton.bind_transforms), ("rest", skeleton.rest_transforms)):
+        if len(transforms) != len(skeleton.joints) or not np.isfinite(transforms).all():
+            raise InputError(path, f"{len(transforms)} {name} transforms, expected {len(skeleton.joints)} finite ones")
+    prim.CreateJointsAttr(list(skeleton.joints))
+    if skeleton.joint_names:
+        prim.CreateJointNamesAttr(list(skeleton.joint_names))
+    prim.CreateBindTransformsAttr(to_matrices(skeleton.bind_transforms))
+    prim.CreateRestTransformsAttr(to_matrices(skeleton.rest_transforms))
+    if not np.array_equal(skeleton.transform, np.eye(4)):
+        prim.AddTransformOp().Set(to_matrix(skeleton.transform))
+    return prim
+
+
+def author_limits(prim: Usd.Prim, limits: BoneLimits) -> None:
+    """Write bone limits on a Skeleton prim."""
+    apply_schema(prim, tokens.BONE_LIMITS_API)
+    put_value(prim, tokens.LIMITS_LOWER, to_floats(limits.lower))
+    put_value(prim, tokens.LIMITS_UPPER, to_floats(limits.upper))
+
+
+def author_recipe(prim: Usd.Prim, recipe: Recipe) -> None:
+    """Write the recipe on the face prim."""
+    apply_schema(prim, tokens.RECIPE_API)
+    put_value(prim, tokens.RECIPE_VERB, recipe.verb)
+    put_value(prim, tokens.RECIPE_SOURCES, list(recipe.sources))
+    put_value(prim, tokens.RECIPE_DIGESTS, list(recipe.digests))
+    put_value(prim, tokens.RECIPE_OPTIONS, json.dumps(dict(recipe.options), sort_keys=True))
+    put_value(prim, tokens.RECIPE_VERSION, recipe.version)

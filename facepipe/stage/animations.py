@@ -1,4 +1,4 @@
-"""Poses and clips authored from parts, and changes of those that a face has."""
+"""Author poses and clips of a face, or what of them changed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
 from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute
 from facepipe.stage.differences import same
-from facepipe.stage.display_names import author_name
-from facepipe.stage.opinions import editable, free_path
+from facepipe.stage.prims import author_name, editable, free_path
 from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
 
 _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
@@ -100,7 +99,7 @@ def _halves(scales: FloatArray | None) -> FloatArray:
 
 def author_time_range(stage: Usd.Stage, animations: Iterable[Animation]) -> None:
     """Write the first and last time of the clips as the stage's time range; nothing where there are only poses."""
-    times = [float(time) for one in animations if one.times is not None for time in one.times]
+    times = [float(time) for animation in animations if animation.times is not None for time in animation.times]
     if times:
         rate = stage.GetTimeCodesPerSecond()
         stage.SetStartTimeCode(min(times) * rate)
