@@ -65,7 +65,7 @@ def picture(stage: str) -> Json:
 
 def facepipe(stage: str) -> Json:
     """Our rasteriser and depth maps."""
-    from facepipe.pictures.rasterise import rasterise, screen_triangles
+    from facepipe.geometry.rasterise import rasterise, screen_triangles
 
     scene, camera = _scene(stage)
 

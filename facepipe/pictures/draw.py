@@ -10,10 +10,10 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.threads import mapped
 from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
-from facepipe.pictures.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
 from facepipe.pictures.scatter import open_share, smoothed, spread
 from facepipe.pictures.shade import Shaded, Shader
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
+from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.overlay import INK, font
-from facepipe.pictures.rasterise import rasterise, screen_triangles
 from facepipe.pictures.scene import Scene
 
 if TYPE_CHECKING:

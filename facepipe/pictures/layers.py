@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.geometry.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.columns import chosen, joined
-from facepipe.pictures.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.shade import Shader
 
 _FAINT = 1 / 250  # of a pixel's light: fainter fragments are not drawn

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.geometry.rasterise import interpolated
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
-from facepipe.pictures.rasterise import interpolated
 from facepipe.pictures.scene import Scene
 
 T = TypeVar("T")

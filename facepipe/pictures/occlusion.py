@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import mapped
-from facepipe.pictures.rasterise import depths, screen_triangles
+from facepipe.geometry.rasterise import depths, screen_triangles
 
 AMBIENT_DIRECTIONS = 24
 SKY_RESOLUTION = 256  # map pixels

@@ -10,12 +10,12 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
 from facepipe.core.markup import Markup, heading, joined, page, tag
+from facepipe.geometry.rasterise import NEAR
 from facepipe.parts import FaceParts, Slider
 from facepipe.pictures import photo_pictures as pictures
 from facepipe.pictures.camera import View
 from facepipe.pictures.face_picture import PictureOptions, picture
 from facepipe.pictures.figures import TOTAL, bar, figure, loss_chart, table_of_bars
-from facepipe.pictures.rasterise import NEAR
 
 SIZE = 640  # pixels of a picture
 ACTIVE = 0.02  # share of the range (of 1 for a weight) beyond which a control counts as moved

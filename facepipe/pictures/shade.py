@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import mapped
+from facepipe.geometry.rasterise import barycentrics, interpolated
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.columns import joined
 from facepipe.pictures.heatmap import HeatMap
@@ -18,7 +19,6 @@ from facepipe.pictures.lighting import EVEN, Lit, Samples, Studio
 from facepipe.pictures.materials import Materials, Surfaces
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
 from facepipe.pictures.portrait import PORTRAIT, Portrait
-from facepipe.pictures.rasterise import barycentrics, interpolated
 from facepipe.pictures.scene import Scene, Surface
 
 INSIDE = 0.28  # how much light the inner side of a single-sided mesh gets

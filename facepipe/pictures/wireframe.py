@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import edges
+from facepipe.geometry.rasterise import NEAR, rasterise, screen_triangles
 from facepipe.parts import FaceParts
-from facepipe.pictures.rasterise import NEAR, rasterise, screen_triangles
 from facepipe.pictures.scene import build_scene
 
 if TYPE_CHECKING:

@@ -9,11 +9,10 @@ import pytest
 from small_head import make
 from with_torch import tensor, torch
 
-from facepipe.learn import rasterise as module
+from facepipe.geometry import rasterise as geometry
 from facepipe.learn.camera import Camera
 from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 from facepipe.parts import FaceParts
-from facepipe.pictures import rasterise as pictures
 from facepipe.pictures.camera import Frame, portrait
 from facepipe.pictures.scene import build_scene
 
@@ -76,15 +75,6 @@ def test_small_scenes_as_by_brute_force(seed: int) -> None:
     assert (raster.nearness.reshape(raster.size).numpy()[ids < 0] == 0).all()
 
 
-def test_work_in_small_pieces_gives_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, triangles = soup(0)
-    whole = rasterise(tensor(points), torch.tensor(triangles), HEIGHT, WIDTH)
-    monkeypatch.setattr(module, "ROWS_PER_CHUNK", 7)
-    monkeypatch.setattr(module, "FRAGMENTS_PER_CHUNK", 30)
-    pieces = rasterise(tensor(points), torch.tensor(triangles), HEIGHT, WIDTH)
-    np.testing.assert_array_equal(shown(pieces), shown(whole))
-
-
 @cache
 def sample() -> FaceParts:
     return make(0)
@@ -95,7 +85,7 @@ def sample() -> FaceParts:
 def test_a_head_as_in_pictures(view: str | tuple[float, float], kind: str) -> None:
     scene = build_scene(sample(), None)
     own = portrait(scene.points, view, Frame(width=300, height=200))
-    expected = pictures.rasterise(pictures.screen_triangles(own.project(scene.points), scene.triangles), 300, 200)
+    expected = geometry.rasterise(geometry.screen_triangles(own.project(scene.points), scene.triangles), 300, 200)
     dtype = getattr(torch, kind)
     points = Camera.at(own.axes, own.eye, own.focal, own.center, dtype=dtype).project(tensor(scene.points).to(dtype))
     ids = shown(rasterise(points, torch.tensor(scene.triangles), 200, 300))

@@ -15,13 +15,13 @@ from places import SHARED
 
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.colors import from_srgb, to_srgb
+from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import Frame, portrait
 from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
 from facepipe.pictures.layers import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
-from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.pictures.textures import bilinear
 
 
@@ -493,8 +493,8 @@ def test_bands_join_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_chunks_of_fragments_join_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = FaceParts(meshes=(grid_mesh(),))
     whole = drawn(parts, view="three-quarter")
-    monkeypatch.setattr("facepipe.pictures.rasterise.ROWS_PER_CHUNK", 50)
-    monkeypatch.setattr("facepipe.pictures.rasterise.FRAGMENTS_PER_CHUNK", 100)
+    monkeypatch.setattr("facepipe.geometry.rasterise.ROWS_PER_CHUNK", 50)
+    monkeypatch.setattr("facepipe.geometry.rasterise.FRAGMENTS_PER_CHUNK", 100)
     np.testing.assert_array_equal(drawn(parts, view="three-quarter"), whole)
 
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_normals
-from facepipe.pictures.rasterise import barycentrics, rasterise, screen_triangles
+from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.processors.scan_photos import PhotoCamera
 
 FloatArray = npt.NDArray[np.floating]

@@ -10,8 +10,8 @@ from scan_actors import ict
 
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import edges
+from facepipe.geometry.rasterise import Raster, rasterise, screen_triangles
 from facepipe.geometry.similarity import Similarity
-from facepipe.pictures.rasterise import Raster, rasterise, screen_triangles
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -84,6 +84,17 @@ def screen_triangles(points: FloatArray, triangles: IntArray) -> ScreenTriangles
     else:
         corners, ids = _clip(points[triangles], ids)
         x, y, nearness = (corners[..., axis].T / corners[..., 3].T for axis in range(3))
+    return on_screen(ids, x, y, nearness)
+
+
+def on_screen(ids: IntArray, x: FloatArray, y: FloatArray, nearness: FloatArray) -> ScreenTriangles:
+    """Triangles that lie in front of the camera, ready to rasterise.
+
+    :param ids: (t,) their numbers
+    :param x: (3, t) pixels of the corners
+    :param y: (3, t) downward
+    :param nearness: (3, t) above 0; larger is nearer
+    """
     at = np.flatnonzero(_crosses_centers(x) & _crosses_centers(y))
     ids, x, y, nearness = ids[at], x[:, at], y[:, at], nearness[:, at]
     for low, high in ((0, 1), (1, 2), (0, 1)):
