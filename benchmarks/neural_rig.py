@@ -144,8 +144,7 @@ def _without_controls(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     """The person's frames alone; unseen ones are made with the controls that each way comes nearest with."""
     from facepipe.processors.neural_rig import SampleMotionOptions
     from facepipe.processors.neural_rig.carried_rig import Subject
-    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
-    from facepipe.processors.neural_rig.retarget_report import compared
+    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, compared
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)

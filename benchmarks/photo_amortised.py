@@ -172,8 +172,8 @@ def _calibrate(loss: JointLoss, state: State) -> None:
 
 def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions) -> _End:
     from facepipe.learn.photo import lighting
-    from facepipe.learn.photo.better_light import in_better_light
     from facepipe.learn.photo.descent import descend
+    from facepipe.learn.photo.lighting import in_better_light
 
     start = in_better_light(loss, lighting.lit(loss, state))
     begin = _total(loss, start)

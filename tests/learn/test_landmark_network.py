@@ -153,7 +153,7 @@ def test_the_file_is_the_network_of_this_code() -> None:
     sys.path.insert(0, str(REPOSITORY / "training"))
     from landmark_export import to_onnx
 
-    from facepipe.learn.networks.landmark_session import LandmarkSession
+    from facepipe.learn.networks.files import LandmarkSession
 
     torch.manual_seed(1)
     network = LandmarkNetwork()

@@ -13,10 +13,9 @@ from with_torch import torch
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import Look
 from facepipe.learn.light import DARK, ambient, basis, shade
-from facepipe.learn.photo.better_light import in_better_light
 from facepipe.learn.photo.descent import descend
 from facepipe.learn.photo.joint_loss import single
-from facepipe.learn.photo.lighting import lit, relight, renew_shadows
+from facepipe.learn.photo.lighting import in_better_light, lit, relight, renew_shadows
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from with_torch import tensor, torch
 
 from facepipe.learn.camera import Camera
-from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
+from facepipe.learn.photo.landmark_fit import Minimum, Quadratic, levenberg_marquardt
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear, to_srgb
 

@@ -22,7 +22,7 @@ from with_torch import torch
 
 from facepipe.learn.features.crops import TEMPLATE, to_crop
 from facepipe.learn.features.semantics import CLASSES
-from facepipe.learn.networks.landmark_session import LandmarkSession
+from facepipe.learn.networks.files import LandmarkSession
 from facepipe.pictures.scene import build_scene
 
 PARTS = {"leftBrow": slice(22, 27), "rightBrow": slice(17, 22), "nose": slice(27, 36), "lowerLip": slice(54, 60)}

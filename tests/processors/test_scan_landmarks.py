@@ -22,8 +22,7 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
-from facepipe.processors.scan_landmarks.frame import face_frame
-from facepipe.processors.scan_landmarks.search import MIRRORED
+from facepipe.processors.scan_landmarks.search import MIRRORED, face_frame
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng

@@ -116,7 +116,7 @@ def _one_face() -> None:
     import scan_domes
 
     from facepipe.processors.scan_landmarks import find
-    from facepipe.processors.scan_landmarks.frame import face_frame
+    from facepipe.processors.scan_landmarks.search import face_frame
 
     scan, landmarks = scan_domes.scan(9)
     frame = face_frame(landmarks.points)

@@ -12,8 +12,7 @@ from torch.nn import functional
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
-from facepipe.learn.networks.files import landmark_model
-from facepipe.learn.networks.landmark_session import LandmarkSession
+from facepipe.learn.networks.files import LandmarkSession, landmark_model
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _STRIDE = 0.28  # of a crop's side

@@ -1,8 +1,11 @@
-"""Stage one: sliders, expressions and cameras from landmarks alone."""
+"""Stage one: sliders, expressions and cameras from landmarks alone.
+
+The solver is a bounded Levenberg-Marquardt: damped Gauss-Newton steps that solve their quadratic model within bounds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,17 +14,78 @@ import torch
 from torch import Tensor
 
 from facepipe.core.arrays import FloatArray
+from facepipe.geometry.boxed_qp import solve_boxed
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
-from facepipe.learn.photo.levenberg_marquardt import Minimum, Quadratic, levenberg_marquardt
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
 
+_LEAST, _LARGEST = 1e-8, 1e8  # damping, of the curvature
 _STEP = 1e-6  # of central differences
 ALONG = 0.15  # weight of a contour point's error along the contour: it slides
-HUBER = 3.0  # standard deviations beyond which an error counts linearly
+_HUBER = 3.0  # standard deviations beyond which an error counts linearly
 _EDGE = 0.02  # of a slider's range, below which its L1 norm is rounded off
 _ROUNDS = 3  # of reweighting
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quadratic:
+    """A model of the cost around a point: ``cost + gradient d + 1/2 d^T hessian d``."""
+
+    cost: float
+    gradient: FloatArray  # (n,)
+    hessian: FloatArray  # (n, n) positive semidefinite
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimum:
+    """Where the steps ended."""
+
+    x: FloatArray  # (n,)
+    cost: float
+    steps: int
+    settled: bool  # the last step lowered the cost by less than the tolerance
+
+
+def levenberg_marquardt(
+    model: Callable[[FloatArray], Quadratic],
+    cost: Callable[[FloatArray], float],
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    steps: int = 40,
+    tolerance: float = 1e-4,
+) -> Minimum:
+    """The minimum of a cost near `start`, within bounds.
+
+    Damping multiplies the diagonal of the Hessian (Marquardt) and follows the ratio of what a step gained to what its
+    model promised (Nielsen). Nocedal and Wright, "Numerical Optimization", section 10.3, bounds by projected Newton
+    steps on the model.
+
+    :param tolerance: share of the cost; a step that gains less is the last
+    """
+    x = np.clip(start, lower, upper)
+    here = model(x)
+    damping, growth = 1e-3, 2.0
+    for number in range(steps):
+        diagonal = np.maximum(np.diag(here.hessian), 1e-9 * max(float(np.diag(here.hessian).max()), 1e-30))
+        d = solve_boxed(here.hessian + np.diag(damping * diagonal), here.gradient, lower - x, upper - x).x
+        promised = -float(here.gradient @ d + 0.5 * d @ here.hessian @ d)
+        tried = np.clip(x + d, lower, upper)
+        gained = here.cost - cost(tried)
+        if gained > 0 and promised > 0:
+            x, before = tried, here.cost
+            here = model(x)
+            damping = float(np.clip(damping * max(1 / 3, 1 - (2 * gained / promised - 1) ** 3), _LEAST, _LARGEST))
+            growth = 2.0
+            if gained <= tolerance * before:
+                return Minimum(x=x, cost=here.cost, steps=number + 1, settled=True)
+        elif promised <= tolerance * tolerance * abs(here.cost) or damping >= _LARGEST:
+            return Minimum(x=x, cost=here.cost, steps=number + 1, settled=True)
+        else:
+            damping, growth = min(damping * growth, _LARGEST), 2 * growth
+    return Minimum(x=x, cost=here.cost, steps=steps, settled=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +239,8 @@ class LandmarkFit:
             ahead, behind = _steps(numbers, len(numbers) - NUMBERS)
             values = self._residuals(view, np.concatenate([numbers[None], ahead, behind]))
             jacobian = (values[1 : len(numbers) + 1] - values[len(numbers) + 1 :]).T / np.diag(ahead - behind)
-            slope = np.clip(values[0], -HUBER, HUBER)
-            scale = np.where(np.abs(values[0]) > HUBER, HUBER / np.maximum(np.abs(values[0]), HUBER), 1.0)
+            slope = np.clip(values[0], -_HUBER, _HUBER)
+            scale = np.where(np.abs(values[0]) > _HUBER, _HUBER / np.maximum(np.abs(values[0]), _HUBER), 1.0)
             place = np.concatenate([np.arange(f), f + view * width + np.arange(width)])
             gradient[place] += jacobian.T @ slope
             hessian[np.ix_(place, place)] += jacobian.T @ (scale[:, None] * jacobian)
@@ -213,9 +277,9 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
 
 
 def huber(residuals: Tensor) -> Tensor:
-    """Half the squares of residuals in standard deviations, growing linearly beyond `HUBER`."""
+    """Half the squares of residuals in standard deviations, growing linearly beyond `_HUBER`."""
     size = residuals.abs()
-    return torch.where(size <= HUBER, 0.5 * size * size, HUBER * (size - 0.5 * HUBER))
+    return torch.where(size <= _HUBER, 0.5 * size * size, _HUBER * (size - 0.5 * _HUBER))
 
 
 def _cost(residuals: FloatArray) -> float:

@@ -1,24 +1,28 @@
 """The light that photos show on a face of known shape: harmonics, a lamp, shadows, tints of the face's colours.
 
 Harmonics and tints have a closed form where points and camera are known; the lamp is searched for over directions.
+`relight` solves least squares of linear light, robustly; the joint loss sees sRGB in bands, so `in_better_light`
+descends on that: shape and pose are held, so what a pixel shows of the face stays, and a step costs little.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.learn.light import DARK, KeyLight, ambient, basis
-from facepipe.learn.photo.joint_loss import JointLoss, single
+from facepipe.learn.light import DARK, KeyLight, ambient, basis, hue_cost, shade
+from facepipe.learn.photo.descent import Adam
+from facepipe.learn.photo.joint_loss import JointLoss, color_loss, single
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp, sphere, visibility
 from facepipe.learn.photo.unknowns import Unknowns
+from facepipe.learn.photo.working_photo import to_srgb
 
 _ROUNDS = 4
 OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow
@@ -32,6 +36,7 @@ _SAMPLES = 4000  # pixels
 _OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
 _COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
+_STEPS, _RATE, _SLOWEST = 60, 0.05, 0.1
 
 
 def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -51,14 +56,14 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
         if not len(seen):
             return light, tint
         for _ in range(_ROUNDS):
-            light, _ = light_of(shape, surface.colors * tint[surface.materials], seen)
+            light, _ = _light_of(shape, surface.colors * tint[surface.materials], seen)
             lit = surface.colors * (shape @ light).clamp(min=1e-3)
             tint = _tint(tint, lit, seen, surface.materials, count)
         main = int(torch.bincount(surface.materials, minlength=count).argmax())
         return light * tint[main], tint / tint[main]
 
 
-def light_of(
+def _light_of(
     shape: Tensor, color: Tensor, seen: Tensor, mirrored: Tensor | None = None, outlier: float = OUTLIER
 ) -> tuple[Tensor, Tensor]:
     """(k, 3) numbers of the light under which surfaces of these colours look as seen, and (m, 3) of what they mirror.
@@ -96,7 +101,7 @@ class _Candidate:
     numbers: Tensor  # (8,) as `KeyLight`
 
 
-def find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> Tensor | None:
+def _find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> Tensor | None:
     """(8,) as `KeyLight`: the lamp that, beside harmonics, explains a photo best; None: none does, or nothing can.
 
     Directions are tried, all around and then nearer and nearer; colour and highlight are robust least squares. What is
@@ -140,7 +145,7 @@ class _Search:
 
     def cost_without(self) -> float:
         """What harmonics alone leave."""
-        light, _ = light_of(self._harmonics, self._colors, self._seen, outlier=_OUTLIER)
+        light, _ = _light_of(self._harmonics, self._colors, self._seen, outlier=_OUTLIER)
         return self._cost(self._harmonics @ light * self._colors)
 
     def _lamp(self, towards: Tensor) -> _Candidate:
@@ -151,7 +156,7 @@ class _Search:
         here = self._surface.at_pixels(arriving)[self._chosen]
         matt, mirrored = (one[:, :1] for one in lamp.shade(self._normals, self._towards_eye, here))
         shape = torch.cat([self._harmonics, matt], dim=1)
-        light, glint = light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
+        light, glint = _light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
         if float(light[-1].mean()) <= 0:
             return _Candidate(math.inf, numbers)
         numbers[3:6] = light[-1].clamp(min=0)
@@ -205,7 +210,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         transfer, key = shadows_of_harmonics(model, points, camera), photo.linear.new_tensor(DARK)
         shape = basis(surface.normals) + surface.at_pixels(transfer)
         light, tint = relight(surface, seen, shape, count)
-        lamp = find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
+        lamp = _find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
         key = key if lamp is None else lamp
         arriving = shadows_of_lamp(model, points, camera, key)
         loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
@@ -214,3 +219,52 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
             light, tint = relight(surface, seen, torch.cat([shape, column[:, None]], dim=1), count)
             key[3:6] = light[9].clamp(min=0)
         return light[:9], key, tint.log()
+
+
+class _View:
+    """What a photo says of light, in which nothing but light and colours moves."""
+
+    def __init__(self, loss: JointLoss, at: Unknowns, view: int) -> None:
+        photo, look = loss.photos[view], loss.look(at, view)
+        points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
+        self.surface = SeenSurface.from_camera(loss.model, points, look.camera, photo.size)
+        self.shadow = None if look.shadow is None else self.surface.at_pixels(look.shadow)
+        self.arriving = None if look.key is None else self.surface.at_pixels(look.key.arriving)
+        self.photo, self.spread, self.options = photo, loss.spreads[view], loss.options
+        covered = torch.zeros(photo.size).flatten()
+        self.coverage = covered.index_fill(0, self.surface.raster.pixels, 1.0).reshape(photo.size)
+
+    def loss(self, light: Tensor, key: Tensor, tint: Tensor) -> Tensor:
+        """The terms that light changes, weighted."""
+        surface = self.surface
+        albedo, white = surface.colors * tint.exp()[surface.materials], shade(surface.normals, light, self.shadow)
+        color = white * albedo
+        if self.arriving is not None:
+            lamp = KeyLight(numbers=key, arriving=self.arriving)
+            matt, mirrored = lamp.shade(surface.normals, surface.towards_eye, self.arriving)
+            color = color + matt * albedo + mirrored
+        image = to_srgb(surface.raster.paint(color, self.photo.linear))
+        color = color_loss(image, self.photo.pixels, self.coverage, self.spread)
+        return self.options.color * color + self.options.hue * hue_cost(light, key)
+
+
+def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unknowns:
+    """The same face and poses in light and tints of less joint loss; gradient descent, the best of all steps."""
+    with torch.no_grad():
+        views = [_View(loss, at, view) for view in range(len(loss.photos))]
+    unknowns = [one.detach().clone().requires_grad_() for one in (at.light, at.key, at.tint)]
+    best, least, move = unknowns, math.inf, Adam()
+    for step in range(steps):
+        total = torch.stack(
+            [view.loss(unknowns[0][i], unknowns[1][i], unknowns[2]) for i, view in enumerate(views)]
+        ).mean()
+        if float(total.detach()) < least:
+            best, least = [one.detach().clone() for one in unknowns], float(total.detach())
+        slopes = torch.autograd.grad(total, unknowns, allow_unused=True, materialize_grads=True)
+        pace = _RATE * (1 - (1 - _SLOWEST) * step / steps)
+        with torch.no_grad():
+            for unknown, change in zip(unknowns, move(slopes), strict=True):
+                unknown -= pace * change
+            unknowns[1][:, 3:7].clamp_(min=0)
+    light, key, tint = (one.detach().clone().requires_grad_() for one in best)
+    return replace(at, light=light, key=key, tint=tint)

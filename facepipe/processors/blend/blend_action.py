@@ -99,8 +99,8 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
     def author(self, face: Face, job: Job) -> BlendReport:
         from facepipe.importers import read_face
         from facepipe.parts import all_regions
-        from facepipe.processors.blend.blend import Blend
         from facepipe.processors.blend.matching import match
+        from facepipe.processors.blend.result import Blend
         from facepipe.processors.blend.session import BlendSession
         from facepipe.processors.blend.weights import Weights
 

@@ -27,7 +27,7 @@ from facepipe.declare import option, source
 from facepipe.kinds import Job, StageAction, action
 
 if TYPE_CHECKING:
-    from facepipe.processors.lod.make import LodReport
+    from facepipe.processors.lod.levels import LodReport
     from facepipe.stage import Face
 
 
@@ -59,7 +59,7 @@ class Lod(StageAction["LodReport"]):
     skin_share: float = option(0.6, "least share of them that the skin gets", 0.0, 1.0)
 
     def author(self, face: Face, job: Job) -> LodReport:
-        from facepipe.processors.lod.make import make_levels
+        from facepipe.processors.lod.levels import make_levels
         from facepipe.stage.skeleton import author_recipe
 
         recipe = job.recipe()
@@ -68,6 +68,6 @@ class Lod(StageAction["LodReport"]):
         return report
 
     def text(self, report: LodReport, out: Path) -> str:
-        from facepipe.processors.lod.make import lod_text
+        from facepipe.processors.lod.levels import lod_text
 
         return lod_text(report, out)

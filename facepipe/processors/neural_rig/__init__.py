@@ -16,7 +16,6 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.processors.neural_rig.apply_action import ApplyNeuralRig, ApplyNeuralRigReport
     from facepipe.processors.neural_rig.attach import AttachedNeuralRig, AttachNeuralRig, with_neural_rig
-    from facepipe.processors.neural_rig.bake_motion import BakeMotion, BakeReport
     from facepipe.processors.neural_rig.invert import ControlReport, InverseReport, InvertedMotion, InvertNeuralRig
     from facepipe.processors.neural_rig.motion import Motion, ReadClips, RecordedClips
     from facepipe.processors.neural_rig.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
         TrainNeuralRigOptions,
     )
     from facepipe.processors.neural_rig.read_motion import ReadMotion
-    from facepipe.processors.neural_rig.sample_motion import SampleMotion
+    from facepipe.processors.neural_rig.sample_motion import BakeMotion, BakeReport, SampleMotion
     from facepipe.processors.neural_rig.train_encoder import EncoderReport, TrainedEncoder, TrainEncoder
     from facepipe.processors.neural_rig.train_neural_rig import NeuralRigReport, TrainedNeuralRig, TrainNeuralRig
 else:

@@ -16,7 +16,7 @@ from facepipe.kinds import FileAction, Job, action
 from facepipe.processors.neural_rig.options import RetargetOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig.retarget_report import RetargetReport
+    from facepipe.processors.neural_rig.retarget import RetargetReport
 
 
 @action("neural-rig retarget", "carry a neural rig to another person, of some frames of that person")

@@ -9,9 +9,13 @@ from facepipe.core.errors import FacepipeError
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
 from facepipe.photo_options import MODELS
-from facepipe.processors.photo_fit.landmarks68 import Landmarks68
 from facepipe.processors.photo_fit.photo_file import Photo, read_photo
-from facepipe.processors.photo_fit.photo_landmarks import mediapipe_landmarks, own_landmarks, read_landmarks
+from facepipe.processors.photo_fit.photo_landmarks import (
+    Landmarks68,
+    mediapipe_landmarks,
+    own_landmarks,
+    read_landmarks,
+)
 
 if TYPE_CHECKING:
     from facepipe.learn.features.description import Kind

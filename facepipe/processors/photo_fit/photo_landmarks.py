@@ -16,9 +16,11 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,9 +28,36 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes, read_json
-from facepipe.processors.photo_fit.landmarks68 import Landmarks68, landmarks_in, one_face
 from facepipe.processors.photo_fit.photo_file import Photo
 
+# Vertices of MediaPipe's face mesh (numbered as in canonical_face_model.obj of google-ai-edge/mediapipe) that lie where
+# the Multi-PIE mark-up has its points. The contour is that of the mesh, a little inside the jaw line. The 10 points of
+# the irises, 468 to 477, are not among them.
+MULTIPIE68_OF_MEDIAPIPE = (
+    *(162, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 389),  # jaw line
+    *(71, 63, 105, 66, 107, 336, 296, 334, 293, 301),  # brows, the person's right first
+    *(168, 197, 5, 4, 75, 97, 2, 326, 305),  # bridge and base of the nose
+    *(33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380),  # eyes, the person's right first
+    *(61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181),  # outer lips
+    *(78, 82, 13, 312, 308, 317, 14, 87),  # inner lips
+)
+
+
+Found = TypeVar("Found")
+
+_OUTSIDE = 0.05  # of the photo's longer side: how far beyond its border detectors guess what a tight crop cuts off
+_SMALLEST_FACE = 16.0  # pixels of the longer side of the landmarks' box
+_LARGEST_NUMBER = 1e6
+# Random heads seen from all sides up to full profile, close by too: at most 0.39 of the spread is within the parts,
+# of shuffled landmarks 0.83 at least; the spread across the longest direction is at least 0.41 of that along it.
+_WITHIN_PARTS = 0.55
+_ACROSS = 0.15
+_MIRRORED = -0.1  # 1 from the front, 0 in profile, -1 for a mirrored face
+_PARTS = ((0, 5), (5, 12), (12, 17), (17, 22), (22, 27), (27, 31), (31, 36), (36, 42), (42, 48), (48, 68))
+_RIGHT = [*range(8), *range(17, 22), *range(36, 42)]  # of the person
+_LEFT = [*range(9, 17), *range(22, 27), *range(42, 48)]
+_UPPER = [*range(17, 28), *range(36, 48)]  # brows, eyes and the bridge of the nose
+_LOWER = [*range(5, 12), *range(48, 68)]  # chin and mouth
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
@@ -38,13 +67,93 @@ _COUNTS = {"multipie68": (68,), "mediapipe478": (478,), "landmarks": (68, 468, 4
 _KEYS = (*_COUNTS, "units", "image", "detector", "mediapipe_index_of_multipie68")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Landmarks68:
+    """Where the landmarks of Multi-PIE are in a photo."""
+
+    points: FloatArray  # (68, 2) float64, pixels of the photo as read: x right and y down from its top left corner
+    source: str  # what found them: a file's name, or a detector
+    warnings: tuple[str, ...] = ()
+
+
+def _landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> Landmarks68:
+    """`points` (68 | 468 | 478, 2) in pixels of the photo as read as its landmarks; more than 68 are MediaPipe's.
+
+    :param where: the trail, for messages
+    :raises InputError: outside the photo by more than 5 % of its longer side, or nothing like the 68 of Multi-PIE: all
+        about one place, on one line, in another order or mirrored
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) != 68:
+        points = points[list(MULTIPIE68_OF_MEDIAPIPE)]
+    _check_face(points, where)
+    return Landmarks68(points=points, source=source, warnings=_check_inside(points, photo, where))
+
+
+def one_face(faces: Sequence[Found], index: int | None, where: str) -> Found:
+    """The only one of `faces`, or the one that `index` names, from 0.
+
+    :raises InputError: none, several and no index, or an index out of range
+    """
+    if not faces:
+        raise InputError(where, "no face found, expected one")
+    if index is None and len(faces) > 1:
+        raise InputError(where, f"{len(faces)} faces found, expected one, or an index from 0 to {len(faces) - 1}")
+    if index is not None and not 0 <= index < len(faces):
+        raise InputError(where, f"face {index} of {len(faces)}, expected an index from 0 to {len(faces) - 1}")
+    return faces[index or 0]
+
+
+def _check_inside(points: FloatArray, photo: Photo, where: str) -> tuple[str, ...]:
+    height, width = photo.pixels.shape[:2]
+    beyond = np.maximum(-points, points - (width, height)).max(axis=1)
+    count, worst = int((beyond > 0).sum()), int(beyond.argmax())
+    if not count:
+        return ()
+    share = beyond[worst] / max(width, height)
+    x, y = points[worst] / photo.scale
+    what = f"{count} of 68 landmarks outside {photo.name} ({photo.size[0]} x {photo.size[1]} pixels)"
+    if share > _OUTSIDE:
+        trail = f"{what}, number {worst} at {x:.1f}, {y:.1f}"
+        raise InputError(where, f"{trail}: expected inside, or out by at most {_OUTSIDE:.0%} of its longer side")
+    return (f"{what}, by up to {share:.1%} of its longer side: guessed by what found them",)
+
+
+def _check_face(points: FloatArray, where: str) -> None:
+    if not (np.abs(points) <= _LARGEST_NUMBER).all():  # NaN too
+        raise InputError(where, f"NaN, infinity or beyond {_LARGEST_NUMBER:g} pixels, expected places in a photo")
+    extent = float(np.ptp(points, axis=0).max())
+    if extent < _SMALLEST_FACE:
+        what = f"the landmarks span {extent:.3g} pixels, expected at least {_SMALLEST_FACE:g}"
+        raise InputError(where, f'{what} (places in 0..1 need "units": "normalized")')
+    centred = points - points.mean(axis=0)
+    along, across = np.linalg.svd(centred, compute_uv=False)
+    if across < _ACROSS * along:
+        raise InputError(where, "the landmarks lie on one line, expected those of a face")
+    within = sum(((points[a:b] - points[a:b].mean(axis=0)) ** 2).sum() for a, b in _PARTS)
+    if within > _WITHIN_PARTS**2 * (centred**2).sum():
+        raise InputError(
+            where, "jaw, brows, nose, eyes and lips are mixed, expected the 68 of Multi-PIE in their order"
+        )
+    if _handedness(points) < _MIRRORED:
+        what = "the landmarks are mirrored, expected the person's right side first, x right and y down"
+        raise InputError(where, f"{what} from the top left corner")
+
+
+def _handedness(points: FloatArray) -> float:
+    """1 for a face from the front however it is turned in the picture, 0 in profile, -1 when mirrored."""
+    right = points[_LEFT].mean(axis=0) - points[_RIGHT].mean(axis=0)
+    down = points[_LOWER].mean(axis=0) - points[_UPPER].mean(axis=0)
+    return float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300))
+
+
 def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = None) -> Landmarks68:
     """The landmarks that MediaPipe's Face Landmarker finds, in pixels of the photo.
 
     :param task_file: the model, ``face_landmarker.task``: the 1.x wheels of mediapipe bring none
     :param index: which of several faces, from 0, the largest first
     :raises InputError: mediapipe is not installed, no such model, no or several faces, or landmarks that
-        `landmarks_in` refuses
+        `_landmarks_in` refuses
     """
     model = _task_bundle(task_file)
     vision, image = _mediapipe(photo)
@@ -70,7 +179,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     """The landmarks that facepipe's own network finds, in pixels of the photo.
 
     :param index: which of several faces, from 0, the largest first
-    :raises InputError: no torch, no or several faces, or landmarks that `landmarks_in` refuses
+    :raises InputError: no torch, no or several faces, or landmarks that `_landmarks_in` refuses
     """
     from facepipe.learn.networks import find_landmarks
 
@@ -80,7 +189,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
 
 def _chosen(photo: Photo, faces: list[FloatArray], index: int | None, source: str) -> Landmarks68:
     faces = sorted(faces, key=lambda points: -float(np.prod(np.ptp(points, axis=0))))
-    return landmarks_in(photo, one_face(faces, index, str(photo.path)), source, str(photo.path))
+    return _landmarks_in(photo, one_face(faces, index, str(photo.path)), source, str(photo.path))
 
 
 def _mediapipe(photo: Photo) -> tuple[Any, Any]:
@@ -118,7 +227,7 @@ def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Lan
 
     :param index: which of several faces, from 0 in the file's order
     :raises InputError: not such JSON, other counts, NaN or infinity, unknown keys, no or several faces, or landmarks
-        that `landmarks_in` refuses
+        that `_landmarks_in` refuses
     """
     content = read_json(path, _MOST_BYTES)
     if isinstance(content, list):
@@ -134,7 +243,7 @@ def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Lan
     where = f"{path} -> {scheme}"
     face = one_face(_faces(where, content[scheme]), index, where)
     points = _points(where, face, _COUNTS[scheme]) * _unit(path, content.get("units", "pixels"), photo)
-    return landmarks_in(photo, points * photo.scale, path.name, where)
+    return _landmarks_in(photo, points * photo.scale, path.name, where)
 
 
 def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:

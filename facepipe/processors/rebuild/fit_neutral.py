@@ -17,9 +17,9 @@ from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
 from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.processors.database import FaceDatabase, Quality
+from facepipe.processors.rebuild.composites import ShownShapes
 from facepipe.processors.rebuild.options import UNITS, FitNeutralOptions
 from facepipe.processors.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
-from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 

@@ -14,11 +14,11 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import ScanTarget, Shown, View, register_together
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.database import FaceDatabase
+from facepipe.processors.rebuild.composites import ShownShapes
 from facepipe.processors.rebuild.fit_neutral import NeutralFit, identity_surface, landmark_anchors, neutral_fit
 from facepipe.processors.rebuild.options import FitNeutralOptions, RegisterScansOptions
 from facepipe.processors.rebuild.register_scans import ExpressionScan, NeutralScan, expected_spread, expression_anchors
 from facepipe.processors.rebuild.scan_fit import scan_target
-from facepipe.processors.rebuild.shown_shapes import ShownShapes
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from facepipe.core.markup import Markup, heading, ruled_table, tag
 from facepipe.core.reports import Report, table, unsaid
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
     from facepipe.core.arrays import FloatArray
-    from facepipe.core.markup import Markup
     from facepipe.kinds import Job
     from facepipe.pictures.rebuild_pictures import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template
@@ -23,6 +23,68 @@ if TYPE_CHECKING:
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
 _NAMED = 8  # weights of an expression that the page gives
 _SHOWN = 10  # shapes that the text names
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeRow:
+    """What scans show of one shape."""
+
+    name: str
+    observed: float  # 0..1, the rest being the template's
+    gain: float  # motion along the template's, over the template's
+    change_mm: float  # mean distance from the template's
+    scans: tuple[str, ...]  # that show it
+    unseen: bool = False  # scans show too little: it is the template's
+
+
+def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
+    """A row for each shape that the split of expressions reports, in the order of the face's shapes."""
+    report, rows = rebuilt.reports["shapes"], []
+    for name in rebuilt.shapes:
+        shape, corrected = report["shapes"][name], f"shapes/{name}" in rebuilt.corrected
+        rows.append(
+            ShapeRow(
+                name=name,
+                observed=shape["observed"],
+                gain=shape["gain"],
+                change_mm=shape["change_mm"],
+                scans=(*(["corrected by hand"] if corrected else []), *shape["scans"]),
+                unseen=name in report["unseen"] and not corrected,
+            )
+        )
+    return rows
+
+
+def shapes_table(rows: Sequence[ShapeRow]) -> Iterator[Markup]:
+    """One row a shape, what changed most first; those that no scan shows follow in grey, names alone."""
+    from facepipe.pictures.figures import bar
+
+    shown = sorted((row for row in rows if not row.unseen), key=lambda row: -row.change_mm)
+    unseen = [row.name for row in rows if row.unseen]
+    yield heading("Shapes", f"{len(shown)} of {len(rows)} shown by the scans")
+    lines = [
+        [row.name, bar((0.0, 1.0), 0.0, row.observed), f"{row.observed:.2f}", f"{row.gain:.2f}",
+         f"{row.change_mm:.2f}", ", ".join(row.scans)]
+        for row in shown
+    ]  # fmt: skip
+    if lines:
+        yield ruled_table(
+            ["", "shown by scans, 0 to 1", "", "gain", "change mm", "scans that show it"], lines, (2, 3, 4)
+        )
+    if unseen:
+        yield tag("p", "Not shown by the scans: as the template has them", class_="muted")
+        yield tag("ul", *(tag("li", name) for name in unseen), class_="names muted")
+
+
+def _scans_table(reports: Mapping[str, Mapping[str, Any]]) -> Markup:
+    """Scan -> how the face registered to it lies on it."""
+    rows: list[Sequence[object]] = []
+    for name, report in reports.items():
+        fit = report["fit"]
+        figures = (f"{fit[key]:.3f}" for key in ("surface_mean_mm", "surface_p95_mm"))
+        rows.append([name, *figures, f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}"])
+    head = ["scan", "distance, mean mm", "95 % below, mm", "face seen", "landmarks off by, mm"]
+    return ruled_table(head, rows, (1, 2, 3, 4))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +100,7 @@ class RebuildReport(Report):
     job: Job | None = unsaid()
 
 
-def refined_line(report: Mapping[str, Any]) -> str:
+def _refined_line(report: Mapping[str, Any]) -> str:
     """What a refinement did to the neutral."""
     return (
         f"neutral refined at {report['points']} points: {report['before_mean_mm']:.3f} mm from the scan before (mean), "
@@ -72,11 +134,10 @@ class RebuildPictures:
         from facepipe.core.markup import page, tag
         from facepipe.pictures import save_png
         from facepipe.pictures.rebuild_pictures import stacked, turntable
-        from facepipe.processors.rebuild.rebuild_page import scans_table
 
         title = f"Rebuild: {self.project.path.stem}"
         parts = [tag("h1", title), *(tag("p", line, class_="bad") for line in result.get("missed", ()))]
-        parts.append(scans_table({scan.name: self.rebuilt.reports[step] for step, (scan, _) in self._scans().items()}))
+        parts.append(_scans_table({scan.name: self.rebuilt.reports[step] for step, (scan, _) in self._scans().items()}))
         for step, shown in self._turntables(drawn):
             path = folder / f"{step}.png"
             path.parent.mkdir(exist_ok=True)
@@ -153,7 +214,7 @@ class RebuildPictures:
         if fit["outliers"]:
             lines.append(f"ignored as outliers: {', '.join(fit['outliers'])}")
         if step == "neutral" and "refined" in self.rebuilt.reports:
-            lines.append(refined_line(self.rebuilt.reports["refined"]))
+            lines.append(_refined_line(self.rebuilt.reports["refined"]))
         if report["weights"]:
             weights = sorted(report["weights"].items(), key=lambda one: -one[1])
             more = f" and {len(weights) - _NAMED} more" if len(weights) > _NAMED else ""
@@ -167,7 +228,6 @@ class RebuildPictures:
         from facepipe.pictures.figures import color_scale, figure
         from facepipe.pictures.rebuild_pictures import ChangedShapes, change_mm, changed_pictures, most_changed
         from facepipe.processors.database.whole_faces import whole_parts
-        from facepipe.processors.rebuild.rebuild_page import shape_rows, shapes_table
 
         rebuilt, template = self.rebuilt, self.template
         if "shapes" in rebuilt.reports:
@@ -206,7 +266,7 @@ def rebuild_text(report: RebuildReport) -> str:
     """Tables of scans and shapes, and a line for each thing besides."""
     lines = [table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(report.stages)])]
     if "refined" in report.stages:
-        lines.append(refined_line(report.stages["refined"]))
+        lines.append(_refined_line(report.stages["refined"]))
     if "shapes" in report.stages:
         lines += _shape_lines(**{name: report.stages["shapes"][name] for name in ("shapes", "unseen")})
     if report.reused:

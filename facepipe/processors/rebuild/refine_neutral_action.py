@@ -34,7 +34,7 @@ from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
     from facepipe.processors.rebuild.action_reports import RefineNeutralReport
-    from facepipe.processors.rebuild.shown_shapes import ShownShapes
+    from facepipe.processors.rebuild.composites import ShownShapes
     from facepipe.stage import Face
 
 _STEPS = 16  # of a refinement, at most
@@ -104,8 +104,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
     def _shown(self, parts: FaceParts) -> ShownShapes:
         """What the scan shows besides, by the names of the face's shapes."""
         from facepipe.processors.database import whole_face
-        from facepipe.processors.rebuild.composites import resolved
-        from facepipe.processors.rebuild.shown_shapes import ShownShapes, shown_before
+        from facepipe.processors.rebuild.composites import ShownShapes, resolved, shown_before
 
         shown = self.weights or shown_before(parts.recipe)
         own = whole_face(parts, str(self.neutral))

@@ -146,10 +146,9 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
     def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
         """The neutral, with the place of its scan where one is given, and what there is to say of that."""
         from facepipe.importers.scan_file import read_scan
-        from facepipe.processors.rebuild.composites import resolved
+        from facepipe.processors.rebuild.composites import ShownShapes, resolved
         from facepipe.processors.rebuild.register_scans import NeutralScan, placed_neutral
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
-        from facepipe.processors.rebuild.shown_shapes import ShownShapes
 
         if self.neutral_scan is None:
             return NeutralScan(points=whole.points), ()

@@ -17,14 +17,15 @@ from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
 from facepipe.geometry.polygons import border_points
 from facepipe.processors.clean_scan import CleanScan
-from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 from facepipe.processors.scan_landmarks.search import (
     Candidate,
     Draw,
+    FaceFrame,
     Network,
     Seen,
     axis_views,
     candidates,
+    face_frame,
     look_again,
     sphere_views,
 )
@@ -88,8 +89,7 @@ class FindScanLandmarks:
         :raises FitError: no face on it
         :raises InputError: no surface, no torch, or a file that is no landmark network
         """
-        from facepipe.learn.networks.files import landmark_model
-        from facepipe.learn.networks.landmark_session import LandmarkSession
+        from facepipe.learn.networks.files import LandmarkSession, landmark_model
 
         network = LandmarkSession(self.model or landmark_model())
         cleaned = CleanScan()(scan).scan

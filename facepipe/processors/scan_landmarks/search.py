@@ -13,13 +13,17 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
-from facepipe.processors.scan_landmarks.frame import FaceFrame, face_frame
 
+RIGHT_EYE, LEFT_EYE, MOUTH = slice(36, 42), slice(42, 48), slice(48, 68)
+# In the crops that the network knows, shares of a side: between the eyes, from eyes to mouth, and from the eyes down to
+# the middle of the crop.
+_EYES_APART, _EYES_TO_MOUTH, _EYES_TO_MIDDLE = 0.279, 0.295, 0.18
+_TILT = 0.27  # radians that the mouth stands before the eyes, on ICT-FaceKit's mean
+_INSIDE = 0.22  # of a side: what views turn about lies behind the surface
 # A picture (size, size, 3) of sRGB in 0..1 and the depth (size, size), infinite where nothing is.
 Draw = Callable[[Look, Pinhole], tuple[FloatArray, FloatArray]]
 # Landmarks (b, 68, 2) and presence (b,) of crops (b, 3, S, S).
 Network = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-
 _SEARCHED = 224  # pixels a side
 _SIDES = (0.28, 0.38, 0.52, 0.72, 1.0)  # of crops, shares of the picture's
 _STRIDE = 0.25  # of a crop's side
@@ -31,12 +35,51 @@ _MARGIN = 1.6  # sides of a crop that a picture shows
 _LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))  # turn in radians, scale: as of photos
 _MEETING = 0.012  # of a side: distance at which a ray counts half
 _COARSE = 1.5  # pixels of a picture a pixel of a crop: beyond, half the picture is enough
-
 # The landmarks of the other side.
 _JAW, _BROWS, _NOSE = range(16, -1, -1), range(26, 16, -1), (27, 28, 29, 30, 35, 34, 33, 32, 31)
 _EYES = (45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40)
 _LIPS = (54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65)
 MIRRORED = np.array([*_JAW, *_BROWS, *_NOSE, *_EYES, *_LIPS])
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceFrame:
+    """A face in space."""
+
+    middle: FloatArray  # (3,) of the crop, on the surface
+    axes: FloatArray  # (3, 3) rows: the person's left, up, forward
+    side: float  # of the crop
+
+    def view(self, yaw: float, pitch: float, size: int, margin: float) -> Pinhole:
+        """A view turned to the person's left and up, radians; `margin` crops' sides wide."""
+        backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+        right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+        turned = np.stack([right, np.cross(backward, right), backward]) @ self.axes
+        centre = self.middle - _INSIDE * self.side * self.axes[2]
+        shown = centre + _INSIDE * self.side * turned[2] * np.cos(yaw) * np.cos(pitch)
+        return Pinhole.around(shown, turned, margin * self.side / 2, size, distance=10.0)
+
+
+def face_frame(landmarks: FloatArray) -> FaceFrame | None:
+    """The frame of landmarks (68, 3), rows of NaN where unknown; None where they are too few or don't fit a face."""
+    eyes_and_mouth = [landmarks[part] for part in (RIGHT_EYE, LEFT_EYE, MOUTH)]
+    if any(np.isfinite(one[:, 0]).sum() < 2 for one in eyes_and_mouth):
+        return None
+    right, left, mouth = (np.nanmean(one, axis=0) for one in eyes_and_mouth)
+    between, down = left - right, mouth - (left + right) / 2
+    across = np.linalg.norm(between)
+    x = between / max(across, np.finfo(np.float64).tiny)
+    drop = down - (down @ x) * x
+    height = np.linalg.norm(drop)
+    if not (0.3 * across < height < 3.0 * across):
+        return None
+    y = -drop / height
+    z = np.cross(x, y)
+    y, z = np.cos(_TILT) * y + np.sin(_TILT) * z, np.cos(_TILT) * z - np.sin(_TILT) * y
+    side = float(max(across / _EYES_APART, height / _EYES_TO_MOUTH))
+    middle = (left + right) / 2 - _EYES_TO_MIDDLE * side * y
+    middle = middle + ((mouth - middle) @ z) * z
+    return FaceFrame(middle=middle, axes=np.stack([x, y, z]), side=side)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,18 +123,18 @@ def candidates(
         matrices = _grid(np.isfinite(depth), turns, size)
         if not len(matrices):
             continue
-        landmarks, presence = network(cut_crops(picture, matrices, size))
+        landmarks, presence = network(_cut_crops(picture, matrices, size))
         sure = np.flatnonzero(presence > _MAYBE)
         sure = sure[np.argsort(-presence[sure], kind="stable")][: 4 * most]
-        places = in_picture(landmarks[sure], matrices[sure])
+        places = _in_picture(landmarks[sure], matrices[sure])
         for where, present in zip(places, presence[sure], strict=True):
-            frame = face_frame(lifted(where, depth, view))
+            frame = face_frame(_lifted(where, depth, view))
             if frame is not None:
                 faces.append(Candidate(presence=float(present), frame=frame))
     return _apart(faces, most)
 
 
-def lifted(landmarks: FloatArray, depth: FloatArray, view: Pinhole) -> FloatArray:
+def _lifted(landmarks: FloatArray, depth: FloatArray, view: Pinhole) -> FloatArray:
     """(68, 3) where the rays through landmarks (68, 2) meet the surface; NaN where they miss it."""
     column, row = np.floor(landmarks).astype(np.int64).T
     inside = (column >= 0) & (row >= 0) & (column < view.size) & (row < view.size)
@@ -122,7 +165,7 @@ def _grid(covered: FloatArray, turns: int, size: int) -> FloatArray:
                 seen = sums[row + width, column + width] - sums[row, column + width] - sums[row + width, column]
                 if seen + sums[row, column] >= _COVERED * width**2:
                     middle = np.array([column + side / 2, row + side / 2])
-                    matrices += [crop_matrix(middle, side, 2 * np.pi * turn / turns, size) for turn in range(turns)]
+                    matrices += [_crop_matrix(middle, side, 2 * np.pi * turn / turns, size) for turn in range(turns)]
     return np.array(matrices).reshape(-1, 2, 3)
 
 
@@ -176,20 +219,20 @@ def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int
     from facepipe.learn.features.crops import face_crop
 
     picture, _ = draw(look, view)
-    matrix = crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)
+    matrix = _crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)
     for _ in range(2):
-        landmarks, presence = network(cut_crops(picture, matrix[None], size))
+        landmarks, presence = network(_cut_crops(picture, matrix[None], size))
         try:
-            matrix = face_crop(in_picture(landmarks, matrix[None])[0], size)
+            matrix = face_crop(_in_picture(landmarks, matrix[None])[0], size)
         except InputError:
-            return in_picture(landmarks, matrix[None])[0], 0.0
+            return _in_picture(landmarks, matrix[None])[0], 0.0
     matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
-    crops = cut_crops(picture, matrices, size)
+    crops = _cut_crops(picture, matrices, size)
     landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
     other = landmarks[len(crops) :][:, MIRRORED]
     other[..., 0] = size - other[..., 0]
     both = (landmarks[: len(crops)] + other) / 2
-    return in_picture(both, matrices).mean(axis=0), float(presence.mean())
+    return _in_picture(both, matrices).mean(axis=0), float(presence.mean())
 
 
 def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
@@ -199,14 +242,14 @@ def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatAr
     return np.column_stack([linear, centre - linear @ np.full(2, size / 2)])
 
 
-def crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> FloatArray:
+def _crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> FloatArray:
     """(2, 3) from crop pixels to picture pixels: a square about `middle` (2,), turned by radians."""
     scale = side / size
     linear = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     return np.column_stack([linear, np.asarray(middle) - linear @ np.full(2, size / 2)])
 
 
-def cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArray:
+def _cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArray:
     """(k, 3, size, size) float32 crops of a picture (h, w, 3) by matrices (k, 2, 3), bilinear; outside, its border."""
     import torch
     from torch.nn import functional
@@ -221,7 +264,7 @@ def cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArra
     return crops
 
 
-def in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:
+def _in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:
     """(k, 68, 2) landmarks of crops in pixels of the picture."""
     turned = np.einsum("kij,klj->kli", matrices[:, :, :2], landmarks)
     return np.asarray(turned + matrices[:, None, :, 2])

@@ -29,7 +29,7 @@ from facepipe.processors.photo_fit import (
     read_photo,
     write_landmarks,
 )
-from facepipe.processors.photo_fit.landmarks68 import MULTIPIE68_OF_MEDIAPIPE, one_face
+from facepipe.processors.photo_fit.photo_landmarks import MULTIPIE68_OF_MEDIAPIPE, one_face
 
 Array = np.ndarray[Any, Any]
 

@@ -34,8 +34,7 @@ from facepipe.pictures.rebuild_pictures import (
 )
 from facepipe.processors.database import save_database
 from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
-from facepipe.processors.rebuild.rebuild_page import ShapeRow, shape_rows, shapes_table
-from facepipe.processors.rebuild.rebuild_report import RebuildPictures
+from facepipe.processors.rebuild.rebuild_report import RebuildPictures, ShapeRow, shape_rows, shapes_table
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 

@@ -25,8 +25,8 @@ from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe
 from facepipe.processors.database import Quality, whole_points
 from facepipe.processors.rebuild import RefineNeutral, RefineNeutralOptions, Template
+from facepipe.processors.rebuild.composites import shown_before
 from facepipe.processors.rebuild.refine_neutral import flipped_before
-from facepipe.processors.rebuild.shown_shapes import shown_before
 from facepipe.processors.rebuild.template import region_weights
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
