@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Animation, Skeleton, exact
+from facepipe.records import Json
 from facepipe.rig.animation import TICK, local_transforms
 from facepipe.rig.trs import Trs, decompose
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
+from facepipe_gltf.morphs import Sculpt
 from facepipe_gltf.placement import Space, accumulate
-from facepipe_gltf.sculpts import Sculpt
 
-Json = dict[str, Any]
 _NEAR = 1e-5  # seconds
 _SAME = 1e-7  # joints nearer to rest than this (metres, quaternion and scale units) get no channel
 
@@ -64,7 +63,7 @@ class AnimationWriter:
         changed = _changed(trs, joints.rest, used)
         if not changed.any():
             changed[0, 0] = True  # a pose at rest keeps its name
-        values = (trs.translation, continuous(trs.rotation), trs.scale)
+        values = (trs.translation, _continuous(trs.rotation), trs.scale)
         for i, joint in enumerate(used):
             for path, name in enumerate(("translation", "rotation", "scale")):
                 if changed[i, path]:
@@ -96,16 +95,16 @@ class AnimationWriter:
         if animation.shape_weights is None or not any(one.shape in column for one in sculpts):
             return
         weights = np.asarray(animation.shape_weights, dtype=np.float64)
-        keys = key_times(times, weights, column, sculpts)
+        keys = _key_times(times, weights, column, sculpts)
         values = np.zeros((len(keys), len(sculpts)))
         for i, one in enumerate(sculpts):
             if one.shape in column:
-                values[:, i] = activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
+                values[:, i] = _activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
         keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
         _channel(result, self.buffers, keys, keyed, values, node, "weights")
 
 
-def activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
+def _activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
     """Activation of a morph target at its shape's `weights`: piecewise linear, the ends extended."""
     x, y = np.array(sculpt.knots, dtype=np.float64).T
     piece = np.clip(np.searchsorted(x, weights, side="right") - 1, 0, len(x) - 2)
@@ -113,7 +112,7 @@ def activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
     return np.asarray(y[piece] + slope * (weights - x[piece]))
 
 
-def key_times(
+def _key_times(
     times: FloatArray, weights: FloatArray, column: Mapping[str, int], sculpts: Sequence[Sculpt]
 ) -> FloatArray:
     """`times`, and those between them where a shape passes an inbetween: activations bend there."""
@@ -130,7 +129,7 @@ def key_times(
     return keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
 
 
-def continuous(rotations: FloatArray) -> FloatArray:
+def _continuous(rotations: FloatArray) -> FloatArray:
     """(T, j, 4) quaternions, signs chosen so that neighbouring keys lie on the same side."""
     steps = np.where(np.einsum("tjk,tjk->tj", rotations[1:], rotations[:-1]) < 0, -1.0, 1.0)
     signs = np.cumprod(np.concatenate([np.ones((1, rotations.shape[1])), steps]), axis=0)

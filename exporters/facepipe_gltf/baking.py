@@ -13,10 +13,9 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.parts import FaceParts, Mesh
 from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
-from facepipe_gltf.morphs import Morphs, blocks, without_small
+from facepipe_gltf.morphs import Morphs, Sculpt, blocks, sculpts_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Placement, Space, place, smooth_normals
-from facepipe_gltf.sculpts import Sculpt, sculpts_of
 from facepipe_gltf.vertices import Corners, corners_of
 
 _SAME = 1e-6  # smaller changes of a unit normal don't show

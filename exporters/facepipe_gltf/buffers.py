@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import ExportError
+from facepipe.records import Json
 
 Array = npt.NDArray[Any]
-Json = dict[str, Any]
 Chunk = bytes | memoryview
 Use = Literal["vertex", "index", "matrices", "keys"]
 

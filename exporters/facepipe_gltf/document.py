@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from facepipe.core import __version__
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, exact
+from facepipe.records import Json
 from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
@@ -18,17 +18,16 @@ from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.engines import check_engine, engine_warnings
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.losses import dropped, meshes_said, skin_warnings
+from facepipe_gltf.losses import dropped, influence_error, meshes_said, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
+from facepipe_gltf.morphs import Sculpt, chosen_shapes, extras
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
 from facepipe_gltf.record import record_of, written
 from facepipe_gltf.record_format import Record
-from facepipe_gltf.sculpts import Sculpt, chosen_shapes, extras
 from facepipe_gltf.textures import Image
 
-Json = dict[str, Any]
 _COUNTED = ("vertices", "triangles", "primitives", "targets")
 
 
@@ -248,8 +247,6 @@ class _Writer:
         stored = [storage_error(one, encoding, smallest) for one in meshes] if options.quantize or smallest else []
         fewer = None
         if any(one.influences is not None and one.influences.any_lost for one in meshes):
-            from facepipe_gltf.influence_error import influence_error
-
             fewer = influence_error(self.parts, meshes, self.space)
         if not stored and fewer is None:
             return None

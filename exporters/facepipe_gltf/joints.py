@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import Skeleton
+from facepipe.records import Json
 from facepipe.rig.trs import Trs, decompose
 from facepipe_gltf.placement import Space, accumulate, numbers
-
-Json = dict[str, Any]
 
 _INHERITED_SHEAR_TOLERANCE = 1e-4
 _UNEVEN = 1e-5  # of scales along the axes of a joint
@@ -48,7 +46,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
         above[joint] = _parent(matrix)
     offsets = np.linalg.inv(above)
     rest = decompose(offsets @ local)
-    names = node_names(skeleton)
+    names = _node_names(skeleton)
     nodes = [_node(name, rest, i) for i, name in enumerate(names)]
     top = list(range(first, first + len(nodes)))  # node that stands for each joint among its siblings
     for joint in unholdable:
@@ -66,7 +64,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
-def node_names(skeleton: Skeleton) -> list[str]:
+def _node_names(skeleton: Skeleton) -> list[str]:
     """The source's names of the joints; else the last part of each path, or all of it where that is not unique."""
     if skeleton.joint_names:
         return list(skeleton.joint_names)

@@ -6,15 +6,13 @@ Source: https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Vendor/MSF
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, HasLevels, HasParts
+from facepipe.records import Json
 from facepipe_gltf.baking import Baked
 
-Json = dict[str, Any]
-
-LODS = "MSFT_lod"
+_LODS = "MSFT_lod"
 
 
 def lower_levels(face: HasParts) -> tuple[FaceParts, ...]:
@@ -39,7 +37,7 @@ def link_level(
     first = len(nodes) - len(lower)
     for index, baked in enumerate(lower, first):
         node = above[baked.mesh.name]
-        node.setdefault("extensions", {LODS: {"ids": []}})[LODS]["ids"].append(index)
+        node.setdefault("extensions", {_LODS: {"ids": []}})[_LODS]["ids"].append(index)
         nodes[index]["name"] = f"{node['name']}_lod{number}"
         mesh = meshes[nodes[index]["mesh"]]
         mesh["name"] = f"{mesh['name']}_lod{number}"

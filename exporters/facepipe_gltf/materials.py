@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from facepipe.core.errors import ExportError
 from facepipe.parts import Material, Mesh, TextureInput, exact
+from facepipe.records import Json
 from facepipe_gltf.textures import Channel, Textures, merged
 
-Json = dict[str, Any]
 _CHANNEL = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 

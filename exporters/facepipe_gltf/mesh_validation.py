@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.errors import InputError
-from facepipe_gltf.raw import Json, RawDocument, is_index
-from facepipe_gltf.raw_nodes import children, parents
+from facepipe.records import Json
+from facepipe_gltf.raw import RawDocument, children, is_index, parents
 from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.skin_validation import Problem, attributes
+
+_SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
 
 
 def primitives(document: RawDocument) -> Iterator[tuple[str, Json]]:
@@ -124,9 +126,6 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
             yield f"{where}/weights", f"{found} weights, expected {count}"
 
 
-SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
-
-
 def asset(document: RawDocument) -> Iterator[Problem]:
     """The file is glTF 2, asks for no extension that readers of plain geometry lack, and holds a mesh."""
     for note in document.notes:
@@ -137,8 +136,8 @@ def asset(document: RawDocument) -> Iterator[Problem]:
         yield "/asset/version", f"{str(version)[:40]}, expected 2.0"
     required = document.json.get("extensionsRequired", [])
     for name in required if isinstance(required, list) else [required]:
-        if name not in SUPPORTED:
-            yield "/extensionsRequired", f"{str(name)[:40]}, expected none but {', '.join(SUPPORTED)}"
+        if name not in _SUPPORTED:
+            yield "/extensionsRequired", f"{str(name)[:40]}, expected none but {', '.join(_SUPPORTED)}"
     if not document.items("meshes"):
         yield "/meshes", "no mesh, expected one"
     scene, scenes = document.json.get("scene", 0), len(document.items("scenes"))

@@ -7,26 +7,23 @@ import json
 import struct
 import subprocess
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.core.errors import ExportError, InputError
-from facepipe_gltf.node import find_node
+from facepipe.records import Json
+from facepipe_gltf.node import find_node, run_node
 from facepipe_gltf.read.meshopt import EXTENSION
 
 if TYPE_CHECKING:
     from facepipe_gltf.document import Document
 
-Json = dict[str, Any]
 
 _WHERE = "--meshopt"
 _VERTICES, _INDICES = 34962, 34963
 _SIZES = {5123: 2, 5125: 4}
 _ALIGNMENT = 4
-# Modules of the working folder are left alone, as those of a downloaded folder must be.
 _PROGRAM = """
-const path = require("path"), { pathToFileURL } = require("url");
-const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modules"),
-               path.join(process.env.APPDATA || path.dirname(process.execPath), "npm", "node_modules")];
+const { pathToFileURL } = require("url");
 const found = (name) => {
   try { return pathToFileURL(require.resolve(name, { paths: roots })).href; } catch (error) { process.exit(4); }
 };
@@ -50,7 +47,6 @@ const found = (name) => {
 })().catch((error) => { console.error(String(error)); process.exitCode = 3; });
 """
 _NOT_INSTALLED = 4
-_SECONDS = 300
 
 
 class _Stream(NamedTuple):
@@ -130,13 +126,13 @@ def _run(request: bytes) -> bytes:
     if node is None:
         raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
     try:
-        done = subprocess.run([node, "-e", _PROGRAM], input=request, capture_output=True, timeout=_SECONDS, check=False)
+        done = run_node(node, _PROGRAM, request=request)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ExportError(_WHERE, f"node did not compress the file: {error}") from None
     if done.returncode == _NOT_INSTALLED:
         how = "`npm install --global meshoptimizer`, or NODE_PATH with the folder that holds it"
         raise InputError(_WHERE, f"node has no package meshoptimizer, expected {how}")
     if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise ExportError(_WHERE, f"node did not compress the file: {said[-1][:200] if said else done.returncode}")
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        raise ExportError(_WHERE, f"node did not compress the file: {lines[-1][:200] if lines else done.returncode}")
     return done.stdout

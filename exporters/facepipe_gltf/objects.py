@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args, get_type_hints
 
 from facepipe.core.errors import ExportError
-from facepipe_gltf.files import json_bytes
+from facepipe.records import Json
 from facepipe_gltf.raw import RawDocument
 from facepipe_gltf.validation import errors
+from facepipe_gltf.writer import json_bytes
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
-Json = dict[str, Any]
 OnDocument = Callable[["GLTF2"], object]
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.records import Json
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
@@ -72,9 +73,6 @@ def _angles(corners: FloatArray) -> FloatArray:
 def _any_tangent(normals: FloatArray) -> FloatArray:
     axis: FloatArray = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     return _project(axis, normals)
-
-
-Json = dict[str, Any]
 
 
 class Chosen(NamedTuple):

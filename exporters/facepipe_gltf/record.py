@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, TextureInput, UvSet
+from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, UvSet
+from facepipe.records import Json
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe_gltf.baking import Baked
@@ -23,13 +23,14 @@ from facepipe_gltf.record_format import (
     PER_POINT,
     MeshRecord,
     Record,
+    image_digest,
     packed,
     points_back,
     shape_names,
     steps_between,
+    texture_inputs,
+    with_image_data,
 )
-
-Json = dict[str, Any]
 
 
 def record_of(
@@ -180,24 +181,10 @@ def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:
 
 
 def _material_husks(materials: Sequence[Material], meshes: Sequence[Baked]) -> tuple[Material, ...]:
-    """The materials whose images are in the file."""
+    """The materials whose images are in the file, with digests in place of images."""
     used = {name for one in meshes for name, _ in by_material(one)}
-    return tuple(one for one in map(_material_husk, materials) if one.name in used or not _textured(one))
-
-
-def _textured(material: Material) -> bool:
-    return any(isinstance(getattr(material, one.name), TextureInput) for one in fields(material))
-
-
-def _material_husk(material: Material) -> Material:
-    """The material, with digests in place of images."""
-    values = {one.name: getattr(material, one.name) for one in fields(material)}
-    husks: dict[str, Any] = {name: _input_husk(one) for name, one in values.items() if isinstance(one, TextureInput)}
-    return replace(material, **husks)
-
-
-def _input_husk(one: TextureInput) -> TextureInput:
-    return replace(one, texture=replace(one.texture, data=hashlib.sha256(one.texture.data).digest()))
+    husks = [with_image_data(one, image_digest) for one in materials]
+    return tuple(one for one in husks if one.name in used or not texture_inputs(one))
 
 
 def _mesh_record(baked: Baked, *, exact: bool) -> MeshRecord:

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
-from facepipe_gltf.raw import Json, RawDocument, is_index
-from facepipe_gltf.raw_nodes import local_matrix, parents, world_matrix
+from facepipe.records import Json
+from facepipe_gltf.raw import RawDocument, is_index, local_matrix, parents, world_matrix
 
 Problem = tuple[str, str]  # JSON path, message
 
-WEIGHT_SUM_TOLERANCE = 1e-3
+_WEIGHT_SUM_TOLERANCE = 1e-3
 _REST_TOLERANCE = 1e-3
 
 
@@ -58,7 +58,7 @@ def weights_sum(document: RawDocument) -> Iterator[Problem]:
             continue
         weights = np.concatenate([one for one in sets if one is not None], axis=1)
         sums = weights.sum(axis=1)
-        wrong = np.flatnonzero(~(np.abs(sums - 1) <= WEIGHT_SUM_TOLERANCE))
+        wrong = np.flatnonzero(~(np.abs(sums - 1) <= _WEIGHT_SUM_TOLERANCE))
         if len(wrong):
             found = f"{len(wrong)} of {len(sums)} vertices have weights that sum to other than 1"
             yield f"{where}/attributes/WEIGHTS_0", f"{found} (vertex {wrong[0]}: {sums[wrong[0]]:.6g}), expected 1"
@@ -111,7 +111,7 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
             yield f"/skins/{i}/joints", f"node {late} stands after a later one, expected the order they were written in"
         elif matrices is not None and len(matrices) == len(joints) and np.isfinite(matrices).all():
             worlds = np.stack([world_matrix(document, joint, above) for joint in joints])
-            permuted = permuted_joints(worlds, matrices)
+            permuted = _permuted_joints(worlds, matrices)
             if permuted.any():
                 names = [
                     str((document.item("nodes", joints[k]) or {}).get("name", joints[k]))
@@ -121,7 +121,7 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
                 yield f"/skins/{i}/joints", f"{found}, expected the order of inverseBindMatrices"
 
 
-def permuted_joints(worlds: FloatArray, inverse_binds: FloatArray) -> npt.NDArray[np.bool_]:
+def _permuted_joints(worlds: FloatArray, inverse_binds: FloatArray) -> npt.NDArray[np.bool_]:
     """(j,) which joints stand in the place of others; none where another reason explains the matrices as well."""
     at_rest = worlds @ inverse_binds
     reach = max(float(np.ptp(worlds[:, :3, 3], axis=0).max()), float(np.abs(inverse_binds[:, :3, 3]).max()), 1e-9)

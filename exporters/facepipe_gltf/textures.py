@@ -16,8 +16,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.images import open_image
 from facepipe.core.images import pixels as decoded
 from facepipe.parts import Texture, TextureInput
+from facepipe.records import Json
 
-Json = dict[str, Any]
 Pixels = npt.NDArray[np.uint8]
 
 _WRAP = {"repeat": 10497, "mirror": 33648, "clamp": 33071}

@@ -15,14 +15,11 @@ import numpy as np
 from facepipe.core.reports import Finding
 from facepipe_gltf import mesh_validation as mesh
 from facepipe_gltf import skin_validation as skin
-from facepipe_gltf.node import find_node
+from facepipe_gltf.node import find_node, run_node
 from facepipe_gltf.raw import RawDocument
 
-# Modules beside the file or in the working folder are left alone: a downloaded folder must not bring code along.
 _PROGRAM = """
-const fs = require("fs"), path = require("path");
-const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modules"),
-               path.join(process.env.APPDATA || path.dirname(process.execPath), "npm", "node_modules")];
+const fs = require("fs");
 let validator;
 try { validator = require(require.resolve("gltf-validator", { paths: roots })); }
 catch (error) { console.log("null"); process.exit(0); }
@@ -38,7 +35,6 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {
   uri: path.basename(file), maxIssues: 200, externalResourceFunction: async (uri) => below(uri),
 }).then((report) => console.log(JSON.stringify(report)), (error) => { console.error(String(error)); process.exit(3); });
 """
-_SECONDS = 300
 _SEVERITIES: tuple[Literal["error", "warning", "info"], ...] = ("error", "warning", "info")
 
 
@@ -78,11 +74,10 @@ def _findings(path: Path, issues: list[dict[str, Any]]) -> list[Finding]:
 
 def _report(node: str, path: Path) -> Any:
     """Its report, None where it is not installed, or a line that says why there is none."""
-    command = [node, "-e", _PROGRAM, str(path.resolve())]
     try:
-        done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
-    except subprocess.TimeoutExpired:
-        return f"no report of the Khronos validator within {_SECONDS} seconds"
+        done = run_node(node, _PROGRAM, str(path.resolve()))
+    except subprocess.TimeoutExpired as error:
+        return f"no report of the Khronos validator within {error.timeout:g} seconds"
     except OSError as error:
         return f"node can't be run: {error.strerror or error}"
     if done.returncode:

@@ -13,8 +13,7 @@ import pytest
 from command_line import done, exit_code, failed
 from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
-from facepipe_gltf.vrm.bones import PARENTS, REQUIRED
-from facepipe_gltf.vrm.humanoid import bones_of
+from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, bones_of
 from faces import grid_mesh, tiny_face
 from gltf_export import reference
 from vrm_export import (

@@ -1,6 +1,6 @@
 """glTF animations of joints and morph weights as animations of the face.
 
-All channels of an animation are resampled at the union of their key times and of those that `gltf_key_times` adds for
+All channels of an animation are resampled at the union of their key times and of those that `sample_times` adds for
 STEP and CUBICSPLINE; between these the result is linear (rotations: slerp), which is what LINEAR channels are anyway.
 """
 
@@ -19,17 +19,17 @@ from facepipe.rig.animation import TICK, local_transforms
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.key_times import (
+from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.names import given_name
+from facepipe_gltf.read.nodes import Nodes, local_trs
+from facepipe_gltf.read.samplers import (
     Channel,
     frame_rate,
     lines_error,
     on_frames,
+    read_sampler,
     sample_times,
 )
-from facepipe_gltf.read.morphs import Role
-from facepipe_gltf.read.names import given_name
-from facepipe_gltf.read.nodes import Nodes, local_trs
-from facepipe_gltf.read.samplers import read_sampler
 from facepipe_gltf.read.skins import Joints
 from facepipe_gltf.read.values import Value
 

@@ -5,17 +5,18 @@ Source: glTF 2.0 section 3.9 (materials), KHR_materials_ior, KHR_materials_unlit
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, optional_integer
-from facepipe_gltf.read.files import read_uri, uri_name
+from facepipe_gltf.read.document import Document, optional_integer, read_uri, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.names import Names, file_name, given_name
 from facepipe_gltf.read.values import Value
+from facepipe_gltf.record_format import image_digest, texture_inputs, with_image_data
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
 Wrap = Literal["repeat", "mirror", "clamp"]
@@ -239,3 +240,19 @@ def _factor(value: Value, key: str, default: float = 1.0) -> float:
 def _factors(value: Value, key: str, count: int, default: float) -> tuple[float, ...]:
     factors = value.get(key)
     return (default,) * count if factors is None else factors.numbers(count)
+
+
+def with_recorded_images(document: Document, own: Sequence[Material], read: Sequence[Material]) -> tuple[Material, ...]:
+    """Recorded materials of a file of ours with the file's images; one whose images it lacks is as it was read."""
+    images = {
+        image_digest(used.texture.data): used.texture.data for one in read for used in texture_inputs(one).values()
+    }
+    by_name = {one.name: one for one in read}
+    result = []
+    for material in own:
+        if all(used.texture.data in images for used in texture_inputs(material).values()):
+            result.append(with_image_data(material, images.__getitem__))
+            continue
+        document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")
+        result.append(replace(by_name.get(material.name, Material(name=material.name)), name=material.name))
+    return tuple(result)

@@ -13,9 +13,8 @@ from facepipe_gltf.read import morphs
 from facepipe_gltf.read import weld as welds
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names
-from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.primitives import Geometry, Vertices
 from facepipe_gltf.read.values import Value
-from facepipe_gltf.read.vertices import Vertices
 from facepipe_gltf.read.weld import Weld
 
 

@@ -17,9 +17,8 @@ from facepipe.parts import Blendshape, Inbetween
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names
-from facepipe_gltf.read.primitives import Geometry
+from facepipe_gltf.read.primitives import Geometry, Target
 from facepipe_gltf.read.values import Value, members
-from facepipe_gltf.read.vertices import Target
 from facepipe_gltf.read.weld import Weld
 
 

@@ -41,7 +41,7 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     if len(order) < len(values):
         lost = sorted(set(range(len(values))) - set(order))[0]
         raise values[lost].error("is its own ancestor, expected a tree")
-    locals_ = np.array([local_matrix(value) for value in values]).reshape(-1, 4, 4)
+    locals_ = np.array([_local_matrix(value) for value in values]).reshape(-1, 4, 4)
     worlds = _worlds(locals_, parents, order)
     finite = np.isfinite(worlds).all(axis=(1, 2))
     if not finite.all():
@@ -67,7 +67,7 @@ def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
     )
 
 
-def local_matrix(value: Value) -> FloatArray:
+def _local_matrix(value: Value) -> FloatArray:
     """(4, 4) of a node, from its matrix or from translation, rotation and scale."""
     matrix = value.get("matrix")
     if matrix is not None:

@@ -1,21 +1,198 @@
 """All primitives of one glTF mesh as one list of vertices and one of triangles.
 
-Source: glTF 2.0 sections 3.7.2 (geometry, primitive modes).
+Source: glTF 2.0 sections 3.7.2 (geometry, primitive modes, attributes, morph targets) and 3.7.3.3 (skinned meshes).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
+from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Value, members
-from facepipe_gltf.read.vertices import Vertices, join, read_vertices
 
+_MAX_SETS = 8
+_SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
+_KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """One morph target over all vertices of a mesh; only rows that aren't zero."""
+
+    positions: Deltas
+    normals: Deltas | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Vertices:
+    """Vertices as the file has them, primitives one after the other."""
+
+    positions: FloatArray  # (n, 3)
+    normals: FloatArray | None = None  # (n, 3)
+    uvs: dict[int, FloatArray] = field(default_factory=dict)  # TEXCOORD number -> (n, 2), v down
+    colors: FloatArray | None = None  # (n, 3)
+    joints: IntArray | None = None  # (n, influences) into the skin's joints
+    weights: FloatArray | None = None  # (n, influences)
+    point_numbers: IntArray | None = None  # (n,) _FACEPIPE_POINT
+    targets: tuple[Target, ...] = ()
+
+
+def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Vertices:
+    """The vertices of one primitive.
+
+    :raises InputError: attributes or targets of other lengths, or values that can't be
+    """
+    attributes = primitive.require("attributes")
+    positions = accessors.floats(document, attributes.require("POSITION"), "VEC3")
+    count = len(positions)
+    normal, point = attributes.get("NORMAL"), attributes.get("_FACEPIPE_POINT")
+    joints, weights = _influences(document, primitive, attributes, count) if skinned else (None, None)
+    if not skinned and attributes.get("JOINTS_0") is not None:
+        document.warn(primitive, "has skin weights, but its node has no skin: they are left out")
+    for name in attributes.member_names():
+        if name not in _KNOWN:
+            document.warn(primitive, f"the attribute {ascii(name)[:40]} is left out")
+    return Vertices(
+        positions=positions,
+        normals=None if normal is None else accessors.floats(document, normal, "VEC3", count=count),
+        uvs=_uvs(document, attributes, count),
+        colors=_colors(document, primitive, attributes, count),
+        joints=joints,
+        weights=weights,
+        point_numbers=None if point is None else _point_numbers(document, point, count),
+        targets=tuple(_target(document, target, count) for target in members(primitive.get("targets"))),
+    )
+
+
+def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
+    """The vertices of all primitives as one; what only some primitives have is completed or left out."""
+    if len(read) == 1:
+        return read[0]
+    if len({len(one.targets) for one in read}) > 1:
+        raise value.error("its primitives have different numbers of morph targets, expected the same")
+    starts = np.cumsum([0, *(len(one.positions) for one in read[:-1])])
+    width = max(0 if one.joints is None else one.joints.shape[1] for one in read)
+    return Vertices(
+        positions=np.concatenate([one.positions for one in read]),
+        normals=_join_optional(document, value, "NORMAL", [one.normals for one in read]),
+        uvs=_join_uvs(document, value, read),
+        colors=_join_optional(document, value, "COLOR_0", [one.colors for one in read]),
+        joints=None if width == 0 else np.concatenate([_widened(one.joints, width) for one in read]),
+        weights=None if width == 0 else np.concatenate([_widened(one.weights, width) for one in read]),
+        point_numbers=_join_optional(document, value, "_FACEPIPE_POINT", [one.point_numbers for one in read]),
+        targets=tuple(
+            _join_target([one.targets[i] for one in read], starts.tolist()) for i in range(len(read[0].targets))
+        ),
+    )
+
+
+def _uvs(document: Document, attributes: Value, count: int) -> dict[int, FloatArray]:
+    found = {}
+    for number in range(_MAX_SETS):
+        reference = attributes.get(f"TEXCOORD_{number}")
+        if reference is not None:
+            found[number] = accessors.floats(document, reference, "VEC2", count=count)
+    return found
+
+
+def _colors(document: Document, primitive: Value, attributes: Value, count: int) -> FloatArray | None:
+    reference = attributes.get("COLOR_0")
+    if attributes.get("COLOR_1") is not None:
+        document.warn(primitive, "colours beyond COLOR_0 are left out")
+    if reference is None:
+        return None
+    colors = accessors.floats(document, reference, "VEC3", "VEC4", count=count)
+    if colors.shape[1] == 4 and np.any(colors[:, 3] != 1.0):
+        document.warn(reference, "the alpha of vertex colours is left out")
+    return colors[:, :3]
+
+
+def _influences(document: Document, primitive: Value, attributes: Value, count: int) -> tuple[IntArray, FloatArray]:
+    joints, weights = [], []
+    for number in range(_MAX_SETS):
+        joint, weight = attributes.get(f"JOINTS_{number}"), attributes.get(f"WEIGHTS_{number}")
+        if (joint is None) != (weight is None):
+            raise attributes.error(f"only one of JOINTS_{number} and WEIGHTS_{number}, expected both or none")
+        if joint is None or weight is None:
+            break
+        joints.append(accessors.integers(document, joint, "VEC4", count=count).astype(np.int64))
+        weights.append(accessors.floats(document, weight, "VEC4", count=count))
+        if weights[-1].min() < 0.0:
+            raise weight.error(f"a weight of {weights[-1].min():g}, expected 0 or more")
+    if not joints:
+        raise primitive.error("no JOINTS_0 and WEIGHTS_0, but its node has a skin")
+    return np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
+
+
+def _point_numbers(document: Document, reference: Value, count: int) -> IntArray:
+    numbers = accessors.floats(document, reference, "SCALAR", count=count)[:, 0]
+    if numbers.min() < 0.0 or numbers.max() > 2.0**24 or np.any(numbers != np.floor(numbers)):
+        raise reference.error("point numbers that are no whole numbers from 0 to 2^24")
+    return numbers.astype(np.int64)
+
+
+def _target(document: Document, target: Value, count: int) -> Target:
+    positions, normals = target.get("POSITION"), target.get("NORMAL")
+    for name in target.member_names():
+        if name not in ("POSITION", "NORMAL", "TANGENT"):
+            document.warn(target, f"morphs of {ascii(name)[:40]} are left out")
+    none = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
+    return Target(
+        positions=none if positions is None else accessors.deltas(document, positions, count),
+        normals=None if normals is None else accessors.deltas(document, normals, count),
+    )
+
+
+def _join_optional(
+    document: Document, value: Value, name: str, arrays: Sequence[npt.NDArray[Any] | None]
+) -> npt.NDArray[Any] | None:
+    present = [array for array in arrays if array is not None]
+    if len(present) == len(arrays):
+        return np.concatenate(present)
+    if present:
+        document.warn(value, f"only some primitives have {name}: left out")
+    return None
+
+
+def _join_uvs(document: Document, value: Value, read: list[Vertices]) -> dict[int, FloatArray]:
+    joined = {}
+    for number in sorted({number for one in read for number in one.uvs}):
+        if any(number not in one.uvs for one in read):
+            document.warn(value, f"only some primitives have TEXCOORD_{number}: it is 0 on the others")
+        zeros = [np.zeros((len(one.positions), 2), np.float32) for one in read]
+        joined[number] = np.concatenate([one.uvs.get(number, zero) for one, zero in zip(read, zeros, strict=True)])
+    return joined
+
+
+def _widened(array: npt.NDArray[Any] | None, width: int) -> npt.NDArray[Any]:
+    if array is None:
+        raise AssertionError("skin weights are read on all primitives or none")
+    return np.pad(array, ((0, 0), (0, width - array.shape[1])))
+
+
+def _join_target(targets: list[Target], starts: list[int]) -> Target:
+    normals = [target.normals for target in targets]
+    none = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
+    return Target(
+        positions=_join_deltas([target.positions for target in targets], starts),
+        normals=_join_deltas([one or none for one in normals], starts) if any(normals) else None,
+    )
+
+
+def _join_deltas(parts: list[Deltas], starts: list[int]) -> Deltas:
+    return Deltas(
+        np.concatenate([one.indices + start for one, start in zip(parts, starts, strict=True)]),
+        np.concatenate([one.values for one in parts]),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +225,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
             continue
         key = _pool_key(document, primitive)
         if key not in pools:
-            read.append(read_vertices(document, primitive, skinned))
+            read.append(_read_vertices(document, primitive, skinned))
             pools[key] = (total, len(read[-1].positions))
             total += pools[key][1]
         first, count = pools[key]
@@ -59,7 +236,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         return None
     return Geometry(
         value=value,
-        vertices=join(document, value, read),
+        vertices=_join(document, value, read),
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
     )

@@ -14,8 +14,8 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Skin, UvSet
 from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.materials import with_recorded_images
 from facepipe_gltf.read.record_joints import filled_animations, joints_as_recorded
-from facepipe_gltf.read.record_materials import with_images
 from facepipe_gltf.record_format import (
     VERSION,
     MeshRecord,
@@ -79,7 +79,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
         face,
         meshes=meshes,
         animations=filled_animations(record, read, renamed, shape_names(face.meshes)),
-        materials=with_images(document, face.materials, read.materials),
+        materials=with_recorded_images(document, face.materials, read.materials),
     )
 
 

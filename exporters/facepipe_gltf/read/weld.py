@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe_gltf.read.primitives import Geometry
-from facepipe_gltf.read.vertices import Target, Vertices
+from facepipe_gltf.read.primitives import Geometry, Target, Vertices
 
 
 @dataclass(frozen=True)

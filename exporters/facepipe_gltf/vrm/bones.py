@@ -1,18 +1,44 @@
-"""The human bones of VRM 1.0: which a model must have, and which hangs below which.
+"""The human bones of VRM 1.0: the tree that a model must have, and which joints of a face they are.
 
 Source: VRMC_vrm-1.0, humanoid.md (vrm-c/vrm-specification).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+import re
+import tomllib
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
+
+from facepipe.core.arrays import IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.parts import FaceParts, Skeleton
 
 _FINGERS = {
     "Thumb": ("Metacarpal", "Proximal", "Distal"),
     **dict.fromkeys(("Index", "Middle", "Ring", "Little"), ("Proximal", "Intermediate", "Distal")),
 }
 SIDES = ("left", "right")
+TORSO = ("hips", "spine", "chest", "upperChest", "neck", "head")
+REQUIRED = (
+    *("hips", "spine", "head"),
+    *(f"{side}{part}" for side in SIDES for part in ("UpperLeg", "LowerLeg", "Foot")),
+    *(f"{side}{part}" for side in SIDES for part in ("UpperArm", "LowerArm", "Hand")),
+)
+_NEEDS_PARENT = frozenset(  # exist only where the bone above them does
+    ["upperChest"]
+    + [f"{side}{finger}{link}" for side in SIDES for finger, links in _FINGERS.items() for link in links[1:]]
+)
+_TABLE = Path(__file__).with_name("joint_names.toml")
+_BREAKS = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z0-9])(?=[A-Z])")
+_PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
+_FEWEST = 3
+_ROOT = "root"
+_SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
 
 
 def _parents() -> dict[str, str]:
@@ -33,16 +59,6 @@ def _parents() -> dict[str, str]:
 
 
 PARENTS = _parents()
-TORSO = ("hips", "spine", "chest", "upperChest", "neck", "head")
-REQUIRED = (
-    *("hips", "spine", "head"),
-    *(f"{side}{part}" for side in SIDES for part in ("UpperLeg", "LowerLeg", "Foot")),
-    *(f"{side}{part}" for side in SIDES for part in ("UpperArm", "LowerArm", "Hand")),
-)
-NEEDS_PARENT = frozenset(  # exist only where the bone above them does
-    ["upperChest"]
-    + [f"{side}{finger}{link}" for side in SIDES for finger, links in _FINGERS.items() for link in links[1:]]
-)
 
 
 def above(bone: str, present: Container[str]) -> str | None:
@@ -71,6 +87,132 @@ def misplaced(bones: Mapping[str, int], path: Callable[[int], list[int]]) -> Mis
         if bone in bones:
             expected = above(bone, bones)
             found = next((of_node[one] for one in path(bones[bone])[1:] if one in of_node), None)
-            if found != expected or (bone in NEEDS_PARENT and found != PARENTS[bone]):
+            if found != expected or (bone in _NEEDS_PARENT and found != PARENTS[bone]):
                 return Misplaced(bone, expected, found)
     return None
+
+
+def _reduced(name: str) -> tuple[str, str]:
+    """The side (left, right or none) of a joint's name, and its words without case, separators and prefixes.
+
+    >>> _reduced("mixamorig:LeftForeArm"), _reduced("J_Bip_C_UpperChest"), _reduced("DEF-spine.001")
+    (('left', 'forearm'), ('', 'upperchest'), ('', 'spine001'))
+    """
+    words = [word.lower() for word in _BREAKS.split(name) if word]
+    sides = [_SIDE[word] for word in words if word in _SIDE]
+    rest = [word for word in words if word not in _SIDE and not _PREFIX.fullmatch(word)]
+    return sides[0] if sides else "", "".join(rest)
+
+
+def bones_of(joints: Sequence[str]) -> dict[str, int]:
+    """Human bone -> number among the names of joints, by the convention that knows most of them; the first of several.
+
+    One that knows neither three names nor the head is none; neither is a root the hips that no spine hangs below: rigs
+    of heads have one too.
+    """
+    found: dict[str, int] = {}
+    numbers: dict[tuple[str, str], int] = {}
+    for i, joint in enumerate(joints):
+        numbers.setdefault(_reduced(joint), i)
+    for names in _conventions():
+        known = {bone: numbers[name] for bone, every in names.items() for name in every if name in numbers}
+        if "spine" not in known and "hips" in known and _reduced(joints[known["hips"]])[1] == _ROOT:
+            del known["hips"]
+        if len(known) > len(found) and (len(known) >= _FEWEST or "head" in known):
+            found = known
+    return found
+
+
+def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
+    """Human bone -> number of the joint of ``BONE=JOINT,...``; a joint is its path or its name.
+
+    :raises InputError: no such bone or joint, or one of them twice
+    """
+    found: dict[str, int] = {}
+    for pair in filter(None, (one.strip() for one in text.split(","))):
+        bone, equals, joint = (part.strip() for part in pair.partition("="))
+        where = f"option bones -> {pair}"
+        if not equals:
+            raise InputError(where, "expected BONE=JOINT")
+        if bone not in PARENTS:
+            known = did_you_mean(bone, PARENTS) or ", expected one like hips, spine, head, jaw, leftEye"
+            raise InputError(where, f"'{bone}' is no human bone of VRM{known}")
+        pairs = zip(skeleton.joints, skeleton.names, strict=True)
+        places = [i for i, names in enumerate(pairs) if joint in names]
+        if not places:
+            near = did_you_mean(joint, skeleton.names) or f", expected one of {len(skeleton.joints)}"
+            raise InputError(where, f"no joint called '{joint}'{near}")
+        if len(places) > 1:
+            raise InputError(where, f"{len(places)} joints called '{joint}', expected a path")
+        if bone in found or places[0] in found.values():
+            raise InputError(where, "a bone or joint twice, expected each once")
+        found[bone] = places[0]
+    return found
+
+
+@cache
+def _conventions() -> tuple[Mapping[str, Sequence[tuple[str, str]]], ...]:
+    """Of each convention: human bone -> the names it may have, reduced; the last counts most."""
+    tables = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
+    return tuple(
+        {
+            bone: [(side, word) for word in reversed(words)]
+            for key, words in table.items()
+            for bone, side in ([(key, "")] if key in PARENTS else [(side + key, side) for side in SIDES])
+        }
+        for table in tables.values()
+    )
+
+
+@dataclass(frozen=True)
+class Humanoid:
+    """The human bones among a face's joints."""
+
+    bones: dict[str, int]  # bone -> number of the joint
+    unfit: tuple[str, ...]  # joints with the name of a bone that they can't be, a line each
+
+
+def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
+    """The human bones of a face, by the names of its joints and those `given` (``BONE=JOINT,...``).
+
+    A face that no mesh is skinned to has none: its joints are not in the file.
+
+    :raises InputError: a bone or joint that isn't there, or a required bone below another than VRM has it
+    """
+    joints = parts.skeleton.joints
+    wanted = _given_bones(given, parts.skeleton)
+    if not any(mesh.skin is not None and len(mesh.face_vertex_counts) for mesh in parts.meshes):
+        if wanted:
+            raise InputError("option bones", "no mesh is skinned to the face's joints, expected none")
+        return Humanoid({}, ())
+    named = {bone: joint for bone, joint in bones_of(parts.skeleton.names).items() if joint not in wanted.values()}
+    bones = named | wanted
+    parents = parts.skeleton.parents
+    unfit = []
+    while wrong := misplaced(bones, lambda joint: _path(joint, parents)):
+        drop = next((one for one in (wrong.expected, wrong.bone) if one and one not in REQUIRED), None)
+        below = f"below the {wrong.found}" if wrong.found else "below no human bone"
+        due = f"below the {wrong.expected or PARENTS[wrong.bone]}"
+        if drop is None or drop in wanted:
+            where = f"{parts.name} -> {joints[bones[wrong.bone]]}"
+            raise InputError(where, f"is the {wrong.bone}, {below}, expected {due} (option bones names other joints)")
+        unfit.append(f"{joints[bones[drop]]} is no {drop}: its place in the tree is not the one that VRM has for it")
+        del bones[drop]
+    _check_head(parts, bones)
+    return Humanoid(bones, tuple(unfit))
+
+
+def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
+    """:raises InputError: a body below a head that no name gives: turning it would turn nothing"""
+    if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
+        what = (
+            f"no joint is the head by its name, though {', '.join(own)} are there, expected head=JOINT in option bones"
+        )
+        raise InputError(f"{parts.name} -> {parts.skeleton.name}", what)
+
+
+def _path(joint: int, parents: IntArray) -> list[int]:
+    path = [joint]
+    while parents[path[-1]] >= 0:
+        path.append(int(parents[path[-1]]))
+    return path

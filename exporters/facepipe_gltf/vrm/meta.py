@@ -9,28 +9,28 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reading import read_json_object
+from facepipe.records import Json
 from facepipe_gltf.vrm.options import Options
 
-Json = dict[str, Any]
-
+EXTENSION = "VRMC_vrm"
 LICENSE_URL = "https://vrm.dev/licenses/1.0/"  # the only one that VRM 1.0 has (meta.md) and its runtimes load
-TEXTS = (
+_TEXTS = (
     *("name", "version", "copyrightInformation", "contactInformation", "thirdPartyLicenses", "licenseUrl"),
     "otherLicenseUrl",
 )
-LISTS = ("authors", "references")
-FLAGS = (
+_LISTS = ("authors", "references")
+_FLAGS = (
     *("allowExcessivelyViolentUsage", "allowExcessivelySexualUsage", "allowPoliticalOrReligiousUsage"),
     *("allowAntisocialOrHateUsage", "allowRedistribution"),
 )
-CHOICES = {
+_CHOICES = {
     "avatarPermission": ("onlyAuthor", "onlySeparatelyLicensedPerson", "everyone"),
     "commercialUsage": ("personalNonProfit", "personalProfit", "corporation"),
     "creditNotation": ("required", "unnecessary"),
     "modification": ("prohibited", "allowModification", "allowModificationRedistribution"),
 }
 _OTHERS = ("extensions", "extras", "thumbnailImage")
-_FIELDS = (*TEXTS, *LISTS, *FLAGS, *CHOICES, *_OTHERS)
+_FIELDS = (*_TEXTS, *_LISTS, *_FLAGS, *_CHOICES, *_OTHERS)
 _LARGEST = 1 << 20  # bytes
 
 
@@ -73,16 +73,16 @@ def problems(meta: Json) -> list[tuple[str, str]]:
 
 def _expected(field: str, value: Any) -> str | None:
     """What the value should be; None where it is."""
-    if field in CHOICES:
-        return None if value in CHOICES[field] else " or ".join(CHOICES[field])
-    if field in FLAGS:
+    if field in _CHOICES:
+        return None if value in _CHOICES[field] else " or ".join(_CHOICES[field])
+    if field in _FLAGS:
         return None if isinstance(value, bool) else "true or false"
-    if field in LISTS:
+    if field in _LISTS:
         texts = isinstance(value, list) and all(isinstance(one, str) and one.strip() for one in value)
         return None if texts and value else "a list of texts"
     if field == "licenseUrl":
         return None if value == LICENSE_URL else f"{LICENSE_URL} (others go to otherLicenseUrl)"
-    if field in TEXTS:
+    if field in _TEXTS:
         return None if isinstance(value, str) and (value.strip() or field != "name") else "a text"
     return None if field in _OTHERS else f"a field of VRM's meta{did_you_mean(field, _FIELDS)}"
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.records import Json
 from facepipe.rig.trs import decompose
 from facepipe_gltf.placement import numbers
-from facepipe_gltf.raw_nodes import local_matrix
-
-Json = dict[str, Any]
+from facepipe_gltf.raw import local_matrix
 
 
 class NodeTree:

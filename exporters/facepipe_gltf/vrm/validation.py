@@ -11,16 +11,15 @@ from typing import Any, Literal
 import numpy as np
 
 from facepipe.core.reports import Finding
+from facepipe.records import Json
 from facepipe_gltf import validation as gltf
 from facepipe_gltf.mesh_validation import primitives, targets
-from facepipe_gltf.raw import Json, RawDocument, is_index
-from facepipe_gltf.raw_nodes import local_matrix, parents, world_matrix
+from facepipe_gltf.raw import RawDocument, is_index, local_matrix, parents, world_matrix
 from facepipe_gltf.skin_validation import Problem
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
-from facepipe_gltf.vrm.meta import problems
+from facepipe_gltf.vrm.meta import EXTENSION, problems
 
-EXTENSION = "VRMC_vrm"
 _LEVEL = 0.26  # sine of 15 degrees, by which arms held out may be off
 _UNIFORM = 1e-4
 _RANGES = ("rangeMapHorizontalInner", "rangeMapHorizontalOuter", "rangeMapVerticalDown", "rangeMapVerticalUp")
@@ -61,7 +60,7 @@ def _bones(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """The required human bones are there, each a node of its own below the right one."""
     where = f"/extensions/{EXTENSION}/humanoid/humanBones"
     count = len(document.items("nodes"))
-    found = human_bones(vrm)
+    found = _human_bones(vrm)
     for bone in REQUIRED:
         if bone not in found:
             yield where, f"no {bone}, expected one"
@@ -94,7 +93,7 @@ def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """The model stands upright, looks along +Z and holds its arms out (tpose.md)."""
     above = parents(document)
     count = len(document.items("nodes"))
-    known = {bone: node for bone, node in human_bones(vrm).items() if is_index(node) and node < count}
+    known = {bone: node for bone, node in _human_bones(vrm).items() if is_index(node) and node < count}
     place = {bone: world_matrix(document, node, above)[:3, 3] for bone, node in known.items()}
     where = f"/extensions/{EXTENSION}/humanoid/humanBones"
     if {"hips", "head"} <= place.keys() and place["head"][1] <= place["hips"][1]:
@@ -153,14 +152,14 @@ def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     found = found if isinstance(found, dict) else {}
     if found.get("type") not in ("bone", "expression"):
         yield f"{where}/type", f"{str(found.get('type'))[:40]}, expected bone or expression"
-    if found.get("type") == "bone" and not {"leftEye", "rightEye"} <= human_bones(vrm).keys():
+    if found.get("type") == "bone" and not {"leftEye", "rightEye"} <= _human_bones(vrm).keys():
         yield f"{where}/type", "bone without the human bones leftEye and rightEye, expected both"
     for name in _RANGES:
         if name in found and not (isinstance(found[name], dict) and {"inputMaxValue", "outputScale"} <= {*found[name]}):
             yield f"{where}/{name}", "expected inputMaxValue and outputScale"
 
 
-def human_bones(vrm: Json) -> dict[str, Any]:
+def _human_bones(vrm: Json) -> dict[str, Any]:
     """Bone -> what the file gives as its node."""
     humanoid = vrm.get("humanoid")
     bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
