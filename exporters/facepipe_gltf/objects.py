@@ -17,7 +17,6 @@ from facepipe.core.errors import ExportError
 from facepipe.records import Json
 from facepipe_gltf.raw import RawDocument
 from facepipe_gltf.validation import errors
-from facepipe_gltf.writer import json_bytes
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -33,7 +32,7 @@ def changed(document: Json, on_document: OnDocument, target: Path, buffer: bytes
     """
     from pygltflib import GLTF2
 
-    whole = _object(GLTF2, json.loads(json_bytes(document)))  # a copy: the caller's changes end here
+    whole = _object(GLTF2, json.loads(json.dumps(document)))  # a copy: the caller's changes end here
     on_document(whole)
     where = f"{target.name} -> on_document"
     try:

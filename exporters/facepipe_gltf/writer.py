@@ -149,14 +149,14 @@ def _separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]
     return _sealed(result), sidecars
 
 
-def json_bytes(document: Json) -> bytes:
+def _json_bytes(document: Json) -> bytes:
     """The document's JSON: compact, keys sorted, no NaN."""
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
 def _glb_chunks(document: Json, binary: Sequence[Chunk]) -> list[Chunk]:
     """A GLB container (glTF 2.0, section 4), in pieces as `binary` is."""
-    text = json_bytes(document)
+    text = _json_bytes(document)
     text += b" " * (-len(text) % 4)
     chunks: list[Chunk] = [struct.pack("<I4s", len(text), _JSON_CHUNK), text]
     size = sum(map(len, binary))
@@ -194,7 +194,7 @@ def _write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> 
             path = target.with_name(name)
             if not (path.is_file() and path.read_bytes() == data):
                 write_bytes(path, data)
-        write_bytes(target, json_bytes(document))
+        write_bytes(target, _json_bytes(document))
         for name in sorted(stale):
             discard_stale(target.with_name(name))
     return [target, *(target.with_name(name) for name in sidecars)]
