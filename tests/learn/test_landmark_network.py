@@ -124,6 +124,17 @@ def test_the_face_of_a_photo() -> None:
     assert inner_error(found, np.array([point[:2] for point in known])) < 0.06
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_photo_on_its_side_shows_the_same_face(quarters: int) -> None:
+    image, marks = rendered(101, size=256, share=0.45, yaw=0.2)
+    image = image[:, 20:]  # not square
+    height, width = image.shape[:2]
+    x, y = (marks - [20, 0]).T
+    expected = {1: (y, width - x), 2: (width - x, height - y), 3: (height - y, x)}
+    (found,) = find_landmarks(np.rot90(image, quarters))
+    assert inner_error(found, np.stack(expected[quarters], axis=1)) < WORST_OF_RENDERS
+
+
 def test_a_flag_a_helmet_and_patches_are_no_faces() -> None:
     gray = np.repeat(photo()[215:].mean(axis=2, keepdims=True), 3, axis=2)  # all of the photo below the chin
     assert find_landmarks(gray) == []
