@@ -110,7 +110,7 @@ def run(folder: Path, tasks: int, engine: Any) -> Json:
     wall, memory = time.perf_counter(), me.memory_info().rss
     processor = time.process_time()
     with ledger_in(folder) as ledger:
-        one = Run(plan=plan(folder, tasks), ledger=ledger, options=RunOptions(), told=lambda *_: None)
+        one = Run(plan=plan(folder, tasks), ledger=ledger, options=RunOptions(), on_task=lambda *_: None)
         one(engine)
         held = me.memory_info().rss - memory
     count = len(one.records)

@@ -23,7 +23,7 @@ AnyPath = str | os.PathLike[str]
 def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
     """The face of any file: USD as it stands, else imported into memory; `warnings` of the face say what is lost.
 
-    :param kind: of `facepipe import`, for files that their suffix does not tell apart (ict, makehuman, folders of obj)
+    :param kind: of `facepipe import`, for files of one suffix that may be of several (ict, makehuman, folders of obj)
     :param options: of that kind, like ``identity_seed=7``
     :raises FacepipeError: no such file or importer, or a file that can't be read
     """

@@ -1,7 +1,8 @@
-"""How a face is fitted to photos."""
+"""How a face is fitted to photos, and how a network for first guesses at such fits is trained."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -16,6 +17,9 @@ MODELS: Final[Mapping[str, Literal["content", "identity", "attributes"]]] = {
     "identity_model": "identity",
     "attribute_model": "attributes",
 }
+
+# of a step of training: landmarks of people, renders whose truth is known, pictures on the joint loss
+LANDMARK_BATCH, BATCH, JOINT_BATCH = 256, 32, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +59,35 @@ class PhotoFitOptions(PhotoTermOptions):
     """How a face is fitted to photos and their landmarks."""
 
     landmarks: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartOptions:
+    """How long a network for first guesses is trained, and on what.
+
+    :raises InputError: a number out of range
+    """
+
+    people: int = option(100_000, "random people to learn from first, by their landmarks alone", 0, 100_000_000)
+    renders: int = option(2000, "random renders of FACE with known parameters", 0, 200_000)
+    epochs: int = option(4, "passes over these renders", 0, 1000)
+    steps: int = option(400, f"steps on the joint loss after that, with {JOINT_BATCH} pictures each", 0, 1_000_000)
+    seed: int = option(0, "seed of people, initial weights and order", 0, 2**31 - 1)
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @property
+    def landmark_batches(self) -> int:
+        """Steps on landmarks alone."""
+        return math.ceil(self.people / LANDMARK_BATCH)
+
+    @property
+    def batches(self) -> int:
+        """Steps on renders."""
+        return self.epochs * math.ceil(self.renders / BATCH)
+
+    @property
+    def total(self) -> int:
+        """Renders, batches and steps, as they are counted while they are made."""
+        return self.renders + self.landmark_batches + self.batches + self.steps

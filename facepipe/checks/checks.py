@@ -12,7 +12,6 @@ from pxr import Usd
 
 from facepipe.checks import control_checks as control
 from facepipe.checks import layout_checks as layout
-from facepipe.checks import neural_rig_checks as neural
 from facepipe.checks import photo_checks as photos
 from facepipe.checks import point_checks as points
 from facepipe.checks import shape_checks as shapes
@@ -102,9 +101,9 @@ CHECKS: tuple[Check, ...] = (
     Check("SliderCurves", control.slider_curves),
     Check("SliderMirrors", control.slider_mirrors),
     Check("SliderNetwork", control.slider_network),
-    Check("NeuralRigFile", neural.neural_rig_file),
-    Check("NeuralRigDigest", neural.neural_rig_digest),
-    Check("NeuralRigTopology", neural.neural_rig_topology),
+    Check("NeuralRigFile", control.neural_rig_file),
+    Check("NeuralRigDigest", control.neural_rig_digest),
+    Check("NeuralRigTopology", control.neural_rig_topology),
     Check("PhotoCameras", photos.photo_cameras),
     Check("PhotoLight", photos.photo_light),
     Check("PhotoKeyLight", photos.photo_key),

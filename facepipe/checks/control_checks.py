@@ -1,4 +1,4 @@
-"""Checks of sliders, of their learned network, and of the recipe."""
+"""Checks of sliders, of their learned network, of the neural rig that a face links, and of the recipe."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ from pxr import Usd
 from facepipe.checks.views import FaceView, Problem, array, at, some, value, words
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError
+from facepipe.core.reading import digest
+from facepipe.parts import FaceParts
+from facepipe.processors.database import Topology
+from facepipe.processors.neural_rig import load_neural_rig
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault
+from facepipe.stage import Face
+from facepipe.stage.neural_rig_link import NeuralRigLink, read_neural_rig_link
 from facepipe.stage.prims import exact_name
 from facepipe.stage.slider_network import read_slider_network
 
@@ -91,8 +97,14 @@ def slider_mirrors(face: FaceView) -> Iterator[Problem]:
     mirrors = {name: str(value(_attribute(face.prim, name, "mirror")) or "") for name in names}
     for name, other in mirrors.items():
         if other and (other == name or mirrors.get(other) != name):
-            found = "itself" if other == name else f"whose own is '{mirrors[other]}'" if other in mirrors else "unknown"
-            yield at(f"{_path(face.prim, name)}:mirror", f"'{other}', {found}, expected sliders that name each other")
+            if other == name:
+                fault = "is the slider itself"
+            elif other not in mirrors:
+                fault = "is no slider"
+            else:
+                fault = f"has '{mirrors[other]}' as its mirror" if mirrors[other] else "has no mirror"
+            where = f"{_path(face.prim, name)}:mirror"
+            yield at(where, f"'{other}' {fault}, expected two sliders that name each other")
 
 
 def slider_targets(face: FaceView) -> Iterator[Problem]:
@@ -174,3 +186,50 @@ def slider_network(face: FaceView) -> Iterator[Problem]:
         unknown = sorted(set(found) - set(known))
         if unknown:
             yield at(f"{where}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
+
+
+def neural_rig_file(face: FaceView) -> Iterator[Problem]:
+    """The file of the neural rig that a face links is there, whole, and learned on the meshes that the link names."""
+    link = _neural_rig_link(face)
+    if link is None:
+        return
+    if link.path is None:
+        where = _link_path(face, tokens.NEURAL_RIG_FILE)
+        yield at(where, f"@{link.file}@ can't be found, expected a neural rig (.fpnr)")
+        return
+    try:
+        rig = load_neural_rig(link.path)
+    except FacepipeError as error:
+        yield at(_link_path(face, tokens.NEURAL_RIG_FILE), str(error))
+        return
+    if rig.topology != link.topology:
+        yield at(_link_path(face, tokens.NEURAL_RIG_TOPOLOGY), "not that of the file, expected the same")
+
+
+def neural_rig_digest(face: FaceView) -> Iterator[Problem]:
+    """The file of the neural rig that a face links is still the one that was put on it."""
+    link = _neural_rig_link(face)
+    if link is not None and link.path is not None and digest([link.path]) != link.digest:
+        where = _link_path(face, tokens.NEURAL_RIG_DIGEST)
+        yield at(where, f"@{link.file}@ has changed, expected the file of {link.digest[:19]}...")
+
+
+def neural_rig_topology(face: FaceView) -> Iterator[Problem]:
+    """The neural rig that a face links was learned on meshes of the face's names, point counts and faces."""
+    link = _neural_rig_link(face)
+    if link is None:
+        return
+    try:
+        meshes = Face(face.stage, face.prim).meshes
+    except FacepipeError:
+        return  # other checks say what is wrong with them
+    if Topology.of(FaceParts(meshes=meshes)).digest != link.topology:
+        yield at(_link_path(face, tokens.NEURAL_RIG_TOPOLOGY), "not that of the meshes, expected a rig learned on them")
+
+
+def _neural_rig_link(face: FaceView) -> NeuralRigLink | None:
+    return None if face.prim is None else read_neural_rig_link(face.prim)
+
+
+def _link_path(face: FaceView, name: str) -> str:
+    return f"{face.prim.GetPath() if face.prim else ''}.{name}"

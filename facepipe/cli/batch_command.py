@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
         words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
         steps = [replace(one, words=tuple(said)) for one, said in zip(plan.steps, words, strict=True)]
         plan = replace(plan, steps=tuple(steps))
-    with shown() as told:
+    with shown() as on_task:
         report = batch(
             plan,
             state,
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             cluster=arguments.cluster,
             thumbnails=arguments.thumbnails,
             models=trust().models,
-            told=told,
+            on_task=on_task,
         )
     emit(json.loads(report.to_json()), report.text(), as_json=arguments.json)
     return 1 if report.missed else 0

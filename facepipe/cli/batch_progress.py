@@ -38,21 +38,21 @@ def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:
     }
     failed: Counter[str] = Counter()
 
-    def told(task: Any, record: dict[str, Any]) -> None:
+    def on_task(task: Any, record: dict[str, Any]) -> None:
         name = task.step.name
         if record["status"] in ("failed", "skipped"):
             failed[name] += 1
             bars[name].set_postfix_str(f"{failed[name]} failed", refresh=False)
         bars[name].update()
 
-    return told
+    return on_task
 
 
 def _lines(run: Run) -> Callable[..., object]:
     last = time.monotonic()
     total = len(run.plan.rows) * sum(not one.once for one in run.plan.steps) + sum(one.once for one in run.plan.steps)
 
-    def told(task: Any, record: dict[str, Any]) -> None:
+    def on_task(task: Any, record: dict[str, Any]) -> None:
         nonlocal last
         if record["status"] == "failed":
             note(f"failed: {record['error']}")
@@ -62,4 +62,4 @@ def _lines(run: Run) -> Callable[..., object]:
             counts = ", ".join(f"{count} {status}" for status, count in sorted(run.counts.items()))
             note(f"{done:,} of {total:,} tasks: {counts}")
 
-    return told
+    return on_task

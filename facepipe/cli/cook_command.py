@@ -47,19 +47,19 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Cook, telling of each file once it is done."""
+    """Cook, with a line for each file once it is done."""
     from facepipe.cooking import CookOptions, cook
 
     done: list[NodeReport] = []
 
-    def told(node: NodeReport) -> None:
+    def report_node(node: NodeReport) -> None:
         done.append(node)
         warn(node.warnings)
         if not arguments.json:
             print(_line(node), flush=True)
 
     try:
-        report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, told=told)
+        report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, on_node=report_node)
     except FacepipeError as error:
         if arguments.json:
             emit(_ended(done, error), "", as_json=True)

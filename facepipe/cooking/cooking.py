@@ -30,7 +30,7 @@ def cook(
     options: CookOptions | None = None,
     *,
     watch: Watch = unwatched,
-    told: Callable[[NodeReport], object] = lambda node: None,
+    on_node: Callable[[NodeReport], object] = lambda node: None,
 ) -> CookReport:
     """Bring the faces at `paths`, and all that they are made of, up to date.
 
@@ -42,7 +42,7 @@ def cook(
     :param paths: files; or one
     :param watch: shows progress: called with a label and a number of steps for a context manager whose `update()` is
         called after each
-    :param told: called with what was done about each file, once it is
+    :param on_node: called with the report of each file, once it is done
     :raises FacepipeError: what can't be read or cooked; files that were cooked before it stay
     """
     start, options = time.perf_counter(), options or CookOptions()
@@ -51,7 +51,7 @@ def cook(
     nodes = []
     for node in run.nodes(files):
         nodes.append(node)
-        told(node)
+        on_node(node)
     findings = {}
     if options.validate:
         from facepipe.checks import validate
@@ -78,13 +78,13 @@ class _Run:
 
         :raises FacepipeError: what can't be read or cooked
         """
-        told: set[Path] = set()
+        reported: set[Path] = set()
         while True:
             for node in self.graph.cookable():
                 done = self.node(node)
-                if node.path not in told or done.action not in ("up to date", "outside the roots"):
+                if node.path not in reported or done.action not in ("up to date", "outside the roots"):
                     yield done
-                told.add(node.path)
+                reported.add(node.path)
             if not self._grown:
                 return
             self.graph, self._grown = read_graph(files), False
@@ -138,7 +138,7 @@ class _Run:
         )
 
     def _steady(self, node: Node, verb: str, key: Path) -> tuple[Report, bool]:
-        """Cook; once more where a source has changed meanwhile: of what was read before, the recipe may not tell."""
+        """Cook; once more where a source has changed meanwhile: the recipe must be of what was read."""
         for _ in range(_TRIES):
             before = {source: self._digests.of(source) for source in node.sources}
             try:
@@ -154,7 +154,7 @@ class _Run:
                 return cooked
             self._digests.forget_all()
         raise InputError(
-            shown(node.path), "sources go on changing while it is cooked, expected a --force once they rest"
+            shown(node.path), "its sources keep changing while it is cooked, expected --force once they no longer do"
         )
 
     def _wrote(self, key: Path) -> Node:

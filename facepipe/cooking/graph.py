@@ -13,8 +13,7 @@ from facepipe.core.reading import digest
 from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES
-from facepipe.stage.layer_links import layer_links
-from facepipe.stage.recipes import check_recipe, check_source, file_recipe, source_files
+from facepipe.stage.recipes import check_recipe, check_source, file_recipe, layer_links, source_files
 
 _IMPORT = "import "  # its faces are taken as they are
 _ENDS = 8  # files at each end of a trail that are named

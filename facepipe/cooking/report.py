@@ -16,7 +16,7 @@ class CookOptions:
     """What to do with the recipes that are found."""
 
     force: bool = option(False, "cook also what is up to date")
-    dry_run: bool = option(False, "tell what would be cooked, and write nothing")
+    dry_run: bool = option(False, "list what would be cooked, and write nothing")
     validate: bool = option(False, "then check each STAGE, as facepipe validate does")
 
 

@@ -45,7 +45,7 @@ def _children(value: object) -> Iterator[tuple[str, object]]:
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             inner = getattr(value, field.name)
-            # what is in a tuple of named things is told by its name
+            # items of a tuple that have names are shown by name
             named = isinstance(inner, tuple) and inner and _name(inner[0])
             yield ("" if named else field.name), inner
     elif isinstance(value, Mapping):

@@ -275,7 +275,7 @@ def _real(path: AnyPath) -> Path:
     :raises InputError: it points at nothing, or out of the roots
     """
     target = Path(path)
-    if target.name.casefold().startswith(PREFIX):  # systems may not tell case apart
+    if target.name.casefold().startswith(PREFIX):  # systems may not distinguish case
         raise InputError(path, f"names of '{PREFIX}...' are for facepipe's passing files, expected another")
     if target.is_symlink():
         if not target.exists():

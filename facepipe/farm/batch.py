@@ -36,7 +36,7 @@ def batch(
     cluster: str | None = None,
     thumbnails: int = 0,
     models: bool = False,
-    told: Callable[[Run], Callable[..., object]] | None = None,
+    on_task: Callable[[Run], Callable[..., object]] | None = None,
 ) -> BatchReport:
     """Run a plan: `facepipe batch`.
 
@@ -47,7 +47,7 @@ def batch(
     :param cluster: address of a Dask cluster that does it instead
     :param thumbnails: pixels of the pictures in the report, 0 for none
     :param models: models that can run code are loaded
-    :param told: given the run, what is called for each task that ends
+    :param on_task: called with the run; returns what is called with each task that ends and its record
     :raises InputError: no plan, options out of range, another run of the state, or a cluster that can't be used
     """
     options = options or RunOptions()
@@ -69,9 +69,9 @@ def batch(
         raise InputError(state, f"can't be made: {error.strerror or error}") from error
     start = time.perf_counter()
     with ledger_in(state) as ledger:
-        run = Run(plan=plan, ledger=ledger, options=options, told=lambda *_: None)
-        if told is not None:
-            run.told = told(run)
+        run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None)
+        if on_task is not None:
+            run.on_task = on_task(run)
         setting = _setting(plan, state, models, options)
         engine: Engine = (
             Cluster(cluster, setting, processes) if cluster else Processes(processes or os.cpu_count() or 1, setting)
@@ -86,12 +86,12 @@ def batch(
 
 
 def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapping[str, Any]:
-    """What processes that do tasks are told first."""
+    """What processes that do tasks need to know first."""
     roots = trust().roots or roots_of(plan.folder / "plan")
     folders = [*dict.fromkeys(str(one.absolute()) for one in (*roots, state))]
     local = {"local": options.local and str(options.local.absolute()), "local_bytes": int(options.local_gb * 1e9)}
-    said = {"folder": str(plan.folder), "roots": folders, "urls": trust().urls, "models": models, **local}
-    return {**said, "version": __version__}
+    setting = {"folder": str(plan.folder), "roots": folders, "urls": trust().urls, "models": models, **local}
+    return {**setting, "version": __version__}
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:

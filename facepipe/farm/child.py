@@ -43,7 +43,7 @@ class Child:
     """The process, started for the first request and again after it was lost."""
 
     def __init__(self, setting: Mapping[str, Any]) -> None:
-        """:param setting: what the program is told first: folder, roots, models, version"""
+        """:param setting: what the program is given first: folder, roots, models, version"""
         self._setting = setting
         self._process: subprocess.Popen[bytes] | None = None
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()

@@ -24,7 +24,7 @@ _CONNECT = 10.0  # seconds for a scheduler to answer
 _PATIENCE = 30.0  # seconds for all workers
 _WORKERS = 120.0  # seconds for a first worker
 _IDLE = "10 minutes"  # after these a scheduler that was started by ssh ends, and its workers: who started it was killed
-_children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and what that was told
+_children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and its setting
 
 
 class Cluster:
@@ -129,7 +129,7 @@ def _do(request: Mapping[str, Any], setting: Mapping[str, Any]) -> Record:
 
 
 def _end_children(setting: Mapping[str, Any]) -> None:
-    """End the processes of a worker that were told a setting."""
+    """End the processes of a worker that have a setting."""
     for known, child in list(_children.values()):
         if known == setting:
             child.end()
@@ -149,7 +149,7 @@ def _check_versions(found: Mapping[str, Any]) -> None:
 
 
 def _quieten() -> None:
-    """Dask's logs tell at length what our lines tell."""
+    """Dask's logs repeat at length what our lines say."""
     for name in list(logging.root.manager.loggerDict):
         if name.startswith(("distributed", "tornado", "asyncssh")):
             logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -28,7 +28,7 @@ class Content(NamedTuple):
 
 
 def state_of(path: str | os.PathLike[str]) -> State | None:
-    """What tells without reading whether a file is another than before; None where there is none."""
+    """A mark of a file that changes with it, found without reading it; None where there is no file."""
     try:
         found = Path(path).stat()
     except (OSError, ValueError):

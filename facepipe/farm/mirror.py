@@ -101,7 +101,7 @@ class Mirror:
             todo = {self.name(one) for one in named} - self._states.keys()
 
     def state(self, name: str) -> State | contents.State | None:
-        """What tells whether a file is another than before; None where there is none."""
+        """A mark of a file that changes with it; None where there is no file."""
         if not is_url(name):
             return contents.state_of(name)
         if name not in self._states:

@@ -93,7 +93,9 @@ def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapp
 
 def _step(path: Path, name: str, said: Any) -> Step:
     where = f"{path} -> steps.{name}"
-    if not _STEP.fullmatch(name) or name == OUT:
+    if name == OUT:
+        raise InputError(where, f"{{{OUT}}} is the folder of results, expected another name for the step")
+    if not _STEP.fullmatch(name):
         raise InputError(where, "expected a name of letters, digits, - and _")
     if not isinstance(said, dict):
         raise InputError(where, f'{str(said)[:40]}, expected a table with run = "ACTION ..."')

@@ -15,7 +15,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.hidden_folders import PREFIX
 
 SCHEMES = {"s3": "s3fs", "gs": "gcsfs", "memory": "fsspec"}  # -> package that it needs
-State = tuple[int, str]  # bytes, and what tells versions apart
+State = tuple[int, str]  # bytes, and a mark of the version
 _URL = re.compile(rf"({'|'.join(SCHEMES)})://[A-Za-z0-9][A-Za-z0-9._-]*(/[^/\\:*?\"<>|#@\x00-\x1f]+)*")
 _VERSIONS = ("ETag", "etag", "generation", "created", "LastModified", "mtime")  # as the stores call it
 

@@ -27,7 +27,7 @@ DONE = (MADE, KEPT, CACHED)
 SKIPPED = "skipped"  # what it needs failed
 _IN_FLIGHT = 10_000  # tasks that are given out at once
 
-Told = Callable[[Task, Record], object]
+OnTask = Callable[[Task, Record], object]
 
 
 @dataclass
@@ -37,7 +37,7 @@ class Run:
     plan: Plan
     ledger: Ledger
     options: RunOptions
-    told: Told
+    on_task: OnTask
     records: dict[str, Record] = field(default_factory=dict)  # of this run, by task
     scheduling: float = 0.0  # seconds in this class
     gone: str = ""  # why who does tasks can do no more
@@ -195,7 +195,7 @@ class Run:
         self._states.learn(record.get("writes") or {})
         if keep and record["status"] != SKIPPED:
             self.ledger.add(record)
-        self.told(task, record)
+        self.on_task(task, record)
         for name in self._for.pop(task.name, ()):
             self._waits[name] -= 1
             if self._waits[name] == 0:

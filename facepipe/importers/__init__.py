@@ -53,7 +53,7 @@ def load(kind: str, source: str | Path, options: object | None = None) -> Import
 def kind_of(path: str | Path) -> str:
     """The kind of a file, by its suffix.
 
-    :raises InputError: no importer reads such files, or it can't tell which does
+    :raises InputError: no importer reads such files, or several may
     """
     suffix = Path(path).suffix.lower()
     known = {".obj": "obj"}

@@ -19,8 +19,7 @@ from facepipe.core.names import did_you_mean, identifier
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
-from facepipe.importers.makehuman_skeleton import pose_units, read_skeleton
-from facepipe.importers.makehuman_sliders import arkit_sliders, unit_sliders
+from facepipe.importers.makehuman_rig import arkit_sliders, pose_units, read_skeleton, unit_sliders
 from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions

@@ -16,7 +16,7 @@ from facepipe.importers.options import UsdOptions
 from facepipe.parts import Animation, FaceParts, Material, Mesh, Skeleton, Slider, SliderNetwork, Texture, TextureInput
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
-from facepipe.stage.imported import Imported, as_told, import_recipe
+from facepipe.stage.imported import Imported, import_recipe, with_units
 
 Options = UsdOptions
 
@@ -56,7 +56,7 @@ def read(source: Path, options: Options) -> Imported:
         materials=_distinct_textures(parts.materials),
         recipe=import_recipe("usd", {source: foreign.files}, options),
     )
-    parts = as_told(parts, options.meters_per_unit, options.up_axis)
+    parts = with_units(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(warnings))
 
 

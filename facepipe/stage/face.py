@@ -30,7 +30,7 @@ from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import check_units, derived_stage, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.materials import read_material
-from facepipe.stage.prims import INSTANCES, check_kinds, prims_below, told_apart
+from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.slider_network import check_face_network, read_slider_network
@@ -110,7 +110,7 @@ class Face:
         :raises TopologyError: one whose arrays don't fit each other
         """
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
-        own = told_apart(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
+        own = distinct_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
         with self._trail():
             bindings, materials = self._bindings(), dict(self.material_names)
             return self._finite(
@@ -414,7 +414,7 @@ class Face:
         """Prim path of each material -> what it is called."""
         prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
         paths = [str(prim.GetPath()) for prim in prims]
-        return dict(zip(paths, told_apart(prims, paths), strict=True))
+        return dict(zip(paths, distinct_names(prims, paths), strict=True))
 
     def _bindings(self) -> dict[str, Binding]:
         cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
@@ -450,7 +450,7 @@ def _check_metadata(face: Face) -> None:
 def animation_prims(face: Face) -> dict[str, Usd.Prim]:
     """The SkelAnimations below a face, by what each is called."""
     prims = [prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Animation)]
-    return dict(zip(told_apart(prims, [str(prim.GetPath()) for prim in prims]), prims, strict=True))
+    return dict(zip(distinct_names(prims, [str(prim.GetPath()) for prim in prims]), prims, strict=True))
 
 
 def _find(stage: Usd.Stage) -> Usd.Prim:

@@ -24,7 +24,7 @@ class Imported:
     warnings: tuple[str, ...] = ()
 
 
-def as_told(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:
+def with_units(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:
     """The face in the unit and with the up axis that the user knows better than its file; None: as the file says."""
     return replace(parts, meters_per_unit=meters_per_unit or parts.meters_per_unit, up_axis=up_axis or parts.up_axis)
 

@@ -93,13 +93,13 @@ def data_label(prim: Usd.Prim) -> str | None:
     return value if isinstance(value, str) else None
 
 
-def told_apart(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:
+def distinct_names(prims: Sequence[Usd.Prim], paths: Sequence[str]) -> list[str]:
     """The exact names of prims; of those that share one, or have none, the prims' own, or identifiers of their paths,
     that nothing else is called."""
-    names, own = [exact_name(prim) for prim in prims], Counter(str(prim.GetName()) for prim in prims)
-    count = Counter(name for name in names if name)
+    names, prim_names = [exact_name(prim) for prim in prims], [str(prim.GetName()) for prim in prims]
+    count, prim_count = Counter(name for name in names if name), Counter(prim_names)
     single = [name for name in names if count[name] == 1]
-    places = zip(names, prims, paths, strict=True)
-    shared = [str(one.GetName()) if own[one.GetName()] == 1 else path for name, one, path in places if count[name] != 1]
+    rows = zip(names, prim_names, paths, strict=True)
+    shared = [own if prim_count[own] == 1 else path for name, own, path in rows if count[name] != 1]
     others = iter(unique_identifiers([*single, *shared])[len(single) :])
     return [name if count[name] == 1 else next(others) for name in names]

@@ -57,7 +57,7 @@ class Clip:
 
     name: str
     tracks: tuple[ControlTrack, ...]
-    moves_joints: bool = False  # it animates joints too, which no control tells
+    moves_joints: bool = False  # it animates joints too, which no control moves
 
 
 _NUMBERS = ("double", "float", "half", "int", "bool")

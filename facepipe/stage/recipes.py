@@ -1,4 +1,4 @@
-"""Recipes and attribution of files whose layers may be lost; the sources of recipes, and whether they changed."""
+"""Recipes, attribution and links of files whose layers may be lost; sources of recipes, and whether they changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from pxr import Sdf
+import facepipe_schemas
+from pxr import Ar, Sdf
 
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
@@ -17,7 +18,8 @@ from facepipe.core.reading import digest, is_file, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS
+from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
 _MOST_BYTES = 1 << 28  # of a glTF document
@@ -145,3 +147,49 @@ def attribution_of(path: Path) -> str:
         except (*USD_ERRORS, RuntimeError):
             return ""
     return str(spec.default or "") if spec else ""
+
+
+class LayerLinks(NamedTuple):
+    """What one USD file itself says, not the layers below it."""
+
+    layers: tuple[Path, ...]  # sublayers, references and payloads as files, there or lost
+    has_recipe: bool
+
+
+def layer_links(path: Path) -> LayerLinks:
+    """The links of a USD file; what is open from it sees what the file holds now.
+
+    :raises InputError: a damaged file, or one that is open with changes that are not saved
+    """
+    facepipe_schemas.register()
+    with quiet_diagnostics():
+        try:
+            layer = _fresh(path)
+            names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
+            layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
+            return LayerLinks(layers, _has_recipe(layer))
+        except (*USD_ERRORS, RuntimeError) as error:
+            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
+
+
+def _fresh(path: Path) -> Sdf.Layer:
+    was_open = Sdf.Layer.Find(str(path)) is not None
+    layer = open_layer(str(path))  # holds it; what Find gives can go while another thread closes its stage
+    if layer is None:
+        raise InputError(path, "can't be read as USD")
+    if was_open and layer.dirty:
+        raise InputError(path, "is open with changes that are not saved, expected them saved first")
+    if was_open:
+        layer.Reload()
+    return layer
+
+
+def _packed(name: str) -> bool:
+    """Whether it is inside a package, or of no kind that can hold a recipe."""
+    return Ar.IsPackageRelativePath(name) or Path(name).suffix.lower() not in SUFFIXES
+
+
+def _has_recipe(layer: Sdf.Layer) -> bool:
+    prim = layer.GetPrimAtPath(f"/{layer.defaultPrim}") if layer.defaultPrim else None
+    verb = prim.attributes.get(tokens.RECIPE_VERB) if prim else None
+    return verb is not None and isinstance(verb.default, str) and bool(verb.default)

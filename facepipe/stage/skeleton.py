@@ -76,7 +76,7 @@ def read_limits(prim: Usd.Prim, joint_count: int) -> BoneLimits | None:
 def read_animation(prim: Usd.Prim, name: str | None = None) -> Animation:
     """A SkelAnimation prim: its time samples, or its default values as one pose.
 
-    :param name: what it is called, where its exact name doesn't tell it from others
+    :param name: what it is called, where several have its exact name
     :raises TopologyError: arrays that don't fit the joints or shapes
     """
     animation, name = UsdSkel.Animation(prim), exact_name(prim) if name is None else name

@@ -121,10 +121,10 @@ class Bar:
 @contextlib.contextmanager
 def watch(label, steps):
     yield Bar()
-def told(node):
+def on_node(node):
     if node.action == "cooked":
         kill()
-cook(["shot.usda"], **{"between": {"told": told}, "within": {"watch": watch}}[sys.argv[1]])
+cook(["shot.usda"], **{"between": {"on_node": on_node}, "within": {"watch": watch}}[sys.argv[1]])
 """
 
 

@@ -192,6 +192,11 @@ def test_results_come_from_the_cache_and_it_stays_within_its_size(show: Path, ru
     assert sum(one.stat().st_size for one in cache.rglob("*")) <= 1e7
 
 
+def test_no_step_is_called_as_the_folder_of_results(run_plan: Runner) -> None:
+    with pytest.raises(InputError, match=r"steps\.out: \{out\} is the folder of results, expected another name"):
+        run_plan(PLAN.replace("steps.game", "steps.out"))
+
+
 @pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../b"])
 def test_values_never_lead_out_of_the_folder_of_results(show: Path, run_plan: Runner, name: str) -> None:
     (show / "faces.csv").write_text(f"name,face,shot\nada,heads/ada.bin,{name}\n")
@@ -317,5 +322,5 @@ def test_what_a_worker_that_was_lost_left_beside_results_is_gone_in_the_end(show
         (left / ".facepipe-lock").touch()
         (left / "ada.bin").touch()
 
-    batch(read_plan(show / "plan.toml"), show / "state", processes=1, options=RunOptions(), told=lambda _: leave)
+    batch(read_plan(show / "plan.toml"), show / "state", processes=1, options=RunOptions(), on_task=lambda _: leave)
     assert sorted(path.name for path in left.parent.iterdir()) == ["ada.bin", "bea.bin", "cyd.bin"]

@@ -17,7 +17,7 @@ from packed_makehuman import PACKED, small_head
 from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.importers.makehuman import BASE_VERTICES, Options, read
-from facepipe.importers.makehuman_sliders import ARKIT_UNITS
+from facepipe.importers.makehuman_rig import ARKIT_UNITS
 from facepipe.importers.options import parse_targets
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build, slide

@@ -35,10 +35,9 @@ from facepipe.learn.photo.pose import FOCAL
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo_options import PhotoFitOptions, StartOptions
 from facepipe.processors.photo_fit import FitPhoto
 from facepipe.stage import save_parts
-from facepipe.start_options import StartOptions
 
 TINY = StartOptions(people=4096, renders=16, epochs=2, steps=2)
 LEAST = ("--people", "0", "--renders", "8", "--epochs", "0", "--steps", "1")

@@ -18,7 +18,7 @@ from pxr import Sdf, Usd
 from facepipe.core.errors import InputError
 from facepipe.stage.composition import Composition
 from facepipe.stage.files import dependencies, open_stage
-from facepipe.stage.layer_links import layer_links
+from facepipe.stage.recipes import layer_links
 
 DEPTH = 30  # doublings: 10^9 prims
 ARCS = ("references", "payload", "inherits", "specializes")

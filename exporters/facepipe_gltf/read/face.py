@@ -11,7 +11,7 @@ import numpy as np
 from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, Mesh
-from facepipe.stage.imported import Imported, as_told, import_recipe
+from facepipe.stage.imported import Imported, import_recipe, with_units
 from facepipe_gltf.read.animations import read_animations
 from facepipe_gltf.read.assemble import Assembly
 from facepipe_gltf.read.document import Document, open_document
@@ -44,7 +44,7 @@ def read(source: Path, options: Options) -> Imported:
             _check_finite(document, parts)
     except MemoryError:
         raise InputError(source.name, "needs more memory than there is") from None
-    parts = as_told(parts, options.meters_per_unit, options.up_axis)
+    parts = with_units(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(document.warnings))
 
 

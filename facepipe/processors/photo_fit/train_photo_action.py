@@ -30,7 +30,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.reports import Report, table, unsaid
 from facepipe.declare import option, source
 from facepipe.kinds import FileAction, Job, action
-from facepipe.start_options import StartOptions
+from facepipe.photo_options import StartOptions
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.amortised.pictures import Picture

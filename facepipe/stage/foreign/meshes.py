@@ -14,7 +14,7 @@ from facepipe.parts import Material, TextureInput
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.materials import read_material
-from facepipe.stage.prims import told_apart
+from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
 
@@ -127,7 +127,7 @@ def _points(prim: Usd.Prim) -> Any:
 
 
 def _block_normals(prim: Usd.Prim) -> list[str]:
-    """Blocks normals of other than point or face-vertex interpolation; the reader tells these apart by their count."""
+    """Blocks normals of other than point or face-vertex interpolation; the reader knows these by their count."""
     mesh, notes = UsdGeom.Mesh(prim), []
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     given = [(mesh.GetNormalsAttr(), mesh.GetNormalsInterpolation())]
@@ -192,7 +192,9 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
-    names = dict(zip(bound, told_apart([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True))
+    names = dict(
+        zip(bound, distinct_names([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True)
+    )
     read = {path: _read(scene, prim, names[path]) for path, prim in bound.items()}
     materials = tuple(material for material in read.values() if material is not None)
     return {path: names[path] for path, material in read.items() if material is not None}, materials

@@ -20,7 +20,7 @@ from facepipe.stage.foreign.scene import Scene, ancestors
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
 from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
 from facepipe.stage.guard import USD_ERRORS, reason
-from facepipe.stage.prims import told_apart
+from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
 from facepipe.stage.slider_network import read_slider_network
@@ -85,7 +85,7 @@ def _trail(path: Path) -> Iterator[None]:
 
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
     skeleton = Skeleton() if prim is None else read_skeleton(prim)
-    names = told_apart(meshes, [str(mesh.GetName()) for mesh in meshes])
+    names = distinct_names(meshes, [str(mesh.GetName()) for mesh in meshes])
     material_names, materials = bound_materials(scene, meshes)
     queries = bindings(scene)
     read = tuple(
@@ -143,7 +143,7 @@ def _animations(
     found: dict[Usd.Prim, Animation] = {}
     every = dict.fromkeys([*scene.prims, *([] if source is None else [source])])
     prims = [prim for prim in every if prim.IsA(UsdSkel.Animation)]
-    names = told_apart(prims, [str(one.GetName()) for one in prims])
+    names = distinct_names(prims, [str(one.GetName()) for one in prims])
     for prim, name in zip(prims, names, strict=True):
         try:
             animation = read_animation(prim, name)

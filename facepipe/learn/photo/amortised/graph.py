@@ -16,7 +16,7 @@ from facepipe.learn.photo.subject import Subject
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.amortised.training import Trained
-    from facepipe.start_options import StartOptions
+    from facepipe.photo_options import StartOptions
 
 KEY = "facepipe.photo"
 KIND = "photo-start"

@@ -28,8 +28,7 @@ from facepipe.learn.photo.amortised.renders import People, Portraits, random_peo
 from facepipe.learn.photo.landmark_rig import LandmarkRig
 from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
-from facepipe.photo_options import PhotoFitOptions
-from facepipe.start_options import BATCH, JOINT_BATCH, LANDMARK_BATCH, StartOptions
+from facepipe.photo_options import BATCH, JOINT_BATCH, LANDMARK_BATCH, PhotoFitOptions, StartOptions
 
 _RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
 _JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
