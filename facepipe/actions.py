@@ -30,12 +30,12 @@ _DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
 @functools.cache
 def _own() -> dict[str, tuple[str, str]]:
     """Verb -> module and summary of each action in this package; nothing of them is imported."""
-    root, found = Path(__file__).parent, {}
+    root, actions = Path(__file__).parent, {}
     for file in sorted((root / "processors").rglob("*_action.py")):
         module = ".".join(("facepipe", *file.relative_to(root).with_suffix("").parts))
         for verb, summary in _DECLARED.findall(file.read_text(encoding="utf-8")):
-            found[verb] = (module, summary)
-    return found
+            actions[verb] = (module, summary)
+    return actions
 
 
 def _others() -> dict[str, EntryPoint]:
@@ -94,14 +94,14 @@ def find_action(verb: str) -> type[Action[Any]] | None:
 
 def _of_others(entry: EntryPoint) -> type[Action[Any]]:
     """:raises InputError: it can't be loaded, or is no action of that verb"""
-    found = loaded(entry)
+    action = loaded(entry)
     where = f"plug-in {entry.name} ({entry.value})"
-    if not (isinstance(found, type) and issubclass(found, Action) and getattr(found, "verb", None) == entry.name):
+    if not (isinstance(action, type) and issubclass(action, Action) and getattr(action, "verb", None) == entry.name):
         raise InputError(where, "is no action of that verb, expected one")
-    if found.__abstractmethods__:
-        raise InputError(where, f"has no {min(found.__abstractmethods__)}, expected it of such an action")
-    _check_fields(found, where)
-    return found
+    if action.__abstractmethods__:
+        raise InputError(where, f"has no {min(action.__abstractmethods__)}, expected it of such an action")
+    _check_fields(action, where)
+    return action
 
 
 def _check_fields(kind: type[Action[Any]], where: str) -> None:
@@ -126,8 +126,8 @@ def cookable(verb: str) -> type[StageAction[Any]] | None:
 
 def cookables() -> tuple[str, ...]:
     """The verbs whose faces can be made again; those of plug-ins that can't be used are left out."""
-    found = []
+    verbs = []
     for verb in sorted({*_own(), *_others()}):
         with contextlib.suppress(InputError):
-            found += [verb] if cookable(verb) else []
-    return tuple(found)
+            verbs += [verb] if cookable(verb) else []
+    return tuple(verbs)

@@ -91,8 +91,8 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     from facepipe.kinds import InPlaceAction, Inspector, unwatched
 
     fields = fields_of(kind)
-    own = _own(kind)
-    signature = inspect.Signature(_parameters(fields, own))
+    keywords = _own(kind)
+    signature = inspect.Signature(_parameters(fields, keywords))
 
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
@@ -117,7 +117,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
         return perform(action, out, flatten=values.get("flatten", False)).report
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)
-    function.__doc__ = _described(kind, fields, own)
+    function.__doc__ = _described(kind, fields, keywords)
     said: Any = function
     said.__signature__ = signature
     return function
@@ -150,10 +150,10 @@ def _own(kind: type[Action[Any]]) -> dict[str, tuple[Any, str]]:
 
 def _parameters(fields: tuple[Field, ...], more: Mapping[str, tuple[Any, str]]) -> list[inspect.Parameter]:
     parameters = []
-    for one in sorted(fields, key=lambda one: (not one.stands_alone, not one.needed)):
-        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD if one.stands_alone else inspect.Parameter.KEYWORD_ONLY
-        default = inspect.Parameter.empty if one.needed else one.default
-        parameters.append(inspect.Parameter(one.name, kind, default=default))
+    for field in sorted(fields, key=lambda field: (not field.stands_alone, not field.needed)):
+        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD if field.stands_alone else inspect.Parameter.KEYWORD_ONLY
+        default = inspect.Parameter.empty if field.needed else field.default
+        parameters.append(inspect.Parameter(field.name, kind, default=default))
     keyword = inspect.Parameter.KEYWORD_ONLY
     own = [inspect.Parameter(name, keyword, default=default) for name, (default, _) in more.items()]
     alone = [parameter for parameter in parameters if parameter.kind is not keyword]
@@ -177,6 +177,6 @@ def _value(field: Field, value: Any) -> Any:
 
 def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[str, tuple[Any, str]]) -> str:
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
-    lines += [f":param {field.name}: {field.said}" for field in fields]
+    lines += [f":param {field.name}: {field.help_text}" for field in fields]
     lines += [f":param {name}: {said}" for name, (_, said) in own.items()]
     return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is"])

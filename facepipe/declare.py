@@ -97,7 +97,7 @@ def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "
     :param holds: pattern of the names in the folder, with "/" below it
     """
     metavar = suffix.removeprefix(".").upper() or "DIR"
-    said = {
+    metadata = {
         "help": help,
         "role": "beside",
         "suffix": suffix,
@@ -106,7 +106,7 @@ def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "
         "holds": holds,
         "kept": False,
     }
-    return _declared(None, {**said, "metavar": metavar})
+    return _declared(None, {**metadata, "metavar": metavar})
 
 
 def _declared(default: Any, said: dict[str, Any]) -> Any:
@@ -119,7 +119,7 @@ def named_numbers(words: Sequence[str]) -> dict[str, float]:
 
     :raises InputError: a word that is not so, or a number that is not finite
     """
-    found = {}
+    numbers = {}
     for word in words:
         name, equals, text = word.rpartition("=")
         try:
@@ -128,8 +128,8 @@ def named_numbers(words: Sequence[str]) -> dict[str, float]:
             value = math.nan
         if not equals or not name or not math.isfinite(value):
             raise InputError(word, "expected NAME=NUMBER with a finite number")
-        found[name] = value
-    return found
+        numbers[name] = value
+    return numbers
 
 
 class JsonValue(NamedTuple):
@@ -240,7 +240,7 @@ class Field:
         return json_value(value) if self.value is None else self.value.dump(value)
 
     @property
-    def said(self) -> str:
+    def help_text(self) -> str:
         """Its help, with the unit."""
         return f"{self.help} [{self.unit}]" if self.unit else self.help
 
@@ -264,10 +264,12 @@ def _fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
 
 
 def _field(one: dataclasses.Field[Any], hint: Any) -> Field:
-    kinds, said = _flat(hint), dict(one.metadata)
+    kinds, metadata = _flat(hint), dict(one.metadata)
     default = one.default if one.default_factory is MISSING else one.default_factory()
-    said["choices"] = said.get("choices") or next((typing.get_args(kind) for kind in kinds if _is_literal(kind)), ())
-    return Field(name=one.name, kinds=kinds, default=default, **said)
+    metadata["choices"] = metadata.get("choices") or next(
+        (typing.get_args(kind) for kind in kinds if _is_literal(kind)), ()
+    )
+    return Field(name=one.name, kinds=kinds, default=default, **metadata)
 
 
 def _flat(hint: Any) -> tuple[Any, ...]:
@@ -342,26 +344,28 @@ def schema_of(kind: type[DataclassInstance]) -> dict[str, Any]:
     }
 
 
-def _field_schema(one: Field) -> dict[str, Any]:
-    limits: dict[str, Any] = {} if one.low is None or one.high is None else {"minimum": one.low, "maximum": one.high}
-    limits |= {"enum": [*one.choices, *([None] if one.default is None else [])]} if one.choices else {}
-    ways = [{} if one.value else _kind_schema(kind, limits) for kind in one.kinds]
-    found = dict(ways[0]) if len(ways) == 1 else {} if {} in ways else {"anyOf": ways}
-    found |= {"description": one.said} if one.said else {}
-    found |= {} if one.several else limits
-    return found if one.needed else {**found, "default": one.dump(one.default)}
+def _field_schema(field: Field) -> dict[str, Any]:
+    limits: dict[str, Any] = (
+        {} if field.low is None or field.high is None else {"minimum": field.low, "maximum": field.high}
+    )
+    limits |= {"enum": [*field.choices, *([None] if field.default is None else [])]} if field.choices else {}
+    kinds = [{} if field.value else _kind_schema(kind, limits) for kind in field.kinds]
+    schema = dict(kinds[0]) if len(kinds) == 1 else {} if {} in kinds else {"anyOf": kinds}
+    schema |= {"description": field.help_text} if field.help_text else {}
+    schema |= {} if field.several else limits
+    return schema if field.needed else {**schema, "default": field.dump(field.default)}
 
 
 def _kind_schema(kind: Any, limits: dict[str, Any]) -> dict[str, Any]:
     """:param limits: of numbers and texts in lists and objects"""
-    of = typing.get_args(kind)
+    arguments = typing.get_args(kind)
     if typing.get_origin(kind) is tuple:
-        return {"type": "array", "items": _kind_schema(of[0], limits) | limits}
+        return {"type": "array", "items": _kind_schema(arguments[0], limits) | limits}
     if typing.get_origin(kind) is Mapping:
-        return {"type": "object", "additionalProperties": _kind_schema(of[1], limits) | limits}
+        return {"type": "object", "additionalProperties": _kind_schema(arguments[1], limits) | limits}
     if kind is Path:
         return {"type": "string", "format": "path"}
-    name = _JSON_TYPES.get(type(of[0]) if _is_literal(kind) else kind)
+    name = _JSON_TYPES.get(type(arguments[0]) if _is_literal(kind) else kind)
     return {"type": name} if name else {}
 
 

@@ -99,15 +99,15 @@ def export(
     source = None if not isinstance(face, str | os.PathLike) else Path(face)
     for one in outputs(target):
         check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
-    asked = _asked(module.Options, rename, rig, distil, lod, options)
+    request = _asked(module.Options, rename, rig, distil, lod, options)
     with watch("export", 3 if distil else 2) as bar:
         whole: Any = face if source is None else _opened(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, asked)
+        made = _made(whole, request)
         if distil:
             bar.update()
-        report = module.export(made.face, target, asked.format)
+        report = module.export(made.face, target, request.format)
         bar.update()
     return _reported(report, made, implausible(whole.parts()))
 
@@ -167,30 +167,30 @@ def _distil_options(options: Mapping[str, Any]) -> DistilOptions:
     return DistilOptions(**found)
 
 
-def _made(face: Face, asked: _Asked) -> _Made:
+def _made(face: Face, request: _Asked) -> _Made:
     """The face with what was asked for.
 
     :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
     made = _Made(face=face)
-    if asked.distil is not None:
+    if request.distil is not None:
         from facepipe.processors.sliders import DistilSliders
 
-        parts, report = DistilSliders(**vars(asked.distil))(face.parts())
+        parts, report = DistilSliders(**vars(request.distil))(face.parts())
         made = _Made(face=HeldFace(parts), distilled=report)
-    elif asked.neural is not None and getattr(asked.format, "encoder", False):
-        made = _Made(face=_encoded(face, asked.neural))
-    elif asked.neural is not None:
+    elif request.neural is not None and getattr(request.format, "encoder", False):
+        made = _Made(face=_encoded(face, request.neural))
+    elif request.neural is not None:
         from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
 
-        attached = AttachNeuralRig(options=asked.attach)(face.parts(), load_neural_rig(asked.neural), face.where)
+        attached = AttachNeuralRig(options=request.attach)(face.parts(), load_neural_rig(request.neural), face.where)
         made = _Made(face=HeldFace(attached.parts), attached=attached)
-    if asked.rename is None:
+    if request.rename is None:
         return made
-    renamed = asked.rename(made.face.parts())
-    if getattr(asked.format, "lods", False):
-        lower = tuple(asked.rename(lower_level).parts for lower_level in face.lower_levels())
+    renamed = request.rename(made.face.parts())
+    if getattr(request.format, "lods", False):
+        lower = tuple(request.rename(lower_level).parts for lower_level in face.lower_levels())
         return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
     held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
     return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
@@ -206,16 +206,16 @@ def _encoded(face: Face, rig: Path) -> _EncodedFace:
 
 
 def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    own = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
+    values = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    own["warnings"] = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    values["warnings"] = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
     if made.renamed is not None:
-        own["renamed"] = made.renamed.names
+        values["renamed"] = made.renamed.names
     if made.attached is not None:
-        return NeuralExportReport(**own, dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
+        return NeuralExportReport(**values, dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
     if made.distilled is None:
-        return type(report)(**own)
+        return type(report)(**values)
     points = made.distilled.points_mm
     packed = report.error_mm or 0.0  # of weights in fewer bytes
-    own["error_mm"] = None if points is None else points.max + packed
-    return DistilledExportReport(**own, distilled=made.distilled)
+    values["error_mm"] = None if points is None else points.max + packed
+    return DistilledExportReport(**values, distilled=made.distilled)

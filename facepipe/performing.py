@@ -78,25 +78,25 @@ def _staged(
     with base.deriving(stage, flatten=flatten or standalone or exported) as face:
         with _under(action.base):
             report = action.author(face, job)
-        said = _written(action, (Face(face.stage, face.prim), report), temporary)
+        results = _written(action, (Face(face.stage, face.prim), report), temporary)
     warnings = (*base.warnings, *report.warnings)
     if exported:
         module = exporter(out)
         known = {field.name for field in fields_of(module.Options)}
         options = {name: value for name, value in action.exported.items() if name in known}
         export = module.export(open_face(stage), out, module.Options(**options))
-        said["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
-    return Performed(report=replace(report, warnings=warnings), beside=said)
+        results["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
+    return Performed(report=replace(report, warnings=warnings), beside=results)
 
 
 def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -> dict[str, Any]:
     """Write what is asked for beside a result; what JSON says of it."""
-    said: dict[str, Any] = {}
-    for one, (path, place) in temporary.items():
+    results: dict[str, Any] = {}
+    for field, (path, place) in temporary.items():
         with _called(path, place):
-            written = getattr(action, one.write)(*made, place)
-        said[one.name] = str(path) if written is None else {**written, "path": str(path)}
-    return said
+            written = getattr(action, field.write)(*made, place)
+        results[field.name] = str(path) if written is None else {**written, "path": str(path)}
+    return results
 
 
 def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
@@ -311,13 +311,13 @@ def _places(
             what = f"no such source, expected a number from 1 to {len(recipe.sources)}"
             raise InputError(f"--replace {number}", what)
     places: dict[str, Path] = {}
-    for name, one in fields.items():
-        words = () if one.role != "source" or values.get(name) is None else _named(one, values[name])
+    for name, field in fields.items():
+        words = () if field.role != "source" or values.get(name) is None else _named(field, values[name])
         for source, _ in words:
             if source not in numbers:
                 raise SchemaError(f"{where} -> {name}", f"{source[:60]}, expected one of the sources")
             path = instead.get(numbers[source], file.absolute().parent / source)
-            given_as = "--replace" if one.several and one.stands_alone else one.shown
+            given_as = "--replace" if field.several and field.stands_alone else field.shown
             places[source] = existing_source(f"{where} -> source {numbers[source]}", path, given_as)
     return places
 
@@ -337,29 +337,29 @@ def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str)
     return values
 
 
-def _load(one: Field, value: object, where: str) -> Any:
-    if one.role != "source":
-        found = one.load(value, where)
+def _load(field: Field, value: object, where: str) -> Any:
+    if field.role != "source":
+        loaded = field.load(value, where)
         try:
-            one.check(found)
+            field.check(loaded)
         except InputError as error:
             raise error.under(where) from None
-        return found
-    words = value if one.several else [value]
-    if value is None and one.default is None:
+        return loaded
+    words = value if field.several else [value]
+    if value is None and field.default is None:
         return None
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise InputError(f"{where} -> {one.name}", f"{str(value)[:40]}, expected the names of sources")
-    return tuple(words) if one.several else words[0]
+        raise InputError(f"{where} -> {field.name}", f"{str(value)[:40]}, expected the names of sources")
+    return tuple(words) if field.several else words[0]
 
 
-def _found_at(places: Mapping[str, Path], one: Field, value: Any) -> Any:
+def _found_at(places: Mapping[str, Path], field: Field, value: Any) -> Any:
     """The value of a source with files where they were found."""
 
     def at(word: str) -> Any:
-        if one.split is None:
+        if field.split is None:
             return places[word]
-        file, rest = one.split(word)
+        file, rest = field.split(word)
         return word if file is None else f"{places[file]}:{rest}" if rest else str(places[file])
 
     return tuple(at(word) for word in value) if isinstance(value, tuple) else at(value)

@@ -132,11 +132,11 @@ def loaded(entry: EntryPoint, *contract: str) -> Any:
     """
     where = f"plug-in {entry.name} ({entry.value})"
     try:
-        found = entry.load()
+        plugin = entry.load()
     except Exception as error:  # importing it runs code of others, which may fail in any way
         why = " ".join(str(error).split()) or type(error).__name__
         raise InputError(where, f"can't be loaded: {why}") from None
-    missing = [name for name in contract if name not in dir(found)]  # what is there to be loaded stays so
+    missing = [name for name in contract if name not in dir(plugin)]  # what is there to be loaded stays so
     if missing:
         raise InputError(where, f"has no {missing[0]}, expected {', '.join(contract)}")
-    return found
+    return plugin

@@ -75,5 +75,5 @@ def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:
     """
     from facepipe.hosting.live_blend import LiveBlend
 
-    live = None if path.suffix.lower() == ".glb" else LiveBlend.of(path)
+    live = None if path.suffix.lower() == ".glb" else LiveBlend.from_stage(path)
     return None if live is None else Blending(path, live, folder, server)

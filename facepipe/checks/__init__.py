@@ -45,7 +45,7 @@ def validate_stage(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """
     with quiet_diagnostics():
         stage = open_stage(path, strict=False)
-        found = check_stage(stage) + check_built_in(stage)
+        findings = check_stage(stage) + check_built_in(stage)
         for level in lower_levels(stage):
-            found += [one for one in check_stage(level) + check_built_in(level) if one not in found]
-        return tuple(found)
+            findings += [one for one in check_stage(level) + check_built_in(level) if one not in findings]
+        return tuple(findings)

@@ -127,12 +127,12 @@ def check_stage(stage: Usd.Stage) -> list[Finding]:
 
 def problems(check: Check, face: FaceView) -> list[Problem]:
     """What a check finds; that it could not be run is a find too."""
-    found: list[Problem] = []
+    problems: list[Problem] = []
     try:
-        found.extend(check.function(face))
+        problems.extend(check.function(face))
     except USD_ERRORS as error:
-        found.append(Problem("/", f"could not be checked: {reason(error)}"))
-    return found
+        problems.append(Problem("/", f"could not be checked: {reason(error)}"))
+    return problems
 
 
 def trail(stage: Usd.Stage, path: str) -> str:

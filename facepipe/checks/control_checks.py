@@ -177,13 +177,13 @@ def slider_network(face: FaceView) -> Iterator[Problem]:
     if network is None:
         return
     joints, channels = (tuple(channel[i] for channel in network.channels) for i in range(2))
-    for field, found, known in (
+    for field, names, known in (
         ("sliders", network.sliders, set(slider_names(face.prim))),
         ("joints", joints, set(face.joints)),
         ("channels", channels, set(CHANNELS)),
         ("shapes", network.shapes, face.shape_names),
     ):
-        unknown = sorted(set(found) - set(known))
+        unknown = sorted(set(names) - set(known))
         if unknown:
             yield at(f"{where}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
 

@@ -49,10 +49,10 @@ def plausible(face: FaceView) -> Iterator[Problem]:
     if face.prim is None:
         return
     try:
-        own = Face(face.stage, face.prim)
-        up: Literal["Y", "Z"] = "Z" if own.up_axis == "Z" else "Y"
-        unit = own.meters_per_unit
-        lines = implausible(FaceParts(meshes=own.meshes, skeleton=own.skeleton, meters_per_unit=unit, up_axis=up))
+        whole = Face(face.stage, face.prim)
+        up: Literal["Y", "Z"] = "Z" if whole.up_axis == "Z" else "Y"
+        unit = whole.meters_per_unit
+        lines = implausible(FaceParts(meshes=whole.meshes, skeleton=whole.skeleton, meters_per_unit=unit, up_axis=up))
     except FacepipeError:
         return  # other checks say what is wrong with it
     for line in lines:
@@ -136,14 +136,14 @@ def readable_values(face: FaceView) -> Iterator[Problem]:
     for attribute in _attributes(face):
         try:
             time = Usd.TimeCode.EarliestTime() if attribute.ValueMightBeTimeVarying() else Usd.TimeCode.Default()
-            found = attribute.Get(time)
+            authored = attribute.Get(time)
         except (*UNREADABLE, RuntimeError) as error:
             yield at(attribute, f"can't be read ({reason(error)[:200]})")
             continue
         kind = attribute.GetTypeName()
-        own = Tf.Type.FindByName(kind.cppTypeName) if found is not None and kind else None
-        if own is not None and own.pythonClass and not isinstance(found, own.pythonClass):
-            yield at(attribute, f"value of type {type(found).__name__}, expected {kind}")
+        expected = Tf.Type.FindByName(kind.cppTypeName) if authored is not None and kind else None
+        if expected is not None and expected.pythonClass and not isinstance(authored, expected.pythonClass):
+            yield at(attribute, f"value of type {type(authored).__name__}, expected {kind}")
 
 
 def finite(face: FaceView) -> Iterator[Problem]:

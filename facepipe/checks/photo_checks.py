@@ -20,10 +20,10 @@ def photo_cameras(face: FaceView) -> Iterator[Problem]:
     """The camera of a photo is a perspective one with a clipping range, its apertures those of square pixels."""
     for prim in _photos(face):
         camera = UsdGeom.Camera(prim)
-        found = value(prim.GetAttribute(tokens.PHOTO_SIZE))
-        size = array(found)
+        authored = value(prim.GetAttribute(tokens.PHOTO_SIZE))
+        size = array(authored)
         if size is None or len(size) != 2 or not ((size >= 1) & (size <= MOST_PIXELS)).all():
-            yield at(f"{prim.GetPath()}.{tokens.PHOTO_SIZE}", f"{found}, expected 1 to {MOST_PIXELS} pixels each")
+            yield at(f"{prim.GetPath()}.{tokens.PHOTO_SIZE}", f"{authored}, expected 1 to {MOST_PIXELS} pixels each")
             continue
         across, up = _number(camera.GetHorizontalApertureAttr()), _number(camera.GetVerticalApertureAttr())
         near, far = _pair(camera.GetClippingRangeAttr())

@@ -35,15 +35,15 @@ def primvar_count(face: FaceView) -> Iterator[Problem]:
             name = str(primvar.GetPrimvarName())
             if name.startswith(("skel:", tokens.REGION_PRIMVAR)):
                 continue  # they have checks of their own
-            found = value(primvar.GetAttr())
-            if not primvar.GetTypeName().isArray or not hasattr(found, "__len__"):
+            values = value(primvar.GetAttr())
+            if not primvar.GetTypeName().isArray or not hasattr(values, "__len__"):
                 continue
             indices = array(value(primvar.GetIndicesAttr())) if primvar.IsIndexed() else None
-            wrong = None if indices is None else outside(indices, len(found))
+            wrong = None if indices is None else outside(indices, len(values))
             if wrong:
                 yield at(primvar.GetIndicesAttr(), wrong)
             expected = _expected(mesh, primvar.GetInterpolation())
-            have = len(found) if indices is None else len(indices)
+            have = len(values) if indices is None else len(indices)
             if expected is not None and have != expected * max(primvar.GetElementSize(), 1):
                 yield at(primvar.GetAttr(), f"{have} values, expected {expected * max(primvar.GetElementSize(), 1)}")
 

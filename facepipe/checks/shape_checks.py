@@ -78,10 +78,10 @@ def offset_count(face: FaceView) -> Iterator[Problem]:
         expected = mesh.count if indices is None else len(indices)
         for attribute, required in _offsets(shape):
             values = numbers(attribute, 3)
-            found = 0 if values is None else len(values)
-            empty = indices is None and found == 0  # a shape that moves nothing
-            if found != expected and not empty and (required or found):
-                yield at(attribute, f"{found} offsets, expected {expected}")
+            count = 0 if values is None else len(values)
+            empty = indices is None and count == 0  # a shape that moves nothing
+            if count != expected and not empty and (required or count):
+                yield at(attribute, f"{count} offsets, expected {expected}")
 
 
 def _offsets(shape: UsdSkel.BlendShape) -> Iterator[tuple[Usd.Attribute, bool]]:

@@ -164,15 +164,15 @@ def animation_transforms(face: FaceView) -> Iterator[Problem]:
 def animation_names(face: FaceView) -> Iterator[Problem]:
     """Animations move joints and blendshapes that the face has, each once."""
     for animation in face.animations:
-        for attribute, known, what in (
+        for attribute, known, kind in (
             (animation.GetJointsAttr(), set(face.joints), "joint of the skeleton"),
             (animation.GetBlendShapesAttr(), face.shape_names, "blendshape of a mesh"),
         ):
-            own = words(attribute)
-            unknown = sorted(set(own) - known)
+            names = words(attribute)
+            unknown = sorted(set(names) - known)
             if unknown:
-                yield at(attribute, f"{some(unknown)}: no {what}, expected one")
-            if len(set(own)) != len(own):
+                yield at(attribute, f"{some(unknown)}: no {kind}, expected one")
+            if len(set(names)) != len(names):
                 yield at(attribute, "a name twice, expected each once")
 
 

@@ -27,10 +27,11 @@ def element_size(face: FaceView) -> Iterator[Problem]:
             name = _WEIGHTS if weights is None else _INDICES
             yield at(mesh.prim, f"{name} has no value, expected one with the other influences")
             continue
-        for what in ("GetElementSize", "GetInterpolation"):
-            own, other = (getattr(UsdGeom.Primvar(one), what)() for one in (indices, weights))
-            if own != other:
-                yield at(mesh.prim, f"joint indices with {what[3:]} {own}, weights with {other}, expected the same")
+        for getter in ("GetElementSize", "GetInterpolation"):
+            of_indices, of_weights = (getattr(UsdGeom.Primvar(one), getter)() for one in (indices, weights))
+            if of_indices != of_weights:
+                pair = f"joint indices with {getter[3:]} {of_indices}, weights with {of_weights}"
+                yield at(mesh.prim, f"{pair}, expected the same")
 
 
 def influence_count(face: FaceView) -> Iterator[Problem]:
@@ -80,14 +81,14 @@ def weights_negative(face: FaceView) -> Iterator[Problem]:
 def mesh_joints(face: FaceView) -> Iterator[Problem]:
     """skel:joints of a mesh are joints of its skeleton, each once."""
     for mesh in _skinned(face):
-        own = words(mesh.inherited("skel:joints"))
+        joints = words(mesh.inherited("skel:joints"))
         bound = [
             skeleton for skeleton in face.skeletons if skeleton.prim.GetPath() == mesh.skeleton_path
         ] or face.skeletons[:1]
-        unknown = sorted(set(own) - set(bound[0].joints)) if bound else []
+        unknown = sorted(set(joints) - set(bound[0].joints)) if bound else []
         if unknown:
             yield at(f"{mesh.path}.skel:joints", f"{some(unknown)}: no joint of the skeleton, expected its joints")
-        if len(set(own)) != len(own):
+        if len(set(joints)) != len(joints):
             yield at(f"{mesh.path}.skel:joints", "a joint is named twice, expected each once")
 
 

@@ -99,13 +99,13 @@ def check_built_in(stage: Usd.Stage) -> list[Finding]:
     with quiet_diagnostics():
         try:
             errors = UsdValidation.ValidationContext(validators).Validate(stage)
-            found = [_finding(stage, error) for error in errors]
+            findings = [_finding(stage, error) for error in errors]
         except USD_ERRORS as error:
             message = f"USD's own validators could not be run: {reason(error)}"
             return [
                 Finding(check="facepipe:ReadableValues", severity="error", where=trail(stage, "/"), message=message)
             ]
-    return sorted(found, key=lambda one: (one.check, one.where, one.message))
+    return sorted(findings, key=lambda one: (one.check, one.where, one.message))
 
 
 def _finding(stage: Usd.Stage, error: Any) -> Finding:

@@ -57,12 +57,12 @@ def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> 
         return None  # the check of readable values reports it
 
 
-def array(found: Any, *shape: int) -> FloatArray | None:
+def array(value: Any, *shape: int) -> FloatArray | None:
     """A value as (n, *shape) float64; None where it is missing or no such numbers."""
-    if found is None or isinstance(found, str | bytes):
+    if value is None or isinstance(value, str | bytes):
         return None
     try:
-        return np.array(found, dtype=np.float64).reshape(-1, *shape)
+        return np.array(value, dtype=np.float64).reshape(-1, *shape)
     except (TypeError, ValueError, OverflowError):
         return None
 

@@ -159,7 +159,7 @@ def _settings(field: Field) -> dict[str, Any]:
     unsaid = field.needed or field.value is not None or isinstance(field.default, bool)
     unsaid = unsaid or field.default in (None, "", (), {})
     shown = "" if unsaid else f" (default {field.default})"
-    settings: dict[str, Any] = {"default": field.default, "help": f"{field.said}{shown}".replace("%", "%%")}
+    settings: dict[str, Any] = {"default": field.default, "help": f"{field.help_text}{shown}".replace("%", "%%")}
     if field.kinds == (bool,) or field.kinds == (bool, type(None)):
         return {"action": argparse.BooleanOptionalAction if field.default is not False else "store_true", **settings}
     if field.choices:

@@ -109,10 +109,10 @@ class _Run:
 
     def _why(self, node: Node) -> tuple[str, ...]:
         """Why `node` is to be cooked; nothing where it is up to date."""
-        found = changes(self.graph, node, self._digests, self._cooked)
-        found += waiting(self.graph, node, self._stale)
+        reasons = changes(self.graph, node, self._digests, self._cooked)
+        reasons += waiting(self.graph, node, self._stale)
         forced = self._options.force and node.path.resolve() not in self._cooked
-        return found or (("forced",) if forced else ())
+        return reasons or (("forced",) if forced else ())
 
     def _old(self, node: Node) -> tuple[str, ...]:
         """A line for each file that `node` is made of as it is, though it is stale."""
@@ -140,7 +140,7 @@ class _Run:
     def _steady(self, node: Node, verb: str, key: Path) -> tuple[Report, bool]:
         """Cook; once more where a source has changed meanwhile: the recipe must be of what was read."""
         for _ in range(_TRIES):
-            before = {source: self._digests.of(source) for source in node.sources}
+            before = {source: self._digests.digest_of(source) for source in node.sources}
             try:
                 kind = cookable(verb)
                 if kind is None:

@@ -57,13 +57,13 @@ class Graph:
 
     def made_of(self, path: Path) -> set[Path]:
         """Resolved paths of a file and of all layers below it."""
-        found, left = set(), [path.resolve()]
+        files, left = set(), [path.resolve()]
         while left:
-            one = left.pop()
-            if one not in found:
-                found.add(one)
-                left += [layer.resolve() for layer in self.nodes[one].layers] if one in self.nodes else []
-        return found
+            file = left.pop()
+            if file not in files:
+                files.add(file)
+                left += [layer.resolve() for layer in self.nodes[file].layers] if file in self.nodes else []
+        return files
 
 
 def read_graph(paths: Iterable[Path]) -> Graph:
@@ -83,7 +83,7 @@ def read_graph(paths: Iterable[Path]) -> Graph:
 
 def _writable(nodes: dict[Path, Node], starts: Iterable[Path]) -> dict[Path, tuple[Path, ...]]:
     """Resolved paths of nodes that may be written, and for each the roots of a stage that allows it."""
-    found: dict[Path, tuple[Path, ...]] = {}
+    writable: dict[Path, tuple[Path, ...]] = {}
     stages: dict[tuple[Path, ...], list[Path]] = {}
     for start in starts:
         stages.setdefault(roots_of(start), []).append(start.resolve())
@@ -91,12 +91,12 @@ def _writable(nodes: dict[Path, Node], starts: Iterable[Path]) -> dict[Path, tup
         seen = set(left)
         while left:
             key = left.pop()
-            if key not in found and is_writable(nodes[key].path, roots):
-                found[key] = roots
+            if key not in writable and is_writable(nodes[key].path, roots):
+                writable[key] = roots
             below = {one for one in map(Path.resolve, nodes[key].below) if one in nodes and one not in seen}
             seen |= below
             left += below
-    return found
+    return writable
 
 
 def shown(path: Path) -> str:
@@ -221,7 +221,7 @@ class Digests:
     def __init__(self) -> None:
         self._found: dict[Path, tuple[str, set[Path]]] = {}
 
-    def of(self, path: Path) -> str:
+    def digest_of(self, path: Path) -> str:
         """:raises InputError: a file can't be read"""
         if path not in self._found:
             files = source_files(path)
@@ -246,7 +246,7 @@ def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]
     lines = []
     before = node.recipe.digests if node.recipe else ()
     for source, old in zip(node.sources, before, strict=True):
-        if digests.of(source) != old:
+        if digests.digest_of(source) != old:
             made = any(one in cooked for one in graph.made_of(source))
             lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
     return (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))

@@ -55,11 +55,12 @@ def remove(folder: HiddenFolder) -> None:
         os.close(folder.lock)
     _live.discard(path)
     with contextlib.suppress(OSError):
-        for one in sorted(path.iterdir(), key=lambda one: one.name == _LOCK):  # last: without it nobody finishes this
-            if one.is_dir() and not one.is_symlink():
-                shutil.rmtree(one, ignore_errors=True)
+        # the lock goes last: without it nobody finishes this
+        for entry in sorted(path.iterdir(), key=lambda entry: entry.name == _LOCK):
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry, ignore_errors=True)
             else:
-                one.unlink()
+                entry.unlink()
         path.rmdir()
 
 

@@ -59,8 +59,8 @@ def open_image(
     from PIL import Image as Pillow
 
     with decoding(where, expected):
-        for what in _too_many(data):
-            raise InputError(where, what)
+        for fault in _too_many(data):
+            raise InputError(where, fault)
         if data[4:12] in _HEIC:
             raise InputError(where, f"is HEIC, expected {expected}")
         Pillow.init()
@@ -68,8 +68,8 @@ def open_image(
         image: Image = Pillow.open(io.BytesIO(data), formats=known)
     most = min(FREE_PIXELS + PER_BYTE * len(data), MOST_PIXELS)
     if decode and image.width * image.height > most:
-        what = f"{image.width} x {image.height} pixels in {len(data)} bytes, expected at most {most} pixels"
-        raise InputError(where, what)
+        fault = f"{image.width} x {image.height} pixels in {len(data)} bytes, expected at most {most} pixels"
+        raise InputError(where, fault)
     return image
 
 
@@ -129,21 +129,21 @@ def _too_many(data: bytes) -> Iterator[str]:
 
 def _chunks(data: bytes) -> int:
     """Chunks of a PNG beside those of its pixels."""
-    at, found = len(_PNG), 0
-    while at + 8 <= len(data) and found <= _MOST_PARTS:
+    at, parts = len(_PNG), 0
+    while at + 8 <= len(data) and parts <= _MOST_PARTS:
         size, kind = struct.unpack_from(">I4s", data, at)
-        found += kind not in (b"IDAT", b"fdAT")
+        parts += kind not in (b"IDAT", b"fdAT")
         at += 12 + size
-    return found
+    return parts
 
 
 def _segments(data: bytes) -> int:
     """Segments of a JPEG before its pixels."""
-    at, found = 2, 0
-    while at + 4 <= len(data) and found <= _MOST_PARTS:
+    at, parts = 2, 0
+    while at + 4 <= len(data) and parts <= _MOST_PARTS:
         marker, size = struct.unpack_from(">2H", data, at)
         if marker == 0xFFDA or marker < 0xFF00:
             break
-        found += 1
+        parts += 1
         at += 2 + size
-    return found
+    return parts

@@ -119,13 +119,13 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     return f", did you mean '{folded[near[0]]}'?" if near else ""
 
 
-def unknown(name: str, known: Collection[str], what: str) -> str:
+def unknown(name: str, known: Collection[str], kind: str) -> str:
     """A message about a name that is not there, with the nearest that is, or a few of those.
 
     >>> unknown("jawopn", ["jawOpen", "jawLeft"], "shape"), unknown("tail", ["jawOpen"], "shape")
     ("no shape 'jawopn', did you mean 'jawOpen'?", "no shape 'tail', expected one of jawOpen")
     """
-    return f"no {what} '{name[:_SHOWN]}'{suggestion(name, known)}"
+    return f"no {kind} '{name[:_SHOWN]}'{suggestion(name, known)}"
 
 
 def suggestion(name: str, known: Collection[str], otherwise: str = "") -> str:
@@ -141,7 +141,7 @@ def unmatched(pattern: str, known: Sequence[str], what: str) -> str:
     return f"matches none of {len(known)} {what}{did_you_mean(pattern, known) or f', expected {some}'}"
 
 
-def find(name: str, known: Collection[str], where: object, what: str) -> str:
+def find(name: str, known: Collection[str], where: object, kind: str) -> str:
     """The known name that is `name`, or alone differs from it in case.
 
     :param where: what the name was given as, and `what` it should be one of, for messages
@@ -153,8 +153,8 @@ def find(name: str, known: Collection[str], where: object, what: str) -> str:
     if len(alike) == 1:
         return alike[0]
     if alike:
-        raise InputError(where, f"no {what} '{name}', but {len(alike)} that differ in case, like '{alike[0]}'")
-    raise InputError(where, unknown(name, known, what))
+        raise InputError(where, f"no {kind} '{name}', but {len(alike)} that differ in case, like '{alike[0]}'")
+    raise InputError(where, unknown(name, known, kind))
 
 
 def find_joint(name: str, joints: Sequence[str], names: Sequence[str], where: object) -> int:
@@ -165,16 +165,16 @@ def find_joint(name: str, joints: Sequence[str], names: Sequence[str], where: ob
     :param names: the source's name of each
     :raises InputError: no such joint, or several
     """
-    ways = [list(joints), list(names), [joint.rpartition("/")[2] for joint in joints]]
-    ways += [[one.casefold() for one in way] for way in ways]
-    for number, way in enumerate(ways):
-        found = [i for i, one in enumerate(way) if one == (name if number < 3 else name.casefold())]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            paths = ", ".join(joints[i] for i in found[:3])
-            raise InputError(where, f"{len(found)} joints called '{name}', expected a path: {paths}")
-    raise InputError(where, unknown(name, list(dict.fromkeys([*names, *ways[2]])), "joint"))
+    spellings = [list(joints), list(names), [joint.rpartition("/")[2] for joint in joints]]
+    spellings += [[one.casefold() for one in spelling] for spelling in spellings]
+    for number, spelling in enumerate(spellings):
+        places = [i for i, one in enumerate(spelling) if one == (name if number < 3 else name.casefold())]
+        if len(places) == 1:
+            return places[0]
+        if places:
+            paths = ", ".join(joints[i] for i in places[:3])
+            raise InputError(where, f"{len(places)} joints called '{name}', expected a path: {paths}")
+    raise InputError(where, unknown(name, list(dict.fromkeys([*names, *spellings[2]])), "joint"))
 
 
 def mirrored_name(name: str) -> str:
@@ -188,23 +188,23 @@ def mirrored_name(name: str) -> str:
 
 def mirrored_names(name: str) -> list[str]:
     """What the name on the other side may be, likelier ones first: ``upright_L`` has a side, but not two."""
-    found = []
+    names = []
     for one, other in _SIDES:
         if one in name or other in name:
-            found.append(other.join(part.replace(other, one) for part in name.split(one)))
-    found.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
-    return [other for other in found if other != name]
+            names.append(other.join(part.replace(other, one) for part in name.split(one)))
+    names.append(_LETTERS.sub(lambda letter: letter[0].translate(_OPPOSITE), name))
+    return [other for other in names if other != name]
 
 
-def named(values: Mapping[str, float], known: Collection[str], flag: str, what: str) -> dict[str, float]:
+def named(values: Mapping[str, float], known: Collection[str], flag: str, kind: str) -> dict[str, float]:
     """Values by the names of `known` that they were given for; case alone may differ where that leaves one.
 
     :raises InputError: no such name, or one twice
     """
-    found: dict[str, float] = {}
+    by_name: dict[str, float] = {}
     for given, value in values.items():
-        name = find(given, known, f"{flag} {given}", what)
-        if name in found:
-            raise InputError(f"{flag} {given}", f"means {what} '{name}' once more, expected it once")
-        found[name] = value
-    return found
+        name = find(given, known, f"{flag} {given}", kind)
+        if name in by_name:
+            raise InputError(f"{flag} {given}", f"means {kind} '{name}' once more, expected it once")
+        by_name[name] = value
+    return by_name

@@ -70,10 +70,10 @@ class Move:
 def identity(path: Path) -> Identity | None:
     """What sets a file or folder apart from any other and from its later self; None where there is none."""
     try:
-        found = path.lstat()
+        status = path.lstat()
     except OSError:
         return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def place(moves: Sequence[Move]) -> None:
@@ -281,12 +281,12 @@ def sync_folder(path: Path) -> None:
             raise
 
 
-def exchange(one: Path, other: Path) -> bool:
+def exchange(first: Path, second: Path) -> bool:
     """Two folders in each other's places, in one step; False where the system has no such step."""
     import ctypes
 
     libc: Any = ctypes.CDLL(None) if sys.platform in ("linux", "darwin") else None
-    names = os.fsencode(one), os.fsencode(other)
+    names = os.fsencode(first), os.fsencode(second)
     if sys.platform == "linux" and hasattr(libc, "renameat2"):
         return bool(libc.renameat2(_HERE, names[0], _HERE, names[1], _EXCHANGE) == 0)
     if sys.platform == "darwin" and hasattr(libc, "renamex_np"):

@@ -129,12 +129,12 @@ class _TwiceError(Exception):
 
 
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    found: dict[str, object] = {}
+    content: dict[str, object] = {}
     for key, value in pairs:
-        if key in found:
+        if key in content:
             raise _TwiceError(key[:60])
-        found[key] = value
-    return found
+        content[key] = value
+    return content
 
 
 def digest(files: Iterable[Path]) -> str:

@@ -65,10 +65,10 @@ class Child:
                     code = self.end()
                     why = f"signal {-code}" if code < 0 else f"exit code {code}"
                     raise ChildLostError(request["task"], f"its process ended ({why})")
-                found: dict[str, Any] = json.loads(answer)
-                if found.pop("grown", False):
+                record: dict[str, Any] = json.loads(answer)
+                if record.pop("grown", False):
                     self.end()
-                return found
+                return record
             if until is not None and time.monotonic() > until:
                 self.end()
                 raise ChildLostError(request["task"], f"took more than {seconds:g} seconds")

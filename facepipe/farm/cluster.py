@@ -71,10 +71,10 @@ class Cluster:
     def _on_all(self, function: Callable[..., object], *arguments: object) -> dict[str, Any]:
         """What a function gives on each worker, or the error that it raises there."""
         run = self._client.run
-        found: dict[str, Any] = self._client.sync(
+        answers: dict[str, Any] = self._client.sync(
             run, function, *arguments, on_error="return", callback_timeout=_PATIENCE
         )
-        return found
+        return answers
 
     async def _follow(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
         record = await self._answer(request, order, await self._others())
@@ -139,9 +139,9 @@ def _version() -> str:
     return __version__
 
 
-def _check_versions(found: Mapping[str, Any]) -> None:
+def _check_versions(versions: Mapping[str, Any]) -> None:
     """:raises InputError: a worker of another facepipe, or of none"""
-    for worker, version in found.items():
+    for worker, version in versions.items():
         if isinstance(version, ImportError | AttributeError):
             raise InputError(worker, f"has no facepipe that can work for {__version__} ({_brief(version)})")
         if isinstance(version, str) and version != __version__:

@@ -30,10 +30,10 @@ class Content(NamedTuple):
 def state_of(path: str | os.PathLike[str]) -> State | None:
     """A mark of a file that changes with it, found without reading it; None where there is no file."""
     try:
-        found = Path(path).stat()
+        status = Path(path).stat()
     except (OSError, ValueError):
         return None
-    return found.st_size, found.st_mtime_ns
+    return status.st_size, status.st_mtime_ns
 
 
 def unchanged(states: dict[str, Sequence[int]]) -> bool:
@@ -47,7 +47,7 @@ class Contents:
     def __init__(self) -> None:
         self._known: dict[Path, Content] = {}
 
-    def of(self, path: Path) -> Content:
+    def content_of(self, path: Path) -> Content:
         """:raises InputError: it can't be read, or changes while it is read"""
         known = self._known.get(path)
         if known is None or not unchanged(dict(known.states)):
@@ -58,11 +58,11 @@ class Contents:
 def _read(path: Path) -> Content:
     files = sorted(stands_on(path))
     before = {str(file): state_of(file) for file in files}
-    found = digest(files)
+    content = digest(files)
     states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
     if len(states) != len(files):
         raise InputError(path, "changes while it is read, expected it to rest")
-    return Content(found, states)
+    return Content(content, states)
 
 
 def stands_on(path: Path) -> set[Path]:
@@ -76,12 +76,12 @@ def stands_on(path: Path) -> set[Path]:
         raise InputError(path, "no such file")
     if path.suffix.lower() in SUFFIXES:
         return {_shortest(dependency) for dependency in dependencies(path) if dependency.is_file()} | {path}
-    found, todo = {path}, [path]
+    reached, todo = {path}, [path]
     while todo:
-        fresh = {one for one in named(todo.pop()) if one.is_file()} - found
-        found |= fresh
+        fresh = {one for one in named(todo.pop()) if one.is_file()} - reached
+        reached |= fresh
         todo += fresh
-    return found
+    return reached
 
 
 def _shortest(path: Path) -> Path:

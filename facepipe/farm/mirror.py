@@ -67,15 +67,15 @@ class Mirror:
 
     def name(self, path: Path) -> str:
         """What a path is called elsewhere: its URL where it has one."""
-        return str(self.said(str(path.absolute()))) if self._holds(path) else path.as_posix()
+        return str(self.with_urls(str(path.absolute()))) if self._holds(path) else path.as_posix()
 
-    def said(self, value: Any) -> Any:
+    def with_urls(self, value: Any) -> Any:
         """A text, or the texts in a record, with URLs in place of paths of copies."""
         if isinstance(value, str):
             return self._own.sub(r"\1://", value)
         if isinstance(value, Mapping):
-            return {self.said(key): self.said(one) for key, one in value.items()}
-        return [self.said(one) for one in value] if isinstance(value, list | tuple) else value
+            return {self.with_urls(key): self.with_urls(one) for key, one in value.items()}
+        return [self.with_urls(one) for one in value] if isinstance(value, list | tuple) else value
 
     def words(self, words: Sequence[str]) -> list[str]:
         """The words of a line with paths in place of URLs; what they name is copied here, but for the result.
@@ -115,7 +115,7 @@ class Mirror:
         self.fetch([path])
         return digest([path])
 
-    def put(self, name: str, own: str) -> State | contents.State | None:
+    def put(self, name: str, content: str) -> State | contents.State | None:
         """Bring a file that was written to where others find it; its state there.
 
         :param own: its digest
@@ -126,7 +126,7 @@ class Mirror:
             store.put(path, name)
             info = store.info(name)
             self._states[name] = None if info is None else state_in(info)
-            self._keep(name, own)
+            self._keep(name, content)
         return self.state(name)
 
     def remove(self, names: Iterable[str]) -> None:
@@ -142,12 +142,12 @@ class Mirror:
                 raise InputError(path, f"stands on {one}, expected --flatten, or a result at a URL")
 
     def _local(self, word: str) -> str:
-        def placed(found: re.Match[str]) -> str:
-            scheme = found[0].removesuffix("://")
+        def placed(match: re.Match[str]) -> str:
+            scheme = match[0].removesuffix("://")
             if scheme.rpartition(":")[2] not in SCHEMES:
-                return found[0]  # the address of a licence, say: nothing is read there
+                return match[0]  # the address of a licence, say: nothing is read there
             if scheme not in SCHEMES or not self._urls:
-                checked(word[found.start() :], ())  # says why
+                checked(word[match.start() :], ())  # says why
             return f"{self._folder}/{scheme}/"
 
         return _SCHEME.sub(placed, word)
@@ -163,21 +163,21 @@ class Mirror:
 
     def _files(self, urls: Sequence[str]) -> dict[str, State]:
         """The states of files, of all in folders, and of all tiles of a texture; what is not there is left out."""
-        found: dict[str, State] = {}
-        single = [checked(one.replace(_TILES, "1001"), self._urls) for one in urls]
-        stores = [self._store(one) for one in single]
+        states: dict[str, State] = {}
+        single = [checked(address.replace(_TILES, "1001"), self._urls) for address in urls]
+        stores = [self._store(address) for address in single]
         infos = _at_once(Store.info, stores, single)
-        for url, one, info in zip(urls, single, infos, strict=True):
+        for url, address, info in zip(urls, single, infos, strict=True):
             self._states[url] = None
             if _TILES in url:
                 tile = re.compile(re.escape(url).replace(re.escape(_TILES), r"\d{4}"))
-                listed = self._store(one).listed(one.rpartition("/")[0])
-                found |= {name: state for name, state in listed.items() if tile.fullmatch(name)}
+                listed = self._store(address).listed(address.rpartition("/")[0])
+                states |= {name: state for name, state in listed.items() if tile.fullmatch(name)}
             elif info is not None and info["type"] == "directory":
-                found |= self._store(one).listed(one, deep=True)
+                states |= self._store(address).listed(address, deep=True)
             elif info is not None:
-                found[one] = state_in(info)
-        return {url: state for url, state in found.items() if self._states.get(url) is None}
+                states[address] = state_in(info)
+        return {url: state for url, state in states.items() if self._states.get(url) is None}
 
     def _copy(self, url: str, state: State | None) -> None:
         """Copy a file here as it is at one time."""

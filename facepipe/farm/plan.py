@@ -91,16 +91,16 @@ def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapp
     return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=tuple(_ordered(known)), faults=faults)
 
 
-def _step(path: Path, name: str, said: Any) -> Step:
+def _step(path: Path, name: str, table: Any) -> Step:
     where = f"{path} -> steps.{name}"
     if name == OUT:
         raise InputError(where, f"{{{OUT}}} is the folder of results, expected another name for the step")
     if not _STEP.fullmatch(name):
         raise InputError(where, "expected a name of letters, digits, - and _")
-    if not isinstance(said, dict):
-        raise InputError(where, f'{str(said)[:40]}, expected a table with run = "ACTION ..."')
-    _check_keys(where, said, _KEYS)
-    run = said.get("run")
+    if not isinstance(table, dict):
+        raise InputError(where, f'{str(table)[:40]}, expected a table with run = "ACTION ..."')
+    _check_keys(where, table, _KEYS)
+    run = table.get("run")
     if not isinstance(run, str | list) or not all(isinstance(one, str) for one in run):
         raise InputError(where, 'no line to run, expected run = "ACTION ..."')
     kinds: dict[str, Any] = {
@@ -111,9 +111,9 @@ def _step(path: Path, name: str, said: Any) -> Step:
         "memory_mb": (int, float),
     }
     for key, kind in kinds.items():
-        if key in said and (not isinstance(said[key], kind) or (kind is not bool and isinstance(said[key], bool))):
-            raise InputError(f"{where} -> {key}", f"{str(said[key])[:40]}, expected another kind of value")
-    return Step(name=name, words=words_of(where, run), **{key: said[key] for key in kinds if key in said})
+        if key in table and (not isinstance(table[key], kind) or (kind is not bool and isinstance(table[key], bool))):
+            raise InputError(f"{where} -> {key}", f"{str(table[key])[:40]}, expected another kind of value")
+    return Step(name=name, words=words_of(where, run), **{key: table[key] for key in kinds if key in table})
 
 
 def words_of(where: object, run: str | Sequence[str]) -> tuple[str, ...]:

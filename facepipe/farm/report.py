@@ -89,16 +89,16 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
 
 
 def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
-    own = [one for name, one in records.items() if name.partition("/")[0] == step]
-    made = [one for one in own if one["status"] in _DONE]
+    ended = [one for name, one in records.items() if name.partition("/")[0] == step]
+    made = [one for one in ended if one["status"] in _DONE]
     counts: dict[str, int] = {}
-    for one in own:
+    for one in ended:
         counts[one["status"]] = counts.get(one["status"], 0) + 1
-    found: dict[str, Any] = {"counts": counts}
+    facts: dict[str, Any] = {"counts": counts}
     if made:
-        found["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
-        found["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
-    return found
+        facts["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
+        facts["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
+    return facts
 
 
 def write_report(report: BatchReport, run: Run, state: Path) -> None:
@@ -115,16 +115,16 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
 
 def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
     """Figures in millimetres of a task's report, by name; of those in a mapping the mean and the largest alone."""
-    found: dict[str, float] = {}
+    errors: dict[str, float] = {}
     for key, value in report.items():
         if isinstance(value, Mapping):
             short = {name.removesuffix("_mm"): number for name, number in value.items()}
             unit = key.endswith("_mm") or any(name.endswith("_mm") for name in value)
             named = {f"{key.removesuffix('_mm')} {name}": short.get(name) for name in ("mean", "max")} if unit else {}
-            found |= {name: number for name, number in named.items() if isinstance(number, int | float)}
+            errors |= {name: number for name, number in named.items() if isinstance(number, int | float)}
         elif key.endswith("_mm") and isinstance(value, int | float):
-            found[key.removesuffix("_mm")] = value
-    return found
+            errors[key.removesuffix("_mm")] = value
+    return errors
 
 
 def _page(report: BatchReport, run: Run, state: Path) -> bytes:

@@ -30,7 +30,7 @@ class Row(NamedTuple):
     values: Mapping[str, str]  # column -> what braces are replaced by
 
 
-def read_table(where: str, folder: Path, said: Mapping[str, Any]) -> tuple[Row, ...]:
+def read_table(where: str, folder: Path, table: Mapping[str, Any]) -> tuple[Row, ...]:
     """The rows of one of ``glob = "heads/*.glb"`` (column face), ``csv = "faces.csv"`` (columns as its header says),
     ``rows = [{ name = "ada", seed = 7 }]``, ``range = { seed = [1, 500] }`` (both ends are in it).
 
@@ -39,8 +39,8 @@ def read_table(where: str, folder: Path, said: Mapping[str, Any]) -> tuple[Row, 
 
     :raises InputError: none or two of these, one that can't be read, no row, or two rows of one name
     """
-    kinds = [kind for kind in _KINDS if kind in said]
-    for key in said:
+    kinds = [kind for kind in _KINDS if kind in table]
+    for key in table:
         if key not in _KINDS:
             raise InputError(
                 where, f"'{key[:40]}' is unknown{did_you_mean(key, _KINDS) or f', expected one of {_KINDS}'}"
@@ -48,7 +48,7 @@ def read_table(where: str, folder: Path, said: Mapping[str, Any]) -> tuple[Row, 
     if len(kinds) != 1:
         raise InputError(where, f"expected one of {', '.join(_KINDS)}")
     read = {"glob": _of_glob, "csv": _of_csv, "rows": _of_rows, "range": _of_range}[kinds[0]]
-    columns = read(f"{where}.{kinds[0]}", folder, said[kinds[0]])
+    columns = read(f"{where}.{kinds[0]}", folder, table[kinds[0]])
     rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
     if not rows:
         raise InputError(where, "no face, expected at least one")
@@ -60,26 +60,26 @@ def _row(number: int, values: dict[str, str]) -> Row:
     return Row(name, {**values, "name": name})
 
 
-def _of_glob(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
-    if not isinstance(said, str):
-        raise InputError(where, f"{str(said)[:40]}, expected a pattern like heads/*.glb")
-    if is_url(said):
-        checked(re.split(r"[*?[]", said)[0].rpartition("/")[0], trust().urls)
-        found = Store(said).matching(said)
+def _of_glob(where: str, folder: Path, pattern: Any) -> list[dict[str, str]]:
+    if not isinstance(pattern, str):
+        raise InputError(where, f"{str(pattern)[:40]}, expected a pattern like heads/*.glb")
+    if is_url(pattern):
+        checked(re.split(r"[*?[]", pattern)[0].rpartition("/")[0], trust().urls)
+        files = Store(pattern).matching(pattern)
     else:
-        found = sorted(glob.glob(said, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
-    if not found:
-        raise InputError(where, f"no file is called like {said[:80]}")
-    faces = [Path(one.rpartition("://")[2]) for one in found]
+        files = sorted(glob.glob(pattern, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
+    if not files:
+        raise InputError(where, f"no file is called like {pattern[:80]}")
+    faces = [Path(one.rpartition("://")[2]) for one in files]
     stems = Counter(face.stem for face in faces)
     alone = [face.stem if stems[face.stem] == 1 else "_".join(face.with_suffix("").parts) for face in faces]
-    return [{"face": one.replace(os.sep, "/"), "name": name} for one, name in zip(found, alone, strict=True)]
+    return [{"face": one.replace(os.sep, "/"), "name": name} for one, name in zip(files, alone, strict=True)]
 
 
-def _of_csv(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
-    if not isinstance(said, str):
-        raise InputError(where, f"{str(said)[:40]}, expected a file like faces.csv")
-    path = placed(folder, said)
+def _of_csv(where: str, folder: Path, name: Any) -> list[dict[str, str]]:
+    if not isinstance(name, str):
+        raise InputError(where, f"{str(name)[:40]}, expected a file like faces.csv")
+    path = placed(folder, name)
     if is_url(path):
         data = Store(path).read(checked(path, trust().urls), _MOST_BYTES)
     else:
@@ -106,12 +106,12 @@ def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     return [{str(key): str(value) for key, value in one.items()} for one in said]
 
 
-def _of_range(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
-    ends = next(iter(said.values())) if isinstance(said, dict) and len(said) == 1 else None
+def _of_range(where: str, folder: Path, columns: Any) -> list[dict[str, str]]:
+    ends = next(iter(columns.values())) if isinstance(columns, dict) and len(columns) == 1 else None
     if not isinstance(ends, list) or len(ends) != 2 or not all(type(end) is int for end in ends):
         raise InputError(where, "expected a column with its first and last number, like { seed = [1, 500] }")
     first, last = ends
     if not 0 <= last - first < _MOST_ROWS:
         raise InputError(where, f"from {first} to {last}, expected at least one and at most {_MOST_ROWS:,} numbers")
-    (column,) = said
+    (column,) = columns
     return [{column: str(number)} for number in range(first, last + 1)]

@@ -63,7 +63,7 @@ def work(
         line = read_line(mirror.words(request["words"]))
         _check_places(line)
         mirror.fetch(line.reads)
-        found = [contents.of(path) for path in line.reads]
+        found = [contents.content_of(path) for path in line.reads]
         record["key"] = key = _key(request["words"], [one.digest for one in found])
         states = {mirror.name(Path(path)): state for one in found for path, state in one.states.items()}
         record["reads"] = {name: mirror.state(name) if is_url(name) else state for name, state in states.items()}
@@ -77,7 +77,7 @@ def work(
         record |= {"status": FAILED, "error": f"{request['task']}: {what}", "passing": False}
     finally:
         mirror.clear()
-    record = mirror.said(record)
+    record = mirror.with_urls(record)
     return {"seconds": round(time.perf_counter() - start, 4), **record}  # of what is kept those that it took to make it
 
 

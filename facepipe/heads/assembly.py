@@ -99,20 +99,22 @@ def _all(part: Part, value: float) -> FloatArray:
 
 def _blendshapes(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
     """The shapes that move points of a part."""
-    found = []
-    for name, ways in shapes.items():
-        own = {weight: offsets[part.points] for weight, offsets in ways.items()}
-        moved = np.flatnonzero(np.any([offsets.any(axis=1) for offsets in own.values()], axis=0))
+    blendshapes = []
+    for name, offsets_at in shapes.items():
+        moves = {weight: offsets[part.points] for weight, offsets in offsets_at.items()}
+        moved = np.flatnonzero(np.any([offsets.any(axis=1) for offsets in moves.values()], axis=0))
         if not len(moved):
             continue
         inbetweens = tuple(
             Inbetween(name=f"at{round(100 * weight)}", weight=weight, offsets=offsets[moved])
-            for weight, offsets in own.items()
+            for weight, offsets in moves.items()
             if weight != 1.0
         )
         points = moved.astype(np.int32)
-        found.append(Blendshape(name=name, point_indices=points, offsets=own[1.0][moved], inbetweens=inbetweens))
-    return tuple(found)
+        blendshapes.append(
+            Blendshape(name=name, point_indices=points, offsets=moves[1.0][moved], inbetweens=inbetweens)
+        )
+    return tuple(blendshapes)
 
 
 def _material_faces(head: Asset, part: Part) -> tuple[MaterialFaces, ...]:

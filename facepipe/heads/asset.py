@@ -76,31 +76,31 @@ def arrays(name: str) -> dict[str, npt.NDArray[Any]]:
 @cache
 def asset() -> Asset:
     """The head, read when it is first asked for."""
-    found = _read("head")  # not kept packed too
-    names = [str(name) for name in found["shape_names"]]
+    data = _read("head")  # not kept packed too
+    names = [str(name) for name in data["shape_names"]]
     shapes: dict[str, dict[float, npt.NDArray[np.float32]]] = {}
-    for name, weight, offsets in zip(names, found["shape_weights"], unpacked(found["shapes"]), strict=True):
+    for name, weight, offsets in zip(names, data["shape_weights"], unpacked(data["shapes"]), strict=True):
         shapes.setdefault(name, {})[float(weight)] = offsets
-    masks = found["regions"] / found["regions"].sum(axis=0, dtype=np.float64)
+    masks = data["regions"] / data["regions"].sum(axis=0, dtype=np.float64)
     return Asset(
-        points=found["points"].astype(np.float64),
+        points=data["points"].astype(np.float64),
         modes=unpacked(_read("modes")["modes"]),
         shapes=shapes,
-        parts=_parts(found),
-        counts=found["counts"].astype(np.int32),
-        indices=found["indices"],
-        uvs=found["uvs"].astype(np.float64),
-        uv_indices=found["uv_indices"],
-        materials=found["materials"].astype(np.int32),
-        material_names=tuple(map(str, found["material_names"])),
-        regions=dict(zip(map(str, found["region_names"]), masks, strict=True)),
-        landmarks=found["landmarks"],
-        anchor=int(found["anchor"]),
-        joints=tuple(map(str, found["joints"])),
-        joint_points=found["joint_points"],
-        joint_shares=found["joint_shares"].astype(np.float64),
-        skin_joints=found["skin_joints"].astype(np.int32),
-        skin_weights=found["skin_weights"] / found["skin_weights"].sum(axis=1, keepdims=True, dtype=np.float64),
+        parts=_parts(data),
+        counts=data["counts"].astype(np.int32),
+        indices=data["indices"],
+        uvs=data["uvs"].astype(np.float64),
+        uv_indices=data["uv_indices"],
+        materials=data["materials"].astype(np.int32),
+        material_names=tuple(map(str, data["material_names"])),
+        regions=dict(zip(map(str, data["region_names"]), masks, strict=True)),
+        landmarks=data["landmarks"],
+        anchor=int(data["anchor"]),
+        joints=tuple(map(str, data["joints"])),
+        joint_points=data["joint_points"],
+        joint_shares=data["joint_shares"].astype(np.float64),
+        skin_joints=data["skin_joints"].astype(np.int32),
+        skin_weights=data["skin_weights"] / data["skin_weights"].sum(axis=1, keepdims=True, dtype=np.float64),
     )
 
 
@@ -115,15 +115,15 @@ def unpacked(planes: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     return np.ascontiguousarray((steps * np.float32(STEP)).transpose(0, 2, 1))
 
 
-def _parts(found: Mapping[str, npt.NDArray[Any]]) -> dict[str, Part]:
-    ends = np.vstack([[0, 0], found["mesh_ends"]])
-    corners = np.append(0, np.cumsum(found["counts"], dtype=np.int64))
+def _parts(data: Mapping[str, npt.NDArray[Any]]) -> dict[str, Part]:
+    ends = np.vstack([[0, 0], data["mesh_ends"]])
+    corners = np.append(0, np.cumsum(data["counts"], dtype=np.int64))
     return {
         str(name): Part(
             points=slice(*map(int, ends[i : i + 2, 0])),
             faces=slice(*map(int, ends[i : i + 2, 1])),
             corners=slice(*(int(corners[end]) for end in ends[i : i + 2, 1])),
-            region=str(found["mesh_regions"][i]),
+            region=str(data["mesh_regions"][i]),
         )
-        for i, name in enumerate(found["meshes"])
+        for i, name in enumerate(data["meshes"])
     }

@@ -42,18 +42,16 @@ class Cards:
 @cache
 def cards(name: str) -> Cards:
     """A set by name: brows, lashes, or a style of hair."""
-    found = {
-        key.removeprefix(f"{name}_"): value for key, value in arrays("cards").items() if key.startswith(f"{name}_")
-    }
-    two = found.pop("shares") / 255
-    rows, columns, count = found.pop("grid")
+    data = {key.removeprefix(f"{name}_"): value for key, value in arrays("cards").items() if key.startswith(f"{name}_")}
+    first_two = data.pop("shares") / 255
+    rows, columns, count = data.pop("grid")
     return Cards(
         grid=(int(rows), int(columns), int(count)),
-        corners=found.pop("corners").astype(np.int64),
-        shares=np.column_stack([two, 1 - two.sum(axis=1)]),
-        offsets=found.pop("offsets") * STEP,
-        uv=found.pop("uv") / 65535,
-        motion={shape: offsets * STEP for shape, offsets in found.items()},
+        corners=data.pop("corners").astype(np.int64),
+        shares=np.column_stack([first_two, 1 - first_two.sum(axis=1)]),
+        offsets=data.pop("offsets") * STEP,
+        uv=data.pop("uv") / 65535,
+        motion={shape: offsets * STEP for shape, offsets in data.items()},
     )
 
 
@@ -96,13 +94,13 @@ def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:
 
 def _shape(held: Cards, shape: Blendshape, skin: FloatArray, triangles: IntArray) -> Blendshape | None:
     """How cards on skin (n, 3) move with a shape."""
-    own = held.motion.get(shape.name, np.zeros((1, 3)))
+    motion = held.motion.get(shape.name, np.zeros((1, 3)))
 
     def offsets(values: FloatArray, weight: float) -> FloatArray:
         whole = np.zeros_like(skin)
         whole[shape.point_indices] = values
-        moved = held.carry(whole) + weight * own
-        if np.abs(own).max() < _FAR:
+        moved = held.carry(whole) + weight * motion
+        if np.abs(motion).max() < _FAR:
             return moved
         lift = _lift(held, held.carry(skin) + held.offsets + moved, skin + whole, triangles)
         return moved + np.where(np.abs(moved).max(axis=1, keepdims=True) > _STILL, lift, 0.0)

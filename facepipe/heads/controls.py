@@ -55,13 +55,13 @@ class Direction:
 @cache
 def directions() -> tuple[Direction, ...]:
     """Of all the measures, and of the traits."""
-    found = arrays("measures")
-    names = [*found["names"], *found["traits"]]
-    groups = [*found["groups"], *("person" for _ in found["traits"])]
-    sided = [*found["sided"], *(False for _ in found["traits"])]
+    data = arrays("measures")
+    names = [*data["names"], *data["traits"]]
+    groups = [*data["groups"], *("person" for _ in data["traits"])]
+    sided = [*data["sided"], *(False for _ in data["traits"])]
     return tuple(
-        Direction(name=str(names[i]), group=str(groups[i]), offsets=own, eyes=found["eyes"][i], sided=bool(sided[i]))
-        for i, own in enumerate(unpacked(found["offsets"]))
+        Direction(name=str(names[i]), group=str(groups[i]), offsets=offsets, eyes=data["eyes"][i], sided=bool(sided[i]))
+        for i, offsets in enumerate(unpacked(data["offsets"]))
     )
 
 
@@ -107,12 +107,12 @@ def identity_shapes() -> Mapping[str, Mapping[float, FloatArray]]:
 def identity_sliders() -> tuple[Slider, ...]:
     """All of them, from -1 to 1; those of one side name their mirror."""
     by_name = {direction.name: direction for direction in directions()}
-    found = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
+    sliders = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
     table = json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8"))
     for group, mixes in table.items():  # group -> slider -> gain of each measure
         for name, gains in mixes.items():
-            found += _family(name, group, [(by_name[own], gain) for own, gain in gains.items()])
-    return tuple(found)
+            sliders += _family(name, group, [(by_name[measure], gain) for measure, gain in gains.items()])
+    return tuple(sliders)
 
 
 def _family(name: str, group: str, parts: Gains) -> list[Slider]:

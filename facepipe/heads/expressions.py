@@ -48,9 +48,9 @@ VISEMES: dict[str, dict[str, float]] = {
 def sided(weights: dict[str, float], shapes: frozenset[str]) -> dict[str, float]:
     """The weights with those of both sides for names that shapes have by sides alone."""
     return {
-        own: weight
+        shape: weight
         for name, weight in weights.items()
-        for own in ((name,) if name in shapes else (name + side for side in _BOTH))
+        for shape in ((name,) if name in shapes else (name + side for side in _BOTH))
     }
 
 
@@ -68,7 +68,7 @@ def sliders(shapes: frozenset[str]) -> tuple[Slider, ...]:
     )
 
 
-def _look(name: str, channel: str, there: tuple[str, ...], back: tuple[str, ...]) -> Slider:
+def _look(name: str, channel: str, forth: tuple[str, ...], back: tuple[str, ...]) -> Slider:
     """Turns both eyes, and has the lids follow them either way."""
     return Slider(
         name=name,
@@ -76,8 +76,8 @@ def _look(name: str, channel: str, there: tuple[str, ...], back: tuple[str, ...]
         minimum=-1.0,
         channels=((_LEFT, channel, _TURN), (_RIGHT, channel, _TURN)),
         channel_curves=(None, None),
-        shapes=tuple((shape, 1.0) for shape in (*there, *back)),
-        shape_curves=(_RISING,) * len(there) + (_FALLING,) * len(back),
+        shapes=tuple((shape, 1.0) for shape in (*forth, *back)),
+        shape_curves=(_RISING,) * len(forth) + (_FALLING,) * len(back),
     )
 
 
@@ -102,14 +102,14 @@ def _talk(shapes: frozenset[str]) -> Animation:
     times = np.arange(_RATE + 1) / _RATE
     beats = np.abs(times[:, None] * (len(_SAID) - 1) - np.arange(len(_SAID)))
     shares = 0.5 + 0.5 * np.cos(np.pi * np.minimum(beats, 1.0))  # (times, said), in sum 1
-    found: dict[str, FloatArray] = {}
+    weights: dict[str, FloatArray] = {}
     for share, viseme in zip(shares.T, _SAID, strict=True):
         for shape, weight in sided(VISEMES[viseme], shapes).items():
-            found[shape] = found.get(shape, np.zeros(len(times))) + weight * share
+            weights[shape] = weights.get(shape, np.zeros(len(times))) + weight * share
     slow = np.sin(2 * np.pi * times)
     blink = np.exp(-(((times - 0.75) / 0.06) ** 2))
-    found |= {"eyeBlinkLeft": blink, "eyeBlinkRight": blink, "browInnerUp": 0.4 * np.maximum(slow, 0.0)}
-    return _animation(TALK, times, found, {f"{_HEAD}.rx": 0.04 * slow, f"{_HEAD}.ry": 0.06 * slow})
+    weights |= {"eyeBlinkLeft": blink, "eyeBlinkRight": blink, "browInnerUp": 0.4 * np.maximum(slow, 0.0)}
+    return _animation(TALK, times, weights, {f"{_HEAD}.rx": 0.04 * slow, f"{_HEAD}.ry": 0.06 * slow})
 
 
 def _animation(name: str, times: FloatArray | None, shapes: _Tracks, turns: _Tracks) -> Animation:

@@ -92,17 +92,17 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
     return points, shapes
 
 
-def _blink(points: FloatArray, ways: Mapping[float, FloatArray], ball: _Ball) -> Mapping[float, FloatArray]:
+def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -> Mapping[float, FloatArray]:
     """The blink of a person, with inbetweens on which the lids slide over the eyeball."""
     eye, start = ball.eye, points[ball.eye.lids]
-    end = ball.lifted(_met(eye, ball.lifted(start + ways[1.0][eye.lids])))
-    found = {}
+    end = ball.lifted(_met(eye, ball.lifted(start + blink[1.0][eye.lids])))
+    fitted = {}
     for share in (*_WAYS, 1.0):
-        offsets = ways[share].astype(np.float64)
+        offsets = blink[share].astype(np.float64)
         offsets[eye.lids] = ball.lifted(_turned(start, end, ball.centre, share)) - start
-        found[share] = offsets
-    found[1.0][eye.lids] = end - start
-    return found
+        fitted[share] = offsets
+    fitted[1.0][eye.lids] = end - start
+    return fitted
 
 
 def _balls(points: FloatArray) -> tuple[_Ball, ...]:
@@ -120,13 +120,13 @@ def _balls(points: FloatArray) -> tuple[_Ball, ...]:
 def _touching(ball: _Ball, lids: FloatArray) -> _Ball:
     """The eyeball moved a little, so that the lids (k, 3) lie on it as the average ones do on theirs."""
     eye, start = ball.eye, ball.centre
-    own = np.isin(eye.rings, _TOUCH)
-    goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(asset().points[eye.lids])[1][own]
+    touching = np.isin(eye.rings, _TOUCH)
+    goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(asset().points[eye.lids])[1][touching]
     for _ in range(_STEPS):
         directions, height = ball.above(lids)
-        miss = height[own] - goal
+        miss = height[touching] - goal
         weights = np.where(miss < 0, _INSIDE, 1.0)
-        rows = np.vstack([directions[own] * weights[:, None], np.eye(3)])
+        rows = np.vstack([directions[touching] * weights[:, None], np.eye(3)])
         step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
         ball = replace(ball, centre=ball.centre + step)
     return ball
@@ -141,10 +141,10 @@ def _met(eye: _Eye, lids: FloatArray) -> FloatArray:
     along, met = (lids - inner) @ axis, lids.copy()
     for ring in range(len(_FOLLOW)):
         upper, lower = (_by(along, (eye.rings == min(ring, _MARGIN)) & one) for one in (eye.upper, ~eye.upper))
-        there = _at(along[upper], along[lower], lids[lower])
+        goal = _at(along[upper], along[lower], lids[lower])
         ends = along[upper] - along[lower[0]], along[lower[-1]] - along[upper]
         taper = np.clip(np.minimum(*ends) / _TAPER, 0.0, 1.0)[:, None]
-        way = (there - lids[upper]) * taper
+        way = (goal - lids[upper]) * taper
         way += _OVER * taper * down - (way @ axis)[:, None] * (outer - inner)
         own = upper if ring <= _MARGIN else np.flatnonzero((eye.rings == ring) & eye.upper)
         met[own] += _FOLLOW[ring] * _at(along[own], along[upper], way)
@@ -173,9 +173,9 @@ def _turned(start: FloatArray, end: FloatArray, centre: FloatArray, share: float
 
 @cache
 def _eyes() -> tuple[_Eye, ...]:
-    head, found = asset(), arrays("lids")
+    head, data = asset(), arrays("lids")
     eyes = []
-    for side, lids, shell in zip(_SIDES, found["lids"], found["eye_shells"], strict=True):
+    for side, lids, shell in zip(_SIDES, data["lids"], data["eye_shells"], strict=True):
         ball = head.parts[f"Eyeball{side}"].points
         centre = fit_ball(head.points[ball]).centre
         offsets = head.points[shell] - centre
@@ -187,9 +187,9 @@ def _eyes() -> tuple[_Eye, ...]:
                 directions=cKDTree(offsets / radii[:, None]),
                 radii=radii,
                 lids=lids,
-                rings=found["lid_rings"],
-                upper=found["lid_upper"],
-                corners=found["eye_corners"],
+                rings=data["lid_rings"],
+                upper=data["lid_upper"],
+                corners=data["eye_corners"],
             )
         )
     return tuple(eyes)

@@ -80,14 +80,14 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
         ("Pupil", iris, (0.002, 0.002, 0.002), 0.4, 1.0),
         ("Cornea", "sclera.png", (0.0, 0.0, 0.0), 0.03, dim),
     ]
-    found = []
+    materials = []
     for name, picture, color, roughness, factor in rows:
         scale = (factor, factor, factor, 1.0)
         diffuse = TextureInput(texture=_picture(picture), scale=scale) if textured else color
-        found.append(Material(name=name, diffuse_color=diffuse, roughness=roughness))
+        materials.append(Material(name=name, diffuse_color=diffuse, roughness=roughness))
     clear = TextureInput(texture=_picture("sclera.png"), channels="a") if textured else 0.05
-    found[-1] = replace(found[-1], opacity=clear, ior=1.376)
-    return found
+    materials[-1] = replace(materials[-1], opacity=clear, ior=1.376)
+    return materials
 
 
 def _hairs(look: Look) -> list[Material]:

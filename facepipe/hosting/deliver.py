@@ -92,8 +92,8 @@ def _text(report: DeliveryReport) -> str:
     """The report as JSON with file names alone and without times: the same face gives the same bytes."""
     content = json.loads(report.to_json())
     content["files"] = [Path(one).name for one in content["files"]]
-    for one in content["exports"]:
-        del one["seconds"]
-        one["path"] = Path(one["path"]).name
-        one["files"] = [Path(file).name for file in one["files"]]
+    for export in content["exports"]:
+        del export["seconds"]
+        export["path"] = Path(export["path"]).name
+        export["files"] = [Path(file).name for file in export["files"]]
     return json.dumps(content, indent=2, sort_keys=True) + "\n"

@@ -165,23 +165,23 @@ def _in_order(parts: FaceParts, joints: tuple[str, ...]) -> FaceParts:
     place = {joint: i for i, joint in enumerate(joints)}
     table = np.array([place.get(joint, len(joints)) for joint in parts.skeleton.joints] or [0], dtype=np.int32)
 
-    def own(mesh: Mesh) -> Mesh:
+    def renumbered(mesh: Mesh) -> Mesh:
         if mesh.skin is None:
             return mesh
         indices = np.where(mesh.skin.joint_weights != 0, table[mesh.skin.joint_indices], 0)
         return replace(mesh, skin=replace(mesh.skin, joint_indices=indices.astype(np.int32)))
 
-    return replace(parts, meshes=tuple(own(mesh) for mesh in parts.meshes))
+    return replace(parts, meshes=tuple(renumbered(mesh) for mesh in parts.meshes))
 
 
 def _sliders(before: tuple[Slider, ...], joints: set[str], shapes: set[str], warnings: list[str]) -> tuple[Slider, ...]:
     result = []
     for slider in before:
-        own = kept(slider, joints.__contains__, shapes.__contains__)
-        if (slider.channels or slider.shapes) and not own.channels and not own.shapes:
+        rest = kept(slider, joints.__contains__, shapes.__contains__)
+        if (slider.channels or slider.shapes) and not rest.channels and not rest.shapes:
             warnings.append(f"slider {slider.name}: left out, nothing that it moves is there any more")
         else:
-            result.append(own)
+            result.append(rest)
     return with_mutual_mirrors(result)
 
 
@@ -190,11 +190,11 @@ def _network(
 ) -> SliderNetwork | None:
     if before is None:
         return None
-    own = kept_outputs(before, joints.__contains__, shapes.__contains__)
-    if own is None or not {slider.name for slider in sliders}.issuperset(own.sliders):
+    rest = kept_outputs(before, joints.__contains__, shapes.__contains__)
+    if rest is None or not {slider.name for slider in sliders}.issuperset(rest.sliders):
         warnings.append("slider network: left out, its sliders or all that it adds to are not there any more")
         return None
-    return own
+    return rest
 
 
 def _limits(before: FaceParts, skeleton: Skeleton, warnings: list[str]) -> BoneLimits | None:

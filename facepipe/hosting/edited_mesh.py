@@ -19,12 +19,12 @@ _STEPS = 2.0**-22  # of the largest coordinate: what float32 loses in base + off
 Offsets = tuple[FloatArray, ...]
 
 
-def same_topology(one: Mesh, other: Mesh) -> bool:
+def same_topology(mesh: Mesh, other: Mesh) -> bool:
     """Whether two meshes have the same number of points and the same faces."""
     return (
-        len(one.points) == len(other.points)
-        and np.array_equal(one.face_vertex_counts, other.face_vertex_counts)
-        and np.array_equal(one.face_vertex_indices, other.face_vertex_indices)
+        len(mesh.points) == len(other.points)
+        and np.array_equal(mesh.face_vertex_counts, other.face_vertex_counts)
+        and np.array_equal(mesh.face_vertex_indices, other.face_vertex_indices)
     )
 
 
@@ -92,8 +92,8 @@ def sculpted(
         point_indices=touched.astype(np.int32),
         offsets=offsets[touched].astype(np.float32),
         inbetweens=tuple(
-            Inbetween(name=one, weight=weight, offsets=dense[touched].astype(np.float32))
-            for one, (weight, dense) in sorted(inbetweens.items(), key=lambda item: item[1][0])
+            Inbetween(name=inbetween, weight=weight, offsets=dense[touched].astype(np.float32))
+            for inbetween, (weight, dense) in sorted(inbetweens.items(), key=lambda item: item[1][0])
         ),
     )
 
@@ -110,7 +110,7 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
         deformed[at] += offsets
         return normal_offsets(points, deformed, triangles, at).astype(np.float32)
 
-    def own(shape: Blendshape) -> Blendshape:
+    def with_normals(shape: Blendshape) -> Blendshape:
         at = shape.point_indices
         between = tuple(
             replace(inbetween, normal_offsets=turned(at, inbetween.offsets)) for inbetween in shape.inbetweens
@@ -120,7 +120,7 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
     return replace(
         mesh,
         blendshapes=tuple(
-            own(blendshape) if blendshape.name in names else blendshape for blendshape in mesh.blendshapes
+            with_normals(blendshape) if blendshape.name in names else blendshape for blendshape in mesh.blendshapes
         ),
     )
 
@@ -185,15 +185,15 @@ def _subsets(kept: Mapping[str, IntArray], made: Mapping[str, IntArray]) -> dict
 
 def _sculpts(shape: Blendshape, count: int) -> dict[str, FloatArray]:
     """Dense offsets (n, 3) of the shape, called '', and of its inbetweens by name."""
-    found = {}
+    offsets_by_name = {}
     for name, offsets in [
         ("", shape.offsets),
         *((inbetween.name, inbetween.offsets) for inbetween in shape.inbetweens),
     ]:
         dense = np.zeros((count, 3), dtype=np.float32)
         dense[shape.point_indices] = offsets
-        found[name] = dense
-    return found
+        offsets_by_name[name] = dense
+    return offsets_by_name
 
 
 def _near(one: FloatArray | None, other: FloatArray | None) -> bool:

@@ -30,7 +30,7 @@ class LiveBlend:
         self._lock = threading.Lock()
 
     @classmethod
-    def of(cls, path: Path) -> LiveBlend | None:
+    def from_stage(cls, path: Path) -> LiveBlend | None:
         """The blend of a face stage; None where the face was not made by a blend.
 
         :raises InputError: a source of the recipe is gone

@@ -64,16 +64,16 @@ def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) 
     arrays = read_arrays(path, _BASE, sizes)
     neutral = arrays["neutral"].astype(np.float64)
     _check(path, arrays)
-    found: dict[str, FloatArray] = {}
+    offsets: dict[str, FloatArray] = {}
     for kind in ("expression", "extra"):
         if kind == "expression" or set(topology.EXTRAS) & set(shapes):
-            found |= _named_offsets(path, kind, sizes)
+            offsets |= _named_offsets(path, kind, sizes)
     modes = _named_offsets(path, "identity", sizes) if identity else {}
     _require(path, identity, modes)
     return IctModel(
         neutral=neutral,
         identity=_weighted({name: modes[name] for name in identity}, identity),
-        shapes={name: found[name] for name in shapes if name in found},
+        shapes={name: offsets[name] for name in shapes if name in offsets},
         face_vertex_counts=arrays["face_vertex_counts"].astype(np.int32),
         face_vertex_indices=arrays["face_vertex_indices"].astype(np.int32),
         uvs=arrays["uv"].astype(np.float64),
@@ -81,7 +81,7 @@ def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) 
         materials=tuple(arrays["material_names"].tolist()),
         face_material=arrays["face_material"].astype(np.int32),
         files=(path,),
-        warnings=_missing([name for name in shapes if name not in found]),
+        warnings=_missing([name for name in shapes if name not in offsets]),
     )
 
 
@@ -118,19 +118,19 @@ def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[s
         )
     modes = [folder / f"{name}.obj" for name in identity]
     _require(folder, identity, {path.stem: path for path in modes if path.is_file()})
-    there = [folder / f"{name}.obj" for name in shapes if (folder / f"{name}.obj").is_file()]
+    shape_files = [folder / f"{name}.obj" for name in shapes if (folder / f"{name}.obj").is_file()]
     return IctModel(
         neutral=neutral.points.astype(np.float32).astype(np.float64),
         identity=_weighted({path.stem: _offsets(path, neutral) for path in modes}, identity),
-        shapes={path.stem: _offsets(path, neutral) for path in there},
+        shapes={path.stem: _offsets(path, neutral) for path in shape_files},
         face_vertex_counts=neutral.face_vertex_counts,
         face_vertex_indices=neutral.face_vertex_indices,
         uvs=neutral.uvs.astype(np.float32).astype(np.float64),
         uv_indices=neutral.uv_indices,
         materials=neutral.materials,
         face_material=neutral.face_material,
-        files=(neutral_file, *modes, *there),
-        warnings=_missing([name for name in shapes if folder / f"{name}.obj" not in there]),
+        files=(neutral_file, *modes, *shape_files),
+        warnings=_missing([name for name in shapes if folder / f"{name}.obj" not in shape_files]),
     )
 
 

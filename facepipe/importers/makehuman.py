@@ -94,16 +94,16 @@ def _target_weights(data: MakeHumanData, weights: Mapping[str, float]) -> dict[i
     names = data.names("target_names")
     numbers: dict[int, float] = {}
     for name, weight in weights.items():
-        found = [i for i, full in enumerate(names) if name == full] or [
+        matches = [i for i, full in enumerate(names) if name == full] or [
             i for i, full in enumerate(names) if name == full.rpartition("/")[2]
         ]
-        if len(found) != 1:
+        if len(matches) != 1:
             near = did_you_mean(name, [*names, *(full.rpartition("/")[2] for full in names)])
-            what = f"fits {len(found)} targets, expected a full name" if found else f"is no target{near}"
+            what = f"fits {len(matches)} targets, expected a full name" if matches else f"is no target{near}"
             raise InputError(f"option targets -> {name[:60]}", what)
         if not math.isfinite(weight):
             raise InputError(f"option targets -> {name}", f"weight is {weight}, expected a finite number")
-        numbers[found[0]] = float(weight)
+        numbers[matches[0]] = float(weight)
     return dict(sorted(numbers.items()))
 
 
@@ -126,24 +126,24 @@ def _shape_offsets(data: MakeHumanData, patterns: str) -> dict[str, FloatArray]:
 
 def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[str, FloatArray]) -> Mesh:
     name, material, region = MESHES[kind]
-    own = data.points_of(kind)
+    chosen = data.points_of(kind)
     place = np.full(len(points), -1, dtype=np.int32)
-    place[own] = np.arange(len(own))
+    place[chosen] = np.arange(len(chosen))
     faces = np.flatnonzero(data["face_kind"] == data.names("vertex_kind_names").index(kind))
     counts = np.full(len(faces), 4, dtype=np.int32)
     indices = place[data["faces"][faces]].ravel()
     head = kind == "skin"
     return Mesh(
         name=name,
-        points=points[own],
+        points=points[chosen],
         face_vertex_counts=counts,
         face_vertex_indices=indices,
         uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
-        skin=_skin(data["skin_weights"][own]),
-        blendshapes=_blendshapes(shapes, own),
-        regions=_skin_regions(data) if head else whole_region(_REGIONS, region, len(own)),
+        skin=_skin(data["skin_weights"][chosen]),
+        blendshapes=_blendshapes(shapes, chosen),
+        regions=_skin_regions(data) if head else whole_region(_REGIONS, region, len(chosen)),
         landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
-        anchor=back_of_border(data["vertices"][own], counts, indices) if head else None,
+        anchor=back_of_border(data["vertices"][chosen], counts, indices) if head else None,
         material=material,
         double_sided=material == "Eyelashes",
     )
@@ -185,12 +185,12 @@ def landmark_points(data: MakeHumanData) -> IntArray:
     numbers = data["source_vertex_index"][data.points_of("skin")]
     order = np.argsort(numbers, kind="stable")
     place = np.searchsorted(numbers, BASE_VERTICES, sorter=order)
-    found = order[np.minimum(place, len(order) - 1)]
-    missing = numbers[found] != np.array(BASE_VERTICES)
+    places = order[np.minimum(place, len(order) - 1)]
+    missing = numbers[places] != np.array(BASE_VERTICES)
     if missing.any():
         number = BASE_VERTICES[int(np.argmax(missing))]
         raise InputError(f"{data.path} -> source_vertex_index", f"vertex {number} of base.obj is not in the skin")
-    return found.astype(np.int32)
+    return places.astype(np.int32)
 
 
 _REGIONS = ("forehead", "eyebrows", "eyes", "nose", "mouth", "cheek", "chin", "ears", "neck")

@@ -204,9 +204,9 @@ def _sliders(units: Mapping[str, Sequence[str]], data: MakeHumanData, skeleton: 
     vectors = data["poseunit_rotvec"].astype(np.float64)
     vectors = np.where(np.linalg.norm(vectors, axis=2, keepdims=True) > _STILL, vectors, 0.0)
     axes = skeleton.bind_transforms[:, :3, :3]
-    found = []
-    for name, own in units.items():
-        knots = _knots([np.einsum("bji,bj->bi", axes, vectors[numbers[unit]]) for unit in own])
+    sliders = []
+    for name, unit_names in units.items():
+        knots = _knots([np.einsum("bji,bj->bi", axes, vectors[numbers[unit]]) for unit in unit_names])
         entries = [
             entry
             for joint, channel in np.argwhere(np.abs(knots).max(axis=0) > _NOTHING).tolist()
@@ -214,16 +214,18 @@ def _sliders(units: Mapping[str, Sequence[str]], data: MakeHumanData, skeleton: 
         ]
         if entries:
             curves = tuple(curve for _, curve in entries)
-            found.append(
+            sliders.append(
                 Slider(
                     name=name,
-                    group=next((group for group, words in _GROUPS.items() if any(w in own[0] for w in words)), ""),
+                    group=next(
+                        (group for group, words in _GROUPS.items() if any(w in unit_names[0] for w in words)), ""
+                    ),
                     channels=tuple(channel for channel, _ in entries),
                     channel_curves=curves if any(curves) else (),
                     mirror=other_side(name) if other_side(name) != name else None,
                 )
             )
-    return with_mutual_mirrors(found)
+    return with_mutual_mirrors(sliders)
 
 
 def _knots(turns: Sequence[FloatArray]) -> FloatArray:
@@ -259,10 +261,10 @@ def _entries(joint: str, channel: str, angles: FloatArray) -> list[tuple[tuple[s
         return [((joint, channel, float(angles[1])), None)]
     values = np.linspace(0.0, 1.0, len(angles))
     steps = np.diff(angles)
-    found: list[tuple[tuple[str, str, float], Curve | None]] = []
+    entries: list[tuple[tuple[str, str, float], Curve | None]] = []
     for sign in (1.0, -1.0):
         risen = np.concatenate([[0.0], np.cumsum(np.maximum(sign * steps, 0.0))])
         if risen[-1] > _NOTHING:
             curve = tuple(zip(values.tolist(), (risen / risen[-1]).tolist(), strict=True))
-            found.append(((joint, channel, float(sign * risen[-1])), curve))
-    return found
+            entries.append(((joint, channel, float(sign * risen[-1])), curve))
+    return entries

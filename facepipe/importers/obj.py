@@ -74,26 +74,26 @@ def _files(source: Path, neutral: str) -> tuple[Path, dict[str, Path]]:
     except OSError as error:
         raise InputError(source, f"can't be read: {error.strerror or error}") from error
     wanted = neutral.lower().removesuffix(".obj")
-    found = [path for path in objs if path.stem.lower() == wanted]
-    if len(found) != 1:
-        what = f"{len(found)} files named {wanted}.obj in any case" if found else f"no {neutral}.obj there"
+    neutrals = [path for path in objs if path.stem.lower() == wanted]
+    if len(neutrals) != 1:
+        what = f"{len(neutrals)} files named {wanted}.obj in any case" if neutrals else f"no {neutral}.obj there"
         raise InputError(source, f"{what}, expected one neutral beside the shapes")
     shapes: dict[str, Path] = {}
     for path in objs:
         name = path.stem
-        if path != found[0] and shapes.setdefault(name, path) != path:
+        if path != neutrals[0] and shapes.setdefault(name, path) != path:
             raise InputError(path, f"its shape would be named {name} like {shapes[name].name}'s")
-    return found[0], shapes
+    return neutrals[0], shapes
 
 
-def _materials(neutral: Obj, found: Mapping[str, Material], warnings: list[str]) -> tuple[Material, ...]:
+def _materials(neutral: Obj, library: Mapping[str, Material], warnings: list[str]) -> tuple[Material, ...]:
     """One per `usemtl` name, in their order, under their own names."""
-    missing = [ascii(name) for name in neutral.materials if name not in found]
+    missing = [ascii(name) for name in neutral.materials if name not in library]
     if missing and neutral.libraries:
         warnings.append(f"materials not in a library, grey: {', '.join(missing)}")
     names = handles(neutral.materials, "Material")
     return tuple(
-        replace(found.get(original, Material(name=name)), name=name)
+        replace(library.get(original, Material(name=name)), name=name)
         for name, original in zip(names, neutral.materials, strict=True)
     )
 

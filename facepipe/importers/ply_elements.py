@@ -94,14 +94,16 @@ def _header(path: Path, data: bytes) -> tuple[str, list[Element], int]:
 
 def _property(where: str, words: list[str], element: Element) -> _Property:
     if words[:1] == ["list"] and len(words) == 4 and words[1] in _TYPES and words[2] in _TYPES:
-        found = _Property(words[3], _TYPES[words[2]], _TYPES[words[1]])
+        new_property = _Property(words[3], _TYPES[words[2]], _TYPES[words[1]])
     elif len(words) == 2 and words[0] in _TYPES:
-        found = _Property(words[1], _TYPES[words[0]])
+        new_property = _Property(words[1], _TYPES[words[0]])
     else:
         raise InputError(where, f"property {' '.join(words)[:60]!r}, expected a type and a name")
-    if found.count_kind.startswith("f") or any(found.name == other.name for other in element.properties):
-        raise InputError(where, f"property {found.name[:40]!r}, expected each once, with whole numbers as list counts")
-    return found
+    if new_property.count_kind.startswith("f") or any(new_property.name == other.name for other in element.properties):
+        raise InputError(
+            where, f"property {new_property.name[:40]!r}, expected each once, with whole numbers as list counts"
+        )
+    return new_property
 
 
 def _read_binary(path: Path, data: bytes, start: int, order: str, elements: list[Element]) -> None:
@@ -135,42 +137,46 @@ def _alike(data: bytes, at: int, order: str, element: Element) -> int | None:
     """Values of an element whose lists are all as long as its first ones; None where they are not."""
     fields: list[tuple[Any, ...]] = []
     place = at
-    for one in element.properties:
-        if not one.count_kind:
-            fields.append((f"value {one.name}", order + one.kind))
-            place += np.dtype(one.kind).itemsize
+    for column in element.properties:
+        if not column.count_kind:
+            fields.append((f"value {column.name}", order + column.kind))
+            place += np.dtype(column.kind).itemsize
             continue
-        count_type = np.dtype(order + one.count_kind)
+        count_type = np.dtype(order + column.count_kind)
         if place + count_type.itemsize > len(data):
             return None
         length = int(np.frombuffer(data, count_type, 1, place)[0])
-        place += count_type.itemsize + length * np.dtype(one.kind).itemsize
+        place += count_type.itemsize + length * np.dtype(column.kind).itemsize
         if length < 0 or place > len(data):
             return None
-        fields += [(f"count {one.name}", count_type), (f"value {one.name}", order + one.kind, (length,))]
+        fields += [(f"count {column.name}", count_type), (f"value {column.name}", order + column.kind, (length,))]
     layout = np.dtype(fields)
     if layout.itemsize * element.count > len(data) - at:
         return None
     rows = np.frombuffer(data, layout, element.count, at)
-    for one in element.properties:
-        values = rows[f"value {one.name}"].astype(one.kind)
-        if one.count_kind:
-            counts = rows[f"count {one.name}"].astype(np.int64)
+    for column in element.properties:
+        values = rows[f"value {column.name}"].astype(column.kind)
+        if column.count_kind:
+            counts = rows[f"count {column.name}"].astype(np.int64)
             if (counts != counts[0]).any():
                 element.values.clear()
                 return None
-            element.values[one.name] = Lists(counts, values.reshape(-1))
+            element.values[column.name] = Lists(counts, values.reshape(-1))
         else:
-            element.values[one.name] = values
+            element.values[column.name] = values
     return at + rows.nbytes
 
 
 def _uneven(path: Path, data: bytes, at: int, order: str, element: Element) -> int:
     """Values of an element with lists of any length, one after another."""
-    found: dict[str, list[Any]] = {one.name: [] for one in element.properties}
+    values_of: dict[str, list[Any]] = {column.name: [] for column in element.properties}
     types = [
-        (found[one.name], np.dtype(order + one.kind), np.dtype(order + one.count_kind) if one.count_kind else None)
-        for one in element.properties
+        (
+            values_of[column.name],
+            np.dtype(order + column.kind),
+            np.dtype(order + column.count_kind) if column.count_kind else None,
+        )
+        for column in element.properties
     ]
     for row in range(element.count):
         for values, kind, count_kind in types:
@@ -182,18 +188,18 @@ def _uneven(path: Path, data: bytes, at: int, order: str, element: Element) -> i
                 raise InputError(f"{path} -> {element.name}", f"cut short at {row} of {element.count}")
             values.append(np.frombuffer(data, kind, length, at))
             at += length * kind.itemsize
-    _collect(element, found)
+    _collect(element, values_of)
     return at
 
 
-def _collect(element: Element, found: dict[str, list[Any]]) -> None:
-    for one in element.properties:
-        joined = np.concatenate(found[one.name]).astype(one.kind)
-        if one.count_kind:
-            counts = np.array([len(values) for values in found[one.name]], np.int64)
-            element.values[one.name] = Lists(counts, joined)
+def _collect(element: Element, values_of: dict[str, list[Any]]) -> None:
+    for column in element.properties:
+        joined = np.concatenate(values_of[column.name]).astype(column.kind)
+        if column.count_kind:
+            counts = np.array([len(values) for values in values_of[column.name]], np.int64)
+            element.values[column.name] = Lists(counts, joined)
         else:
-            element.values[one.name] = joined
+            element.values[column.name] = joined
 
 
 def _read_text(path: Path, data: bytes, elements: list[Element]) -> None:
@@ -216,26 +222,26 @@ def _text_element(words: list[bytes], at: int, element: Element) -> int:
 
     :raises ValueError: cut short, or a word that is no number
     """
-    if not any(one.count_kind for one in element.properties):
+    if not any(column.count_kind for column in element.properties):
         width = len(element.properties)
         stop = at + element.count * width
         rows = np.array(list(map(float, words[at:stop])), np.float64).reshape(-1, width)
-        for i, one in enumerate(element.properties):
-            element.values[one.name] = _typed(rows[:, i], one.kind)
+        for i, column in enumerate(element.properties):
+            element.values[column.name] = _typed(rows[:, i], column.kind)
         return stop
-    found: dict[str, list[Any]] = {one.name: [] for one in element.properties}
+    values_of: dict[str, list[Any]] = {column.name: [] for column in element.properties}
     for row in range(element.count):
-        for one in element.properties:
+        for column in element.properties:
             length = 1
-            if one.count_kind:
+            if column.count_kind:
                 length, at = int(words[at]) if at < len(words) else 0, at + 1
             if length < 0 or at + length > len(words):
                 raise ValueError(f"cut short at {row} of {element.count}")
-            found[one.name].append(np.array(list(map(float, words[at : at + length])), np.float64))
+            values_of[column.name].append(np.array(list(map(float, words[at : at + length])), np.float64))
             at += length
-    for one in element.properties:
-        found[one.name] = [_typed(values, one.kind) for values in found[one.name]]
-    _collect(element, found)
+    for column in element.properties:
+        values_of[column.name] = [_typed(values, column.kind) for values in values_of[column.name]]
+    _collect(element, values_of)
     return at
 
 

@@ -89,13 +89,13 @@ def _csv_rows(path: Path) -> list[tuple[str, str, str]]:
         rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"no CSV in UTF-8 ({error}), expected two columns, old and new") from None
-    found = []
+    pairs = []
     for number, row in enumerate(rows, 1):
         if len(row) != 2 and row:
             raise InputError(f"{path} -> row {number}", f"{len(row)} columns, expected two: old,new")
         if row and not (number == 1 and tuple(one.strip().lower() for one in row) == _HEADER):
-            found.append((row[0], row[1], f"row {number}"))
-    return found
+            pairs.append((row[0], row[1], f"row {number}"))
+    return pairs
 
 
 def _checked(path: Path, rows: Iterable[tuple[str, object, str]]) -> dict[str, str]:

@@ -173,13 +173,13 @@ def _point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | No
     named = [(material_face.material, material_face.faces) for material_face in mesh.material_faces]
     faces = np.repeat(np.arange(len(mesh.face_vertex_counts)), mesh.face_vertex_counts)
     colors = np.full((len(mesh.points), 3), np.nan)
-    for name, own in [(mesh.material, None), *named]:
+    for name, chosen in [(mesh.material, None), *named]:
         if name is None or name not in materials:
             continue
         among = np.ones(len(mesh.face_vertex_counts), bool)
-        if own is not None:
+        if chosen is not None:
             among[:] = False
-            among[own] = True
+            among[chosen] = True
         at = np.flatnonzero((corner >= 0) & among[faces[corner]])
         found = _material_colors(mesh, materials[name], at, corner[at])
         if found is not None:

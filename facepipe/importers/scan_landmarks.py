@@ -38,14 +38,14 @@ def read_scan_landmarks(path: Path) -> ScanLandmarks:
     scheme = content.get("scheme", LANDMARK_SCHEME)
     if scheme != LANDMARK_SCHEME:
         raise InputError(f"{path} -> scheme", f"{ascii(scheme)[:40]}, expected {LANDMARK_SCHEME}")
-    found = ScanLandmarks(
+    landmarks = ScanLandmarks(
         points=_points(path, content.get("points")),
         sigma_mm=_sigmas(path, content.get("sigma_mm")),
         markers=_markers(path, content.get("markers")),
     )
-    if not found.known.any() and not found.markers:
+    if not landmarks.known.any() and not landmarks.markers:
         raise InputError(path, "no landmark and no marker, expected at least one")
-    return found
+    return landmarks
 
 
 def write_scan_landmarks(landmarks: ScanLandmarks, path: Path) -> None:

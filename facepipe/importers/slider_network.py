@@ -71,11 +71,11 @@ def _arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
         layers += 1
     extra = sorted(names - set(fields))
     if not 0 < layers <= MOST_LAYERS or extra:
-        found = f"array '{extra[0][:60]}'" if extra else f"{layers} layers"
+        excess = f"array '{extra[0][:60]}'" if extra else f"{layers} layers"
         expected = (
             f"sliders, outputs, activation, info, layer0.weight, layer0.bias and so on, up to {MOST_LAYERS} layers"
         )
-        raise InputError(path, f"{found}, expected {expected}")
+        raise InputError(path, f"{excess}, expected {expected}")
     return read_arrays(path, fields, {})
 
 
@@ -87,19 +87,19 @@ def _output(path: Path, name: str, joints: Sequence[str], shapes: Sequence[str])
             raise InputError(where, f"no shape '{shape[:60]}' on the face")
         return shape
     joint, _, channel = name.rpartition(":")
-    found = [one for one in joints if joint in (one, one.rpartition("/")[2])]
-    if len(found) != 1 or channel not in CHANNELS:
+    matches = [one for one in joints if joint in (one, one.rpartition("/")[2])]
+    if len(matches) != 1 or channel not in CHANNELS:
         raise InputError(
             where, "expected JOINT:CHANNEL, of a joint of the face and one of its 9 channels, or shape:NAME"
         )
-    return found[0], channel
+    return matches[0], channel
 
 
 def _info(path: Path, text: str) -> dict[str, object]:
     try:
-        found = json.loads(text, parse_constant=lambda word: None)
+        info = json.loads(text, parse_constant=lambda word: None)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        info = None
+    if not isinstance(info, dict):
         raise InputError(f"{path} -> info", "no JSON object, expected one")
-    return found
+    return info

@@ -102,7 +102,7 @@ def _renamed(skeleton: Skeleton, warnings: list[str]) -> tuple[Skeleton, dict[st
     siblings: dict[str, list[str]] = {}
     for joint in skeleton.joints:
         siblings.setdefault(joint.rpartition("/")[0], []).append(joint)
-    own = {
+    identifiers = {
         joint: name
         for joints in siblings.values()
         for joint, name in zip(joints, unique_identifiers(one.rpartition("/")[2] for one in joints), strict=True)
@@ -110,7 +110,7 @@ def _renamed(skeleton: Skeleton, warnings: list[str]) -> tuple[Skeleton, dict[st
     for joint in skeleton.joints:
         above = joint.rpartition("/")[0]
         parent = paths.get(above) or "/".join(unique_identifiers([name])[0] for name in above.split("/") if name)
-        paths[joint] = f"{parent}/{own[joint]}" if parent else own[joint]
+        paths[joint] = f"{parent}/{identifiers[joint]}" if parent else identifiers[joint]
     changed = [(old, new) for old, new in paths.items() if old != new]
     if changed:
         old, new = changed[0]
@@ -146,15 +146,15 @@ def _kept_sliders(
     """The sliders with only the joints and shapes that the face has; those that move nothing are left out."""
     result = []
     for slider in sliders:
-        own = kept(slider, new_names.__contains__, shapes.__contains__)
-        lost = len(slider.channels) + len(slider.shapes) - len(own.channels) - len(own.shapes)
-        if lost and not own.channels and not own.shapes:
+        rest = kept(slider, new_names.__contains__, shapes.__contains__)
+        lost = len(slider.channels) + len(slider.shapes) - len(rest.channels) - len(rest.shapes)
+        if lost and not rest.channels and not rest.shapes:
             warnings.append(f"slider {slider.name}: left out, the face has nothing that it moves")
             continue
         if lost:
             warnings.append(f"slider {slider.name}: {lost} of its channels and shapes left out, which the face lacks")
-        channels = tuple((new_names[joint], channel, gain) for joint, channel, gain in own.channels)
-        result.append(replace(own, channels=channels))
+        channels = tuple((new_names[joint], channel, gain) for joint, channel, gain in rest.channels)
+        result.append(replace(rest, channels=channels))
     return with_mutual_mirrors(result)
 
 
@@ -168,22 +168,22 @@ def _kept_network(
     """The learned network with only the joints and shapes that the face has; None where its sliders are not left."""
     if network is None:
         return None
-    own = kept_outputs(network, new_names.__contains__, shapes.__contains__)
-    if own is None or not {slider.name for slider in sliders}.issuperset(own.sliders):
+    rest = kept_outputs(network, new_names.__contains__, shapes.__contains__)
+    if rest is None or not {slider.name for slider in sliders}.issuperset(rest.sliders):
         warnings.append("slider network: left out, the face lacks its sliders or all that it adds to")
         return None
-    lost = len(network.channels) + len(network.shapes) - len(own.channels) - len(own.shapes)
+    lost = len(network.channels) + len(network.shapes) - len(rest.channels) - len(rest.shapes)
     if lost:
         warnings.append(f"slider network: {lost} of its channels and shapes left out, which the face lacks")
-    return replace(own, channels=tuple((new_names[joint], channel) for joint, channel in own.channels))
+    return replace(rest, channels=tuple((new_names[joint], channel) for joint, channel in rest.channels))
 
 
 def _check_transforms(source: Path, parts: FaceParts) -> None:
     """:raises TopologyError: a matrix that can't be inverted"""
     skeleton = parts.skeleton
     named = [
-        (f"{skeleton.name} -> {joint}", one)
-        for joint, one in zip(skeleton.joints, skeleton.bind_transforms, strict=True)
+        (f"{skeleton.name} -> {joint}", matrix)
+        for joint, matrix in zip(skeleton.joints, skeleton.bind_transforms, strict=True)
     ]
     named += [(skeleton.name, skeleton.transform)]
     named += [(mesh.name, mesh.skin.geom_bind_transform) for mesh in parts.meshes if mesh.skin]

@@ -57,7 +57,7 @@ class _Lines:
     numbers: dict[str, list[int]] = field(default_factory=dict)
     texts: dict[str, list[str]] = field(default_factory=dict)
 
-    def of(self, keyword: str) -> tuple[list[int], list[str]]:
+    def records(self, keyword: str) -> tuple[list[int], list[str]]:
         return self.numbers.get(keyword, []), self.texts.get(keyword, [])
 
     def fail(self, number: int, what: str) -> NoReturn:
@@ -91,7 +91,7 @@ def read_obj(path: Path) -> Obj:
         face_object=face_object,
         materials=materials,
         face_material=face_material,
-        libraries=tuple(dict.fromkeys(text.strip() for text in lines.of("mtllib")[1] if text.strip())),
+        libraries=tuple(dict.fromkeys(text.strip() for text in lines.records("mtllib")[1] if text.strip())),
     )
 
 
@@ -141,7 +141,7 @@ def _join_continued(rows: list[str]) -> None:
 
 def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = None) -> FloatArray:
     """(lines, columns) float64 of `keyword`, zeros where a line has fewer; None: as many as every line has."""
-    numbers, texts = lines.of(keyword)
+    numbers, texts = lines.records(keyword)
     words = [text.split() for text in texts]
     widths = list(map(len, words))
     if min(widths, default=at_least) < at_least:
@@ -172,7 +172,7 @@ def _find_bad_number(lines: _Lines, numbers: Sequence[int], words: Sequence[Sequ
 
 def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
     """Corner counts, point numbers and UV numbers as written (1-based or negative)."""
-    numbers, texts = lines.of("f")
+    numbers, texts = lines.records("f")
     words = [text.split() for text in texts]
     counts = np.array(list(map(len, words)), dtype=np.int32)
     if len(counts) and counts.min() < 3:
@@ -208,10 +208,10 @@ def _mixed_corners(
 
 def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, available: int) -> IntArray:
     """0-based int32 indices; negative ones count back from the last `keyword` line before the face."""
-    face_lines = np.array(lines.of("f")[0], dtype=np.int64)
+    face_lines = np.array(lines.records("f")[0], dtype=np.int64)
     result = indices - 1
     if len(indices) and indices.min() < 0:
-        before = np.searchsorted(np.array(lines.of(keyword)[0], dtype=np.int64), face_lines)
+        before = np.searchsorted(np.array(lines.records(keyword)[0], dtype=np.int64), face_lines)
         result = np.where(indices < 0, np.repeat(before, counts) + indices, result)
     bad = (result < 0) | (result >= available) | (indices == 0)
     if bad.any():
@@ -223,11 +223,11 @@ def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, 
 
 def _groups(lines: _Lines, keyword: str) -> tuple[tuple[str, ...], IntArray]:
     """Distinct names in order of appearance, and the number (f,) of the one in force at each face, -1 for none."""
-    numbers, texts = lines.of(keyword)
+    numbers, texts = lines.records(keyword)
     stripped = [text.strip() for text in texts]
     index: dict[str, int] = {}
     of_line = np.array([-1, *(index.setdefault(text, len(index)) for text in stripped)], dtype=np.int32)
-    face_lines = np.array(lines.of("f")[0], dtype=np.int64)
+    face_lines = np.array(lines.records("f")[0], dtype=np.int64)
     return tuple(index), of_line[np.searchsorted(np.array(numbers, dtype=np.int64), face_lines)]
 
 

@@ -54,23 +54,23 @@ def author_animation_changes(
     :param prims: what `old` was read from
     :param skeleton: what `new` counts on
     """
-    there = list(zip(prims, old, strict=True))
+    present = list(zip(prims, old, strict=True))
     lines = []
     for animation in new:
-        own = next((i for i, (_, one) in enumerate(there) if one.name == animation.name), None)
-        if own is None:
+        number = next((i for i, (_, one) in enumerate(present) if one.name == animation.name), None)
+        if number is None:
             author_animation(
                 face.GetStage(), free_path(face, tokens.ANIMATIONS_SCOPE, animation.name), animation, skeleton
             )
             lines.append(f"{animation.name}: added")
             continue
-        prim, before = there.pop(own)
+        prim, before = present.pop(number)
         done = _completed(animation, skeleton, prim.GetPath())
         fields = () if same(before, animation) else _differing(before, done)
         if fields:
             _write(UsdSkel.Animation(editable(prim)), done, fields)
             lines.append(f"{animation.name}: {', '.join(fields)}")
-    for prim, before in there:
+    for prim, before in present:
         editable(prim).SetActive(False)
         lines.append(f"{before.name}: removed")
     if not same([one.times for one in old], [one.times for one in new]):

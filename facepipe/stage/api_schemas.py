@@ -93,12 +93,12 @@ def _layer() -> Sdf.Layer:
 _RESERVED_SUFFIX = ":indices"
 
 
-def check_property_name(where: object, what: str, name: str, schema: str | None = None) -> None:
+def check_property_name(where: object, kind: str, name: str, schema: str | None = None) -> None:
     """Check the name of a primvar, or of an instance of a multiple-apply `schema`.
 
     :raises InputError: a name that USD can't hold
     """
     if not Sdf.Path.IsValidNamespacedIdentifier(name) or name.endswith(_RESERVED_SUFFIX):
-        raise InputError(where, f"{what} '{name}', expected letters, digits, underscores and no digit first")
+        raise InputError(where, f"{kind} '{name}', expected letters, digits, underscores and no digit first")
     if schema and is_reserved(schema, name):
-        raise InputError(where, f"{what} '{name}' is the name of a property of {schema}, expected another")
+        raise InputError(where, f"{kind} '{name}' is the name of a property of {schema}, expected another")

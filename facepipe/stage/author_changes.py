@@ -126,10 +126,10 @@ def _hide_extents(prims: Iterable[Usd.Prim]) -> None:
 def _author_point_values(face: Face, meshes: list[Sdf.Path], primvars: Mapping[str, FloatArray]) -> list[str]:
     lines = []
     for name, values in primvars.items():
-        for path, mesh, own in zip(meshes, face.meshes, _per_mesh(face, values), strict=True):
+        for path, mesh, numbers in zip(meshes, face.meshes, _per_mesh(face, values), strict=True):
             prim: Usd.Prim = face.stage.GetPrimAtPath(path)
-            if not np.isnan(own).all() and not same(read_point_values(prim, name, len(mesh.points)), own):
-                author_point_values(editable(prim), name, own)
+            if not np.isnan(numbers).all() and not same(read_point_values(prim, name, len(mesh.points)), numbers):
+                author_point_values(editable(prim), name, numbers)
                 lines.append(f"{mesh.name}: {name}")
     return lines
 

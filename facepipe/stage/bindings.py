@@ -34,33 +34,33 @@ def inherited_attribute(prim: Usd.Prim, name: str, known: Known | None = None) -
     :param known: what was found before on a stage that has not changed since; filled in
     """
 
-    def own(prim: Usd.Prim) -> Usd.Attribute | None:
+    def attribute_on(prim: Usd.Prim) -> Usd.Attribute | None:
         attribute = prim.GetAttribute(name)
         return attribute if attribute and attribute.HasAuthoredValue() else None
 
-    return _nearest(prim, own, {} if known is None else known.setdefault(name, {}))
+    return _nearest(prim, attribute_on, {} if known is None else known.setdefault(name, {}))
 
 
 def inherited_skeleton(prim: Usd.Prim, known: Known | None = None) -> Sdf.Path | None:
     """What skel:skeleton of the prim or the nearest one above names, whether it is there or not; `known` as above."""
 
-    def own(prim: Usd.Prim) -> Sdf.Path | None:
+    def skeleton_on(prim: Usd.Prim) -> Sdf.Path | None:
         relationship = prim.GetRelationship("skel:skeleton")
         named = relationship.GetForwardedTargets() if relationship else []
         return named[0] if named else None
 
-    return _nearest(prim, own, {} if known is None else known.setdefault("skel:skeleton", {}))
+    return _nearest(prim, skeleton_on, {} if known is None else known.setdefault("skel:skeleton", {}))
 
 
-def _nearest(prim: Usd.Prim, own: Callable[[Usd.Prim], Any], known: dict[Sdf.Path, Any]) -> Any:
-    asked, found = [], None
-    while found is None and prim and not prim.IsPseudoRoot():
+def _nearest(prim: Usd.Prim, value_on: Callable[[Usd.Prim], Any], known: dict[Sdf.Path, Any]) -> Any:
+    above, nearest = [], None
+    while nearest is None and prim and not prim.IsPseudoRoot():
         path = prim.GetPath()
         if path in known:
-            found = known[path]
+            nearest = known[path]
             break
-        asked.append(path)
-        found = own(prim)
+        above.append(path)
+        nearest = value_on(prim)
         prim = prim.GetParent()
-    known.update(dict.fromkeys(asked, found))
-    return found
+    known.update(dict.fromkeys(above, nearest))
+    return nearest

@@ -76,28 +76,28 @@ def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
 
 
 def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ...]:
-    found = []
+    parts = []
     inbetweens = shape.GetInbetweens()
     if len(inbetweens) > MOST_INBETWEENS:
         raise SchemaError(merge.where, f"{len(inbetweens)} inbetweens, expected at most {MOST_INBETWEENS}")
-    for one in inbetweens:
-        name = one.GetAttr().GetName().removeprefix("inbetweens:")
-        weight = one.GetWeight()
+    for inbetween in inbetweens:
+        name = inbetween.GetAttr().GetName().removeprefix("inbetweens:")
+        weight = inbetween.GetWeight()
         where = f"{merge.where}.inbetweens:{name}"
         if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
             raise SchemaError(where, f"weight {weight}, expected a number other than 0 and 1")
-        normals = one.GetNormalOffsets()
-        found.append(
+        normals = inbetween.GetNormalOffsets()
+        parts.append(
             Inbetween(
                 name=name,
                 weight=float(weight),
-                offsets=_inbetween_offsets(merge, name, one),
+                offsets=_inbetween_offsets(merge, name, inbetween),
                 normal_offsets=merge.optional(f"inbetweens:{name}:normalOffsets", normals),
             )
         )
-    if len({one.weight for one in found}) != len(found):
+    if len({one.weight for one in parts}) != len(parts):
         raise SchemaError(merge.where, "two inbetweens have one weight")
-    return tuple(sorted(found, key=lambda one: one.weight))
+    return tuple(sorted(parts, key=lambda one: one.weight))
 
 
 def _inbetween_offsets(merge: _Merge, name: str, one: UsdSkel.InbetweenShape) -> FloatArray:
@@ -115,11 +115,11 @@ class _Merge:
         self.where, self.count, self.unique, self.place = where, count, unique, place
         self.sorted = count == unique and bool((place == np.arange(count)).all())
 
-    def __call__(self, what: str, offsets: FloatArray) -> FloatArray:
+    def __call__(self, field: str, offsets: FloatArray) -> FloatArray:
         if len(offsets) != self.count:
-            raise TopologyError(f"{self.where}.{what}", f"{len(offsets)} offsets, expected {self.count}")
+            raise TopologyError(f"{self.where}.{field}", f"{len(offsets)} offsets, expected {self.count}")
         if not np.isfinite(offsets).all():
-            raise SchemaError(f"{self.where}.{what}", "NaN or infinity, expected finite numbers")
+            raise SchemaError(f"{self.where}.{field}", "NaN or infinity, expected finite numbers")
         if self.sorted:
             return offsets
         merged = np.zeros((self.unique, 3), dtype=np.float32)
@@ -152,11 +152,11 @@ def author_blendshape_changes(
     prim = editable(prim, below=True)
     api = UsdSkel.BindingAPI(prim)
     before = list(api.GetBlendShapeTargetsRel().GetTargets())
-    own = dict(zip((str(one) for one in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
+    paths = dict(zip((str(one) for one in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
     present = {shape.name: shape for shape in old}
     targets, lines = [], []
     for shape in new:
-        path, lines_of_shape = _author_change(prim, shape, present.get(shape.name), own.get(shape.name), shared)
+        path, lines_of_shape = _author_change(prim, shape, present.get(shape.name), paths.get(shape.name), shared)
         targets.append(path)
         lines += lines_of_shape
     names = {shape.name for shape in new}
@@ -235,21 +235,21 @@ def _inbetween_names(target: UsdSkel.BlendShape, shape: Blendshape) -> list[str]
     return [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens]
 
 
-def _author_inbetween(target: UsdSkel.BlendShape, name: str, one: Inbetween, present: Inbetween | None) -> None:
+def _author_inbetween(target: UsdSkel.BlendShape, name: str, new: Inbetween, present: Inbetween | None) -> None:
     inbetween = target.CreateInbetween(name)
-    if present is None or not same(float(one.weight), present.weight):
-        inbetween.SetWeight(float(one.weight))
-    if present is None or not same(one.offsets, present.offsets):
-        inbetween.SetOffsets(to_vec3f(one.offsets))
-    if present is None or not same(_some(one.normal_offsets), present.normal_offsets):
-        _put_normals(inbetween.CreateNormalOffsetsAttr, inbetween.GetNormalOffsetsAttr(), one.normal_offsets)
+    if present is None or not same(float(new.weight), present.weight):
+        inbetween.SetWeight(float(new.weight))
+    if present is None or not same(new.offsets, present.offsets):
+        inbetween.SetOffsets(to_vec3f(new.offsets))
+    if present is None or not same(_some(new.normal_offsets), present.normal_offsets):
+        _put_normals(inbetween.CreateNormalOffsetsAttr, inbetween.GetNormalOffsetsAttr(), new.normal_offsets)
 
 
 def _put_normals(
-    create: Callable[[Vt.Vec3fArray], Usd.Attribute], there: Usd.Attribute, offsets: FloatArray | None
+    create: Callable[[Vt.Vec3fArray], Usd.Attribute], present: Usd.Attribute, offsets: FloatArray | None
 ) -> None:
     if offsets is None:
-        put(there, None)
+        put(present, None)
     else:
         create(to_vec3f(offsets))
 

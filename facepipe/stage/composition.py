@@ -47,8 +47,8 @@ class _Stack:
     def size(self, path: Sdf.Path) -> int:
         return sum(table.sizes.get(path, 0) for table in self.tables)
 
-    def ways(self, path: Sdf.Path) -> set[Sdf.Path]:
-        return {way for table in self.with_arcs for way in table.ways.get(path, ())}
+    def children_with_arcs(self, path: Sdf.Path) -> set[Sdf.Path]:
+        return {child for table in self.with_arcs for child in table.children_with_arcs.get(path, ())}
 
 
 def checked_layers(path: Path) -> list[Sdf.Layer]:
@@ -105,7 +105,7 @@ class Composition:
         if self.root is None:
             return
         cache = Pcp.Cache(Pcp.LayerStackIdentifier(self.root.tables[0].layer, None, self._context), "usd", True)
-        todo, found = [_ROOT], 0
+        todo, composed = [_ROOT], 0
         while todo:
             path = todo.pop()
             index, _ = cache.ComputePrimIndex(path)
@@ -113,10 +113,10 @@ class Composition:
                 cache.RequestPayloads([path], [])
                 index, _ = cache.ComputePrimIndex(path)
             nodes = _nodes(index.rootNode)
-            found += nodes
-            if found > most:
+            composed += nodes
+            if composed > most:
                 raise self.too_much(f"more than {most}", most)
-            if nodes > 1 or self.root.ways(path) or path == _ROOT:
+            if nodes > 1 or self.root.children_with_arcs(path) or path == _ROOT:
                 todo.extend(path.AppendChild(name) for name in index.ComputePrimChildNames()[0])
 
     # what is below a prim
@@ -128,7 +128,7 @@ class Composition:
             return self._known(key)
         self._step(len(stack.tables), level)
         self._counts[key] = None
-        ways = stack.ways(path)
+        ways = stack.children_with_arcs(path)
         own = [self._below(stack, way, level + 1) for way in ways]
         plain = max(stack.size(path) - sum(stack.size(way) for way in ways), 1)
         base = _Count(
@@ -163,10 +163,10 @@ class Composition:
             raise InputError(self.path, f"nests prims and references more than {MOST_LEVELS} deep")
 
     def _known(self, key: tuple[int, Sdf.Path, bool]) -> _Count:
-        found = self._counts[key]
-        if found is None:
+        count = self._counts[key]
+        if count is None:
             raise InputError(self.path, f"composition error: Cycle of references at <{key[1]}>")
-        return found
+        return count
 
     def _keep(self, key: tuple[int, Sdf.Path, bool], count: _Count) -> _Count:
         if count.levels > MOST_LEVELS:
@@ -179,15 +179,15 @@ class Composition:
 
     def _targets_at(self, stack: _Stack, path: Sdf.Path) -> list[tuple[_Stack, Sdf.Path]]:
         """Where the arcs on a prim lead; an arc that several layers have is one."""
-        found = {}
+        targets = {}
         for table in stack.with_arcs:
             for arc in table.arcs.get(path, ()):
                 target = self._target(stack, table, arc.asset)
                 if target is not None:
                     prim = arc.prim or target.tables[0].layer.GetDefaultPrimAsPath()
                     if not prim.isEmpty:
-                        found[id(target), prim, arc.offset] = (target, prim)
-        return list(found.values())
+                        targets[id(target), prim, arc.offset] = (target, prim)
+        return list(targets.values())
 
     # layers
 
@@ -228,12 +228,12 @@ class Composition:
         return self._stacks[key]
 
     def _sublayers(self, root: LayerTable, variables: dict[str, Any]) -> list[LayerTable]:
-        found = []
+        tables = []
         todo: list[tuple[LayerTable, tuple[str, ...]]] = [(root, (root.layer.identifier,))]
         while todo:
             table, trail = todo.pop()
-            found.append(table)
-            if len(found) > MOST_SUBLAYERS or len(trail) > MOST_LEVELS:
+            tables.append(table)
+            if len(tables) > MOST_SUBLAYERS or len(trail) > MOST_LEVELS:
                 most = f"{MOST_SUBLAYERS} sublayers or {MOST_LEVELS} levels of them"
                 raise InputError(self.path, f"a layer has more than {most}")
             for name in reversed(table.layer.subLayerPaths):
@@ -241,7 +241,7 @@ class Composition:
                 below = self._table(identifier) if identifier else None
                 if below is not None and below.layer.identifier not in trail:  # USD passes over a circle
                     todo.append((below, (*trail, below.layer.identifier)))
-        return found
+        return tables
 
     def _table(self, identifier: str) -> LayerTable | None:
         try:
@@ -280,8 +280,8 @@ def _joined(base: _Count, parts: Sequence[_Count]) -> _Count:
 
 
 def _nodes(root: Any) -> int:
-    todo, found = [root], 0
+    todo, count = [root], 0
     while todo:
-        found += 1
+        count += 1
         todo.extend(todo.pop().children)
-    return found
+    return count

@@ -12,26 +12,26 @@ import numpy.typing as npt
 AnyArray = npt.NDArray[Any]
 
 
-def same(one: object, other: object) -> bool:
+def same(first: object, second: object) -> bool:
     """Whether two parts, or fields of them, are equal in float32; mappings in any order."""
-    if one is other:
+    if first is second:
         return True
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return one is not None and other is not None and _same_arrays(np.asarray(one), np.asarray(other))
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) == len(other) and all(map(same, one, other))
-    if dataclasses.is_dataclass(one) and type(one) is type(other):
-        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in dataclasses.fields(one))
-    if isinstance(one, float) and isinstance(other, float):
-        return bool(np.float32(one) == np.float32(other))
-    return one == other
+    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
+        return first is not None and second is not None and _same_arrays(np.asarray(first), np.asarray(second))
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
+    if isinstance(first, tuple | list) and isinstance(second, tuple | list):
+        return len(first) == len(second) and all(map(same, first, second))
+    if dataclasses.is_dataclass(first) and type(first) is type(second):
+        return all(same(getattr(first, field.name), getattr(second, field.name)) for field in dataclasses.fields(first))
+    if isinstance(first, float) and isinstance(second, float):
+        return bool(np.float32(first) == np.float32(second))
+    return first == second
 
 
-def _same_arrays(one: AnyArray, other: AnyArray) -> bool:
-    if one.shape != other.shape:
+def _same_arrays(first: AnyArray, second: AnyArray) -> bool:
+    if first.shape != second.shape:
         return False
-    if "f" in one.dtype.kind + other.dtype.kind:
-        return np.array_equal(one.astype(np.float32), other.astype(np.float32))
-    return np.array_equal(one, other)
+    if "f" in first.dtype.kind + second.dtype.kind:
+        return np.array_equal(first.astype(np.float32), second.astype(np.float32))
+    return np.array_equal(first, second)

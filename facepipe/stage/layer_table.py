@@ -65,18 +65,18 @@ class LayerTable:
         return sizes
 
     @cached_property
-    def ways(self) -> dict[Sdf.Path, set[Sdf.Path]]:
+    def children_with_arcs(self) -> dict[Sdf.Path, set[Sdf.Path]]:
         """Children with arcs on them or below them."""
-        ways: dict[Sdf.Path, set[Sdf.Path]] = defaultdict(set)
+        children: dict[Sdf.Path, set[Sdf.Path]] = defaultdict(set)
         for path in self.arcs:
             child = path
             while child != Sdf.Path.absoluteRootPath:
                 parent = child.GetParentPath()
-                if child in ways[parent]:
+                if child in children[parent]:
                     break
-                ways[parent].add(child)
+                children[parent].add(child)
                 child = parent
-        return ways
+        return children
 
 
 def _depth(path: Sdf.Path) -> int:
@@ -99,11 +99,11 @@ def _prims(layer: Sdf.Layer) -> Iterator[Sdf.PrimSpec]:
 
 
 def _arcs(edits: Any) -> Iterator[Arc]:
-    for one in getattr(edits, "GetAddedOrExplicitItems", list)():
-        if isinstance(one, Sdf.Path):
-            yield Arc("", one, "")
+    for item in getattr(edits, "GetAddedOrExplicitItems", list)():
+        if isinstance(item, Sdf.Path):
+            yield Arc("", item, "")
         else:
-            yield Arc(one.assetPath, one.primPath, repr(one.layerOffset))
+            yield Arc(item.assetPath, item.primPath, repr(item.layerOffset))
 
 
 def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:

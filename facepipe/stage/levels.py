@@ -75,10 +75,10 @@ def lower_levels(stage: Usd.Stage) -> Iterator[Usd.Stage]:
 def stage_at(stage: Usd.Stage, path: Sdf.Path, name: str) -> Usd.Stage:
     """Another stage of the same layers, with the face prim at a level."""
     session = Sdf.Layer.CreateAnonymous(".usda")
-    found = Usd.Stage.Open(stage.GetRootLayer(), session)
-    with Usd.EditContext(found, session):
-        found.GetPrimAtPath(path).GetVariantSet(tokens.LEVELS).SetVariantSelection(name)
-    return found
+    at_level = Usd.Stage.Open(stage.GetRootLayer(), session)
+    with Usd.EditContext(at_level, session):
+        at_level.GetPrimAtPath(path).GetVariantSet(tokens.LEVELS).SetVariantSelection(name)
+    return at_level
 
 
 def flattened(stage: Usd.Stage) -> Sdf.Layer:

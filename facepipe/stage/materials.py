@@ -149,15 +149,15 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
 
     :raises InputError: two different images of one name
     """
-    found: dict[str, Texture] = {}
+    textures: dict[str, Texture] = {}
     for material in parts.materials:
         for field in _USD_NAMES:
             value = getattr(material, field)
             if isinstance(value, TextureInput):
                 texture = value.texture
-                if found.setdefault(texture.name, texture).data != texture.data:
+                if textures.setdefault(texture.name, texture).data != texture.data:
                     raise InputError(material.name, f"two different textures named '{texture.name}'")
-    return found
+    return textures
 
 
 def author_materials(

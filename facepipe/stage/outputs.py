@@ -33,11 +33,11 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
 
 def _check_not_needed(output: Path, inputs: Sequence[Path]) -> None:
     """:raises InputError: `output` is a layer or texture of a stage among the inputs"""
-    for one in inputs:
-        if one.is_file() and one.suffix.lower() in SUFFIXES:
-            for needed in dependencies(one):
+    for stage in inputs:
+        if stage.is_file() and stage.suffix.lower() in SUFFIXES:
+            for needed in dependencies(stage):
                 if needed.exists() and output.samefile(needed):
-                    raise InputError(output, f"is needed by {one}, expected another output file")
+                    raise InputError(output, f"is needed by {stage}, expected another output file")
 
 
 def check_report_folder(

@@ -38,10 +38,10 @@ def author_photo_changes(
 
     :param prims: what `old` was read from
     """
-    there = {photo.name: (prim, photo) for prim, photo in zip(prims, old, strict=True)}
+    present = {photo.name: (prim, photo) for prim, photo in zip(prims, old, strict=True)}
     lines = []
     for photo in new:
-        prim, before = there.pop(photo.name, (None, None))
+        prim, before = present.pop(photo.name, (None, None))
         if same(before, photo):
             continue
         if prim is None:
@@ -49,7 +49,7 @@ def author_photo_changes(
             prim = UsdGeom.Camera.Define(face.GetStage(), path).GetPrim()
         _write(UsdGeom.Camera(editable(prim)), photo)
         lines.append(f"{photo.name}: camera {'added' if before is None else 'changed'}")
-    for name, (prim, _) in there.items():
+    for name, (prim, _) in present.items():
         editable(prim).SetActive(False)
         lines.append(f"{name}: camera removed")
     return tuple(lines)

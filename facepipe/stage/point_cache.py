@@ -43,15 +43,15 @@ class CachedMesh:
     @property
     def guessed(self) -> npt.NDArray[np.bool_]:
         """(T,) samples that are between two different ones, so that nobody knows where the points were."""
-        own, numbers = np.flatnonzero(self.authored), np.arange(len(self.points))
-        if not len(own):
+        authored, numbers = np.flatnonzero(self.authored), np.arange(len(self.points))
+        if not len(authored):
             return np.zeros(len(numbers), dtype=bool)
-        before, after = np.searchsorted(own, numbers, side="right") - 1, np.searchsorted(own, numbers)
-        inside = (before >= 0) & (after < len(own)) & (before != after)
+        before, after = np.searchsorted(authored, numbers, side="right") - 1, np.searchsorted(authored, numbers)
+        inside = (before >= 0) & (after < len(authored)) & (before != after)
         return np.array(
             [
-                here and not np.array_equal(self.points[own[one]], self.points[own[other]])
-                for here, one, other in zip(inside, before, after, strict=True)
+                here and not np.array_equal(self.points[authored[left]], self.points[authored[right]])
+                for here, left, right in zip(inside, before, after, strict=True)
             ]
         )
 
@@ -168,10 +168,10 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
     if bad.size:
         when = "" if times[0].IsDefault() else f" at time code {times[bad[0]].GetValue():g}"
         raise InputError(where, f"points hold NaN or infinity{when}, expected finite numbers")
-    own = Mesh(name=prim.GetName(), points=points[0], face_vertex_counts=counts, face_vertex_indices=indices)
+    mesh_parts = Mesh(name=prim.GetName(), points=points[0], face_vertex_counts=counts, face_vertex_indices=indices)
     place, sampled = UsdGeom.Xformable(prim), set(mesh.GetPointsAttr().GetTimeSamples())
     return CachedMesh(
-        mesh=turned(own) if is_left_handed(mesh) else own,
+        mesh=turned(mesh_parts) if is_left_handed(mesh) else mesh_parts,
         points=points,
         worlds=np.stack([matrix(place.ComputeLocalToWorldTransform(time)) for time in times]),
         untimed=floats(mesh.GetPointsAttr().Get(), 3) if mesh.GetPointsAttr().Get() else None,

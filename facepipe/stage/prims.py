@@ -26,10 +26,10 @@ def prims_below(prim: Usd.Prim, where: object) -> Iterator[Usd.Prim]:
     :param where: the trail for the error
     :raises InputError: more than `MOST_PRIMS`
     """
-    for number, one in enumerate(Usd.PrimRange(prim, INSTANCES)):
+    for number, below in enumerate(Usd.PrimRange(prim, INSTANCES)):
         if number >= MOST_PRIMS:
             raise InputError(where, f"more than {MOST_PRIMS} prims, expected a face")
-        yield one
+        yield below
 
 
 def check_kinds(prims: Iterable[Usd.Prim], where: object) -> None:

@@ -149,10 +149,10 @@ def _controlled(prim: Usd.Prim) -> bool:
 def _declared(stage: Usd.Stage) -> tuple[ControlTrack, ...]:
     namespace = tokens.CONTROL_PREFIX.rstrip(":")
     return tuple(
-        _track(one)
+        _track(control)
         for prim in prims_below(stage.GetPseudoRoot(), "stage")
-        for one in prim.GetAuthoredPropertiesInNamespace(namespace)
-        if isinstance(one, Usd.Attribute) and one.HasAuthoredValue()
+        for control in prim.GetAuthoredPropertiesInNamespace(namespace)
+        if isinstance(control, Usd.Attribute) and control.HasAuthoredValue()
     )
 
 
@@ -162,15 +162,15 @@ def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...
         prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) and path.startswith("/") else None
         if not prim:
             raise InputError(f"<{path}>", "no such prim, expected the path of one with controls")
-        own = [
+        numbers = [
             attribute
             for attribute in prim.GetAuthoredAttributes()
             if attribute.IsCustom() and attribute.HasAuthoredValue()
         ]
-        own = [one for one in own if str(one.GetTypeName()) in _NUMBERS]
-        if not own:
+        numbers = [one for one in numbers if str(one.GetTypeName()) in _NUMBERS]
+        if not numbers:
             raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
-        tracks += [_track(one) for one in own]
+        tracks += [_track(one) for one in numbers]
     return tuple(tracks)
 
 

@@ -98,7 +98,7 @@ def _normals(mesh: UsdGeom.Mesh, points: int, corners: int) -> FloatArray | None
 
 
 def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
-    found = []
+    uv_sets = []
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
         kind = str(primvar.GetTypeName())
         if kind not in UV_TYPES:
@@ -113,11 +113,11 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
         if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
             raise TopologyError(where, f"indices outside 0..{len(values) - 1}")
         if per_point:
-            found.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
+            uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
         else:
             corner = np.arange(corners, dtype=np.int32) if indices is None else indices
-            found.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
-    return tuple(found)
+            uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
+    return tuple(uv_sets)
 
 
 def _colors(prim: Usd.Prim, points: int) -> FloatArray | None:
@@ -159,15 +159,15 @@ def _in_skeleton_order(
 ) -> npt.NDArray[np.int32]:
     """Indices into the skeleton's joints; those without weight are 0."""
     order = query.GetJointOrder()
-    own = tuple(str(joint) for joint in order) if order else joints
+    names = tuple(str(joint) for joint in order) if order else joints
     used = weights != 0
-    if used.any() and not (indices[used].min() >= 0 and indices[used].max() < len(own)):
-        raise TopologyError(where, f"joint indices outside 0..{len(own) - 1}")
+    if used.any() and not (indices[used].min() >= 0 and indices[used].max() < len(names)):
+        raise TopologyError(where, f"joint indices outside 0..{len(names) - 1}")
     place = {joint: i for i, joint in enumerate(joints)}
-    missing = [joint for joint in own if joint not in place]
+    missing = [joint for joint in names if joint not in place]
     if missing:
         raise SchemaError(f"{where}.skel:joints", f"'{missing[0]}' is not a joint of the skeleton")
-    table = np.array([place[joint] for joint in own], dtype=np.int32)
+    table = np.array([place[joint] for joint in names], dtype=np.int32)
     return np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
 
 

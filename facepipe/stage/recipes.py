@@ -72,10 +72,10 @@ def check_recipe(where: str, recipe: Recipe) -> None:
 
 
 def _check_version(where: str, version: str) -> None:
-    own, found = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
-    if found is None or own is None:
+    ours, theirs = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
+    if theirs is None or ours is None:
         raise SchemaError(where, f"version '{version[:40]}', expected one like {__version__}")
-    if tuple(map(int, found.groups())) > tuple(map(int, own.groups())):
+    if tuple(map(int, theirs.groups())) > tuple(map(int, ours.groups())):
         raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
 
 

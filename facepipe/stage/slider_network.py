@@ -73,12 +73,12 @@ def _info(prim: Usd.Prim, text: str) -> dict[str, object]:
     where = f"{prim.GetPath()}.{tokens.NETWORK_INFO}"
     check_values(where, text.encode())
     try:
-        found = json.loads(text)
+        info = json.loads(text)
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
+        info = None
+    if not isinstance(info, dict):
         raise SchemaError(where, "no JSON object, expected one")
-    return found
+    return info
 
 
 def check_face_network(where: object, parts: FaceParts, error: type[FacepipeError] = InputError) -> None:
@@ -100,7 +100,7 @@ def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
     """Apply a network to the face prim."""
     apply_schema(prim, tokens.SLIDER_NETWORK_API)
     layers = [len(network.sliders), *(len(bias) for bias in network.biases)]
-    for name, found in (
+    for name, value in (
         (tokens.NETWORK_SLIDERS, list(network.sliders)),
         (tokens.NETWORK_JOINTS, [joint for joint, _ in network.channels]),
         (tokens.NETWORK_CHANNELS, [channel for _, channel in network.channels]),
@@ -111,7 +111,7 @@ def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
         (tokens.NETWORK_ACTIVATION, network.activation),
         (tokens.NETWORK_INFO, json.dumps(dict(network.info), sort_keys=True) if network.info else ""),
     ):
-        put_value(prim, name, found)
+        put_value(prim, name, value)
 
 
 def author_network_change(prim: Usd.Prim, old: SliderNetwork | None, new: SliderNetwork | None) -> tuple[str, ...]:

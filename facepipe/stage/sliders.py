@@ -25,14 +25,15 @@ def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
         that is not mutual
     """
     names = {
-        one.GetName().removeprefix(tokens.SLIDER_PREFIX).rpartition(":")[0]
-        for one in prim.GetAuthoredPropertiesInNamespace(tokens.SLIDER_PREFIX.rstrip(":"))
-        if isinstance(one, Usd.Attribute) and one.HasAuthoredValue()  # an override layer blocks sliders that are gone
+        attribute.GetName().removeprefix(tokens.SLIDER_PREFIX).rpartition(":")[0]
+        for attribute in prim.GetAuthoredPropertiesInNamespace(tokens.SLIDER_PREFIX.rstrip(":"))
+        if isinstance(attribute, Usd.Attribute)
+        and attribute.HasAuthoredValue()  # an override layer blocks sliders that are gone
     }
     sliders = tuple(_slider(prim, name) for name in sorted(names))
-    found = sliders_fault(sliders)
-    if found:
-        raise SchemaError(_where(prim, found[0]), found[1])
+    fault = sliders_fault(sliders)
+    if fault:
+        raise SchemaError(_where(prim, fault[0]), fault[1])
     return sliders
 
 

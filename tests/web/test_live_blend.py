@@ -35,7 +35,7 @@ def child(folder: Path, capsys: Capsys) -> Path:
 
 
 def live_of(path: Path) -> LiveBlend:
-    live = LiveBlend.of(path)
+    live = LiveBlend.from_stage(path)
     assert live is not None
     return live
 
@@ -72,13 +72,13 @@ def test_locked_regions_stay(child: Path, capsys: Capsys) -> None:
 
 def test_other_faces_have_no_blend(tmp_path: Path) -> None:
     save_parts(tiny_face(), tmp_path / "face.usda")
-    assert LiveBlend.of(tmp_path / "face.usda") is None
+    assert LiveBlend.from_stage(tmp_path / "face.usda") is None
 
 
 def test_a_source_that_is_gone(child: Path) -> None:
     Path("b.usda").unlink()
     with pytest.raises(InputError, match=r"b\.usda"):
-        LiveBlend.of(child)
+        LiveBlend.from_stage(child)
 
 
 @pytest.mark.parametrize(

@@ -55,27 +55,27 @@ def _name_others(scene: Scene) -> None:
 
 def note_custom(scene: Scene) -> None:
     """Properties and data of a prim that no schema knows are named in a warning."""
-    own: dict[str, list[Usd.Prim]] = {}
+    unknown: dict[str, list[Usd.Prim]] = {}
     for prim in scene.prims:
         properties = [prop.GetName() for prop in prim.GetAuthoredProperties() if prop.IsCustom()]
         data = [key for key in prim.GetCustomData() if prim.HasAuthoredCustomDataKey(key) and key != "Blender"]
         for name in [*properties, *(f"customData {key}" for key in data)]:
             if not name.startswith(_KNOWN_PROPERTIES):
-                own.setdefault(name, []).append(prim)
-    for name, prims in sorted(own.items())[:_LISTED]:
+                unknown.setdefault(name, []).append(prim)
+    for name, prims in sorted(unknown.items())[:_LISTED]:
         scene.warn(f"{name}, which no schema knows: left out", prims)
-    if len(own) > _LISTED:
-        scene.warn(f"{len(own) - _LISTED} more kinds of properties that no schema knows: left out")
+    if len(unknown) > _LISTED:
+        scene.warn(f"{len(unknown) - _LISTED} more kinds of properties that no schema knows: left out")
 
 
 def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
     """Blocks what our parts can't hold, and names it."""
     dropped: dict[str, list[Usd.Prim]] = {}
     for prim in meshes:
-        for what in _mend(prim):
-            dropped.setdefault(what, []).append(prim)
-    for what, prims in sorted(dropped.items()):
-        scene.warn(what, prims)
+        for mend in _mend(prim):
+            dropped.setdefault(mend, []).append(prim)
+    for mend, prims in sorted(dropped.items()):
+        scene.warn(mend, prims)
 
 
 @reads_prim
@@ -156,15 +156,15 @@ def _details(mesh: UsdGeom.Mesh) -> list[str]:
 
 def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
     """The skinning query of every bound mesh by its path."""
-    found: dict[str, UsdSkel.SkinningQuery] = {}
+    queries: dict[str, UsdSkel.SkinningQuery] = {}
     for root in scene.roots:
         if not root.IsA(UsdSkel.Root):
             continue
         cache = UsdSkel.Cache()
         cache.Populate(UsdSkel.Root(root), Usd.PrimDefaultPredicate)
         for binding in cache.ComputeSkelBindings(UsdSkel.Root(root), Usd.PrimDefaultPredicate):
-            found |= {str(query.GetPrim().GetPath()): query for query in binding.GetSkinningTargets()}
-    return found
+            queries |= {str(query.GetPrim().GetPath()): query for query in binding.GetSkinningTargets()}
+    return queries
 
 
 _READ = {

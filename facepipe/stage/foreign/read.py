@@ -89,8 +89,8 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
     material_names, materials = bound_materials(scene, meshes)
     queries = bindings(scene)
     read = tuple(
-        _mesh(scene, one, name, queries.get(str(one.GetPath())), skeleton, material_names)
-        for one, name in zip(meshes, names, strict=True)
+        _mesh(scene, mesh, name, queries.get(str(mesh.GetPath())), skeleton, material_names)
+        for mesh, name in zip(meshes, names, strict=True)
     )
     twins = twin_shapes(meshes)
     sliders = _sliders(scene)
@@ -140,7 +140,7 @@ def _animations(
 ) -> dict[Usd.Prim, Animation]:
     """The animations of the face, that which its skeleton plays wherever it stands; names unique."""
     shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
-    found: dict[Usd.Prim, Animation] = {}
+    animations: dict[Usd.Prim, Animation] = {}
     every = dict.fromkeys([*scene.prims, *([] if source is None else [source])])
     prims = [prim for prim in every if prim.IsA(UsdSkel.Animation)]
     names = distinct_names(prims, [str(one.GetName()) for one in prims])
@@ -156,8 +156,8 @@ def _animations(
         missing = [name for name in ("translations", "rotations", "scales") if getattr(animation, name) is None]
         if missing and animation.joints:
             scene.warn(f"no {' and '.join(missing)}: taken from rest", [prim])
-        found[prim] = animation
-    return found
+        animations[prim] = animation
+    return animations
 
 
 def _meters_per_unit(scene: Scene) -> float:
@@ -183,44 +183,44 @@ def _attribution(scene: Scene) -> str:
 
 def _attach_joint(scene: Scene) -> str | None:
     """The body joint that the root joints hang under; the first where the stage names several."""
-    found = _texts(scene, tokens.ATTACH_JOINT)
-    if len(found) > 1:
-        scene.warn(f"{len(found)} attach joints: '{found[0]}' is kept")
-    return found[0] if found else None
+    joints = _texts(scene, tokens.ATTACH_JOINT)
+    if len(joints) > 1:
+        scene.warn(f"{len(joints)} attach joints: '{joints[0]}' is kept")
+    return joints[0] if joints else None
 
 
 def _sliders(scene: Scene) -> tuple[Slider, ...]:
     """The sliders of all faces, the first of each name; those of a prim where they don't fit are left out."""
-    found: dict[str, Slider] = {}
+    sliders: dict[str, Slider] = {}
     for prim in _prims(scene):
         try:
-            own = read_sliders(prim)
+            of_prim = read_sliders(prim)
         except FacepipeError as error:
             scene.warn(f"{error}: sliders left out")
             continue
-        twice = sorted({one.name for one in own} & {*found})
+        twice = sorted({one.name for one in of_prim} & {*sliders})
         if twice:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
-        found = {one.name: one for one in own} | found
-    return with_mutual_mirrors([found[name] for name in sorted(found)])
+        sliders = {one.name: one for one in of_prim} | sliders
+    return with_mutual_mirrors([sliders[name] for name in sorted(sliders)])
 
 
-def _slider_network(scene: Scene, own: Sequence[Slider]) -> SliderNetwork | None:
+def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | None:
     """The first learned network that the sliders `own` are enough for; others are left out."""
-    names, found = {one.name for one in own}, None
+    names, chosen = {one.name for one in sliders}, None
     for prim in _prims(scene):
         try:
             network = read_slider_network(prim)
         except FacepipeError as error:
             scene.warn(f"{error}: network left out")
             continue
-        if network is not None and (found is not None or not names.issuperset(network.sliders)):
+        if network is not None and (chosen is not None or not names.issuperset(network.sliders)):
             scene.warn(
                 "a learned network of sliders left out: it is one too many, or its sliders are not there", [prim]
             )
         elif network is not None:
-            found = network
-    return found
+            chosen = network
+    return chosen
 
 
 def _limits(scene: Scene, skeleton: Usd.Prim, joint_count: int) -> BoneLimits | None:

@@ -67,11 +67,11 @@ class Scene:
     def _open_instances(self) -> None:
         """Instances become plain prims: what is mended below one is not mended below all."""
         while True:
-            found = [prim for root in self.roots for prim in Usd.PrimRange(root) if prim.IsInstance()]
-            if not found:
+            instances = [prim for root in self.roots for prim in Usd.PrimRange(root) if prim.IsInstance()]
+            if not instances:
                 return
             list(self._below())  # counts what they will become
-            for prim in found:
+            for prim in instances:
                 prim.SetInstanceable(False)
 
     def _default_values(self) -> None:
@@ -153,15 +153,15 @@ def _choose_variants(stage: Usd.Stage, path: Path, chosen: Mapping[str, str]) ->
 
 def _variants_in_effect(prims: Iterable[Usd.Prim], chosen: Mapping[str, str]) -> list[str]:
     """One line for every set that was not chosen and offers more than what was read."""
-    found: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    sets: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
     for prim in prims:
         for name in prim.GetVariantSets().GetNames():
             variants = prim.GetVariantSets().GetVariantSet(name)
             names, current = variants.GetVariantNames(), variants.GetVariantSelection()
             if name not in chosen and names != [current]:
-                found.setdefault((name, current, tuple(names)), []).append(f"<{prim.GetPath()}>")
+                sets.setdefault((name, current, tuple(names)), []).append(f"<{prim.GetPath()}>")
     return [
         f"{owners[0]}{f' and {len(owners) - 1} more' if len(owners) > 1 else ''}: variant {current or 'none'} of the "
         f"set {name} is read, of {', '.join(names)} (--variant {name}=NAME chooses)"
-        for (name, current, names), owners in found.items()
+        for (name, current, names), owners in sets.items()
     ]

@@ -41,14 +41,14 @@ def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) ->
 
 def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Usd.Prim]:
     """The meshes that are the skeleton's; those bound to nothing are bound to it."""
-    own, loose, others = [], [], []
+    bound, loose, others = [], [], []
     for mesh in meshes:
         path = inherited_skeleton(mesh)
         target = scene.stage.GetPrimAtPath(path) if path is not None and path.IsPrimPath() else None
         if target and target.IsA(UsdSkel.Skeleton) and target != skeleton:
             others.append(mesh)
             continue
-        own.append(mesh)
+        bound.append(mesh)
         if target != skeleton and inherited_attribute(mesh, "primvars:skel:jointIndices"):
             loose.append(mesh)
             UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
@@ -56,7 +56,7 @@ def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Us
         scene.warn(f"influences, but no Skeleton: taken as bound to <{skeleton.GetPath()}>", loose)
     if others:
         scene.warn("bound to another Skeleton: left out", others)
-    return own
+    return bound
 
 
 @reads_prim

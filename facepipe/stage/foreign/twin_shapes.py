@@ -23,11 +23,11 @@ def twin_shapes(meshes: Sequence[Usd.Prim]) -> dict[str, str]:
     """
     every = [_tokens(mesh) for mesh in meshes]
     plain = {prim: token for own in every for token, prim in own.items() if _identifier(token) == prim}
-    found: dict[str, str] = {}
+    bases: dict[str, str] = {}
     for own in every:
         twins = {token: plain[prim] for token, prim in own.items() if prim in plain and _numbered(token, prim)}
-        found |= {token: base for token, base in twins.items() if base not in own}
-    return {token: base for token, base in found.items() if token not in plain.values()}
+        bases |= {token: base for token, base in twins.items() if base not in own}
+    return {token: base for token, base in bases.items() if token not in plain.values()}
 
 
 def _tokens(mesh: Usd.Prim) -> dict[str, str]:
