@@ -45,7 +45,7 @@ def _others() -> dict[str, EntryPoint]:
 
 
 def summaries(group: str = "") -> dict[str, str]:
-    """Verb -> what it does, of all actions, or those of a group; of a plug-in that can't be used, why."""
+    """Verb -> what it does, for all actions, or those of a group; for a plug-in that can't be used, the reason."""
     own = {verb: summary for verb, (_, summary) in _own().items() if verb.startswith(group)}
     others = {verb: _summary(entry) for verb, entry in _others().items() if verb.startswith(group)}
     return dict(sorted({**others, **own}.items()))
@@ -105,14 +105,14 @@ def _of_others(entry: EntryPoint) -> type[Action[Any]]:
 
 
 def _check_fields(kind: type[Action[Any]], where: str) -> None:
-    """:raises InputError: fields that can't be read, called as flags of every command, or without a source"""
+    """:raises InputError: fields that can't be read, are named like flags of every command, or lack a source"""
     try:
         fields = fields_of(kind)
     except (TypeError, NameError, AttributeError) as error:
         raise InputError(where, f"has fields that can't be read, expected a dataclass: {error}") from None
     for one in fields:
         if _TAKEN & {one.name.replace("_", "-"), one.shown.removeprefix("--")}:
-            raise InputError(f"{where} -> {one.name}", "is called as what every command has, expected another name")
+            raise InputError(f"{where} -> {one.name}", "has the name of what every command has, expected another")
     made_of_nothing = issubclass(kind, FileAction) and not issubclass(kind, InPlaceAction)
     if not made_of_nothing and all(field.role != "source" for field in fields):
         raise InputError(where, "has no source, expected one")

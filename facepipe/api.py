@@ -21,7 +21,7 @@ AnyPath = str | os.PathLike[str]
 
 
 def read(path: AnyPath, kind: str | None = None, **options: Any) -> Face:
-    """The face of any file: USD as it stands, else imported into memory; `warnings` of the face say what is lost.
+    """The face of any file: USD as it stands, else imported into memory; `warnings` of the face list what is lost.
 
     :param kind: of `facepipe import`, for files of one suffix that may be of several (ict, makehuman, folders of obj)
     :param options: of that kind, like ``identity_seed=7``
@@ -126,7 +126,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
 def _bound(signature: inspect.Signature, name: str, files: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments by parameter.
 
-    :raises TypeError: as Python does, with the parameter that is most like one that there is not
+    :raises TypeError: as Python does, with the parameter that is most like an unknown one
     """
     try:
         return dict(signature.bind(*files, **named).arguments)
@@ -179,4 +179,4 @@ def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[
     lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
     lines += [f":param {field.name}: {field.help_text}" for field in fields]
     lines += [f":param {name}: {said}" for name, (_, said) in own.items()]
-    return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is"])
+    return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is written"])

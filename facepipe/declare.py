@@ -1,8 +1,8 @@
-"""What an action takes, said once: its fields with help, range and unit, and their values as JSON.
+"""What an action takes, declared once: its fields with help, range and unit, and their values as JSON.
 
     width_mm: float = option(3.0, "width of the border", 0.0, 100.0, "mm")
 
-Flags, checks of ranges and recipes are made of that; `facepipe.kinds` has the kinds of actions.
+Flags, checks of ranges and recipes follow from that; `facepipe.kinds` has the kinds of actions.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def source(
 def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "") -> Any:
     """A field of an action for a file, or folder (no suffix), that is written beside the result where it is asked for.
 
-    :param write: the method that writes it: (face, report, path) -> what JSON says of it, or None
+    :param write: the method that writes it: (face, report, path) -> its entry in the JSON, or None
     :param holds: pattern of the names in the folder, with "/" below it
     """
     metavar = suffix.removeprefix(".").upper() or "DIR"
@@ -117,7 +117,7 @@ def _declared(default: Any, said: dict[str, Any]) -> Any:
 def named_numbers(words: Sequence[str]) -> dict[str, float]:
     """``name=number`` words as a mapping.
 
-    :raises InputError: a word that is not so, or a number that is not finite
+    :raises InputError: a word of another form, or a number that is not finite
     """
     numbers = {}
     for word in words:
@@ -279,7 +279,7 @@ def _flat(hint: Any) -> tuple[Any, ...]:
 
 
 def values_of(kind: type[DataclassInstance], holder: object) -> dict[str, Any]:
-    """The fields of the option dataclass `kind` as `holder`, which has them too, has them."""
+    """Values of the fields of the option dataclass `kind` on `holder`, which has the same fields."""
     return {one.name: getattr(holder, one.name) for one in dataclasses.fields(kind)}
 
 

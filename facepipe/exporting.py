@@ -1,4 +1,4 @@
-"""A face written for the engine: under other names, with learned sliders, or moved by a neural rig, where asked for."""
+"""A face written for the engine: under other names, with learned sliders, or moved by a neural rig, if asked for."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def export(
     watch: Watch = unwatched,
     **options: Any,
 ) -> ExportReport:
-    """Write a face for the engine; the suffix of `out` says the format.
+    """Write a face for the engine; the suffix of `out` gives the format.
 
     :param face: or its file
     :param rename: other names of shapes: a convention (arkit, vrm ...), or a table (.json, .csv)

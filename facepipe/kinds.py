@@ -11,8 +11,7 @@
 
         def author(self, face: Face, job: Job) -> ShrinkReport: ...
 
-The command with its flags and help, the recipe and what cooks it again, `--edit` and the Python function are made of
-that.
+The command with its flags and help, the recipe and its cooking, `--edit` and the Python function follow from that.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ Watch = Callable[[str, int], AbstractContextManager[Any]]  # label, steps -> the
 
 @contextmanager
 def unwatched(label: str, steps: int) -> Iterator[Bar]:
-    """Progress that nobody looks at."""
+    """Progress that is not shown."""
     yield _Unseen()
 
 
@@ -71,7 +70,7 @@ class _Unseen:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What an action is given to do its work."""
+    """What an action gets for its work."""
 
     out: Path
     watch: Watch
@@ -101,7 +100,7 @@ class Action(ABC, Generic[R]):
 
     @property
     def base(self) -> Path:
-        """The first file that it is done to.
+        """The first file that it works on.
 
         :raises InputError: there is none
         """
@@ -117,7 +116,7 @@ class Action(ABC, Generic[R]):
         return ()
 
     def check(self) -> None:
-        """What can be said before any file is read.
+        """Check what can be checked before any file is read.
 
         :raises InputError: options out of range, or that don't go together
         """

@@ -1,4 +1,4 @@
-"""Actions done: a face stage made of its sources, with the recipe that makes it again."""
+"""Actions performed: a face stage made of its sources, with the recipe that makes it again."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ R = TypeVar("R", bound=Report)
 
 @dataclass(frozen=True, kw_only=True)
 class Performed:
-    """What was written beside a result, and what JSON says of it."""
+    """What was written beside a result, and its entries in the JSON."""
 
     report: Report
-    beside: Mapping[str, Any]  # field -> its path, or what its writer says
+    beside: Mapping[str, Any]  # field -> its path, or what its writer returned
 
 
 def perform(
@@ -90,7 +90,7 @@ def _staged(
 
 
 def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -> dict[str, Any]:
-    """Write what is asked for beside a result; what JSON says of it."""
+    """Write what is asked for beside a result; its entries in the JSON."""
     results: dict[str, Any] = {}
     for field, (path, place) in temporary.items():
         with _called(path, place):

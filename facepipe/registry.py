@@ -1,7 +1,7 @@
 """Plug-ins, found through entry points: exporters by file suffix, importers by kind, hosts by name.
 
-`Exporter` and `Importer` say what a module must have that ``facepipe.exporters`` and ``facepipe.importers`` name. A
-host (``facepipe.hosts``) is a module that brings faces into another program; its command says what it calls there.
+`Exporter` and `Importer` are what modules must have that ``facepipe.exporters`` and ``facepipe.importers`` name. A
+host (``facepipe.hosts``) is a module that brings faces into another program; its command documents what it calls there.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Exporter(Protocol):
 
     @property
     def Options(self) -> Any:  # noqa: N802  (a class: a frozen dataclass whose fields are made by `declare.option`)
-        """What may be set about an export; all of it has defaults."""
+        """Options of an export; all have defaults."""
 
     def export(self, face: HasParts, path: Path, options: Any) -> ExportReport:
         """Write the face.
@@ -54,7 +54,7 @@ class Importer(Protocol):
 
     @property
     def Options(self) -> Any:  # noqa: N802  (as an exporter's)
-        """What may be set about reading; all of it has defaults."""
+        """Options of reading; all have defaults."""
 
     def read(self, source: Path, options: Any) -> Imported:
         """The face at `source`, with what of it could not be read as warnings.
@@ -84,7 +84,7 @@ def exporter(path: str | Path) -> Exporter:
 
 
 def outputs(path: str | Path) -> tuple[Path, ...]:
-    """The files that the exporter of a path writes for it: the path alone where the exporter doesn't say.
+    """The files that the exporter of a path writes for it: the path alone where the exporter lists none.
 
     :raises InputError: as `exporter`
     """

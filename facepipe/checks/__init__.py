@@ -22,7 +22,7 @@ register()
 
 
 def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
-    """Check a face stage, a glTF file or an ONNX file; none found means that it is good.
+    """Check a face stage, a glTF file or an ONNX file; no finding means that it is good.
 
     :raises InputError: no such file, a suffix that nothing here checks, or a file too damaged to open
     """

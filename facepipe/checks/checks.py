@@ -115,7 +115,7 @@ CHECKS: tuple[Check, ...] = (
 
 
 def check_stage(stage: Usd.Stage) -> list[Finding]:
-    """What our checks find on a stage, in the order of `CHECKS`."""
+    """The findings of our checks on a stage, in the order of `CHECKS`."""
     with usd_errors(stage.GetRootLayer().realPath), np.errstate(all="ignore"):  # NaN is what some checks look for
         face = FaceView(stage)
         return [
@@ -126,7 +126,7 @@ def check_stage(stage: Usd.Stage) -> list[Finding]:
 
 
 def problems(check: Check, face: FaceView) -> list[Problem]:
-    """What a check finds; that it could not be run is a find too."""
+    """The problems that a check finds; one where it could not be run."""
     problems: list[Problem] = []
     try:
         problems.extend(check.function(face))

@@ -108,7 +108,7 @@ def skeleton_count(face: FaceView) -> Iterator[Problem]:
 
 
 def skel_binding_api(face: FaceView) -> Iterator[Problem]:
-    """SkelBindingAPI is applied to the Skeleton and to every prim with skel properties; they do nothing without."""
+    """SkelBindingAPI is applied to the Skeleton and to every prim with skel properties; without it they do nothing."""
     for prim in face.prims:
         if prim.HasAPI(UsdSkel.BindingAPI):
             continue

@@ -1,4 +1,4 @@
-"""Recipes evaluated again where what they are made of has changed, in the order that files depend on each other."""
+"""Recipes evaluated again where their sources have changed, in the order in which files depend on each other."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def cook(
     """Bring the faces at `paths`, and all that they are made of, up to date.
 
     A file with a recipe is made anew where the digest of a source is not that of the recipe, or a layer that it stands
-    on is lost; with the bytes that its command would write. What was cooked to the same bytes as before stops there.
-    Each file is written whole or not at all, by one process at a time: a cook that was killed is just begun again.
+    on is lost; with the bytes that its command would write. A file that comes out as it was makes no other stale.
+    Each file is written whole or not at all, by one process at a time: a cook that was killed is simply run again.
     Files outside the roots of the one of `paths` that led to them stay as they are.
 
     :param paths: files; or one
@@ -70,11 +70,11 @@ class _Run:
         self._digests = Digests()
         self._cooked: set[Path] = set()
         self._stale: set[Path] = set()
-        self._outside: set[Path] = set()  # stale, and stay so
-        self._grown = False  # something is made of files that the graph has not
+        self._outside: set[Path] = set()  # stale, and left so
+        self._grown = False  # something is made of files that the graph lacks
 
     def nodes(self, files: Sequence[Path]) -> Iterator[NodeReport]:
-        """Each file as it is done; again where what was cooked is made of other files now, and these are cooked.
+        """Each file as it is done; again if a cooked file is now made of other files, which are cooked too.
 
         :raises FacepipeError: what can't be read or cooked
         """
@@ -115,7 +115,7 @@ class _Run:
         return reasons or (("forced",) if forced else ())
 
     def _old(self, node: Node) -> tuple[str, ...]:
-        """A line for each file that `node` is made of as it is, though it is stale."""
+        """A line for each stale file that `node` is made of all the same."""
         below = {one for source in node.sources for one in self.graph.made_of(source)}
         found = sorted(below & self._outside)
         return tuple(f"{one.name} is outside the roots and not up to date: taken as it is" for one in found)

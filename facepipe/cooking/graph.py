@@ -1,4 +1,4 @@
-"""Files with recipes, in the order that they depend on each other, and why one has to be cooked."""
+"""Files with recipes, in the order in which they depend on each other, and why one has to be cooked."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ENDS = 8  # files at each end of a trail that are named
 
 @dataclass(frozen=True, kw_only=True)
 class Node:
-    """A USD file: one with a recipe is made of its sources, any stands on layers."""
+    """A USD file; it stands on layers, and with a recipe is made of sources."""
 
     path: Path  # absolute
     recipe: Recipe | None
@@ -108,7 +108,7 @@ def shown(path: Path) -> str:
 def _place(path: Path) -> Path:
     """The file that is read and written for a given path: of a link to one beside it, that one.
 
-    USD looks for layers from the folder of a link, so that others are taken for files.
+    Links elsewhere are kept: USD looks for layers from the folder of the link.
     """
     path = Path(os.path.abspath(path))  # noqa: PTH100  (links to folders stay as they are)
     meant = path.resolve()
@@ -174,7 +174,7 @@ class _Walk:
 
 
 def read_node(path: Path) -> Node:
-    """What one USD file says.
+    """The node of one USD file.
 
     :raises InputError: a damaged file, a recipe that nothing here can cook or that names models that can hold code, or
         reads that are confined to elsewhere
@@ -229,16 +229,16 @@ class Digests:
         return self._found[path][0]
 
     def forget(self, written: Path) -> None:
-        """The file at a resolved path is another now."""
+        """Forget the digests that cover the file at a resolved path: it has been written."""
         self._found = {path: one for path, one in self._found.items() if written not in one[1]}
 
     def forget_all(self) -> None:
-        """Another process may have written anything."""
+        """Forget all: another process may have written any file."""
         self._found = {}
 
 
 def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]) -> tuple[str, ...]:
-    """A line for each thing that is not what it was when `node` was made.
+    """A line for each source and layer that has changed since `node` was made.
 
     :param cooked: resolved paths of files that were written meanwhile
     :raises InputError: a source can't be read

@@ -15,7 +15,7 @@ from facepipe.declare import option
 class CookOptions:
     """What to do with the recipes that are found."""
 
-    force: bool = option(False, "cook also what is up to date")
+    force: bool = option(False, "cook what is up to date too")
     dry_run: bool = option(False, "list what would be cooked, and write nothing")
     validate: bool = option(False, "then check each STAGE, as facepipe validate does")
 
@@ -39,7 +39,7 @@ class NodeReport:
 
 @dataclass(frozen=True, kw_only=True)
 class CookReport(Report):
-    """All files with recipes, in the order that they depend on each other."""
+    """All files with recipes, in the order in which they depend on each other."""
 
     nodes: tuple[NodeReport, ...]
     findings: Mapping[str, tuple[Finding, ...]]  # file -> what checks found, where they were asked for

@@ -1,4 +1,4 @@
-"""Types of arrays, whose shapes docstrings and comments say; and NaN and infinity, found wherever they hide."""
+"""Types of arrays, whose shapes docstrings give, and the search for NaN and infinity in values of any kind."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _children(value: object) -> Iterator[tuple[str, object]]:
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
             inner = getattr(value, field.name)
-            # items of a tuple that have names are shown by name
+            # of a named tuple: the name, not the number
             named = isinstance(inner, tuple) and inner and _name(inner[0])
             yield ("" if named else field.name), inner
     elif isinstance(value, Mapping):

@@ -37,7 +37,7 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def replacing(path: AnyPath) -> Iterator[Path]:
-    """A temporary path with `path`'s name; takes its place when the block ends well, is removed when not.
+    """A temporary path with `path`'s name; it takes its place when the block ends well, and is removed otherwise.
 
     A file that was there lends its mode; a link to it stays, and the file that it points at is replaced. Within
     `together` the place is taken when that ends.
@@ -65,7 +65,7 @@ def replacing(path: AnyPath) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def replacing_folder(path: AnyPath) -> Iterator[Path]:
-    """A new folder; takes the place of `path` when the block ends well, with all in it is removed when not.
+    """A new folder; it takes the place of `path` when the block ends well, and is removed with all in it otherwise.
 
     A folder that was there is lost as a whole. Links and `together` are as for `replacing`.
 
@@ -86,7 +86,7 @@ def replacing_folder(path: AnyPath) -> Iterator[Path]:
             if group is not None:
                 _finish_folder(temporary, target)
                 if identity(target) != former:
-                    raise InputError(path, "was changed meanwhile, expected nobody else to write there")
+                    raise InputError(path, "was changed meanwhile, expected no other process to write there")
                 group.add(target)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -101,12 +101,12 @@ def write_bytes(path: AnyPath, data: bytes) -> None:
 
 @contextlib.contextmanager
 def together(path: AnyPath) -> Iterator[None]:
-    """All that is written in the block takes its place when it ends, or nothing does: also where it is killed then.
+    """All that is written in the block takes its place when it ends, or nothing does, even if the process is killed.
 
-    They go there in the order in which they were finished. Others that are replaced are away before the first comes;
+    Files are placed in the order in which they were finished. Old ones are moved away before the first new one comes;
     `path` itself is replaced in one step. So a new file is never seen beside an old one that it doesn't belong to. What
-    a killed process had left to do, the next to write there (or `collect`) does. Within another such block it is part
-    of that.
+    a killed process left to do is done by the next that writes there, or by `collect`. A block within another is part
+    of that one.
 
     :param path: the file that the others belong to
     :raises InputError: a place can't be taken
@@ -154,7 +154,7 @@ def when_placed(call: Callable[[], object]) -> None:
 
 @contextlib.contextmanager
 def hidden_folder(parent: Path) -> Iterator[Path]:
-    """A passing folder in `parent` for files that nobody is to see; where this is killed, the next removes it.
+    """A temporary folder in `parent` for files that nobody should see; after a kill the next process removes it.
 
     :raises InputError: `parent` does not exist or can't be written
     """
@@ -168,7 +168,7 @@ def hidden_folder(parent: Path) -> Iterator[Path]:
 
 
 def collect(folder: Path) -> None:
-    """Settle what killed processes left in `folder`: hidden files go, what they had begun to put in place is placed."""
+    """Clean up after killed processes in `folder`: hidden files go, and what they had begun to place is placed."""
     for held in hidden_folders.left_behind(folder):
         settle(held)
 
@@ -276,7 +276,7 @@ def _real(path: AnyPath) -> Path:
     """
     target = Path(path)
     if target.name.casefold().startswith(PREFIX):  # systems may not distinguish case
-        raise InputError(path, f"names of '{PREFIX}...' are for facepipe's passing files, expected another")
+        raise InputError(path, f"names of '{PREFIX}...' are for facepipe's temporary files, expected another")
     if target.is_symlink():
         if not target.exists():
             raise InputError(path, "is a link to nothing, expected a file or a link to one")
@@ -300,6 +300,6 @@ def _finish_folder(temporary: Path, target: Path) -> None:
 
 
 def _lend_mode(old: Path, new: Path) -> None:
-    """On Windows a mode says read-only alone: such a file can't be replaced, and a passing one could not be removed."""
+    """On Windows a mode says read-only alone: such a file can't be replaced, nor a temporary one removed."""
     if sys.platform != "win32" and old.exists():
         new.chmod(old.stat().st_mode & 0o777)

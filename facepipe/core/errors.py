@@ -2,7 +2,7 @@
 
 
 class FacepipeError(Exception):
-    """Base of all errors that a user can cause or mend.
+    """Base of all errors that a user can cause or fix.
 
     :param where: the trail to the culprit, outermost first, like ``head.usda -> </Face/Head/jawOpen>``
     :param what: what was found and what was expected, like ``51 offsets, expected 52``
@@ -19,7 +19,7 @@ class FacepipeError(Exception):
 
 
 def printable(text: str) -> str:
-    """One line whatever names a file or prim brings: control characters as their codes."""
+    """The message in one line: control characters in names of files and prims become their codes."""
     return text if text.isprintable() else "".join(one if one.isprintable() else f"\\x{ord(one):02x}" for one in text)
 
 

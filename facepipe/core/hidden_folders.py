@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from facepipe.core.locks import try_lock
 
-PREFIX = ".facepipe-"  # of every name that is ours alone
+PREFIX = ".facepipe-"  # of all names that are facepipe's
 JOURNAL = f"{PREFIX}journal"
 _LOCK = f"{PREFIX}lock"
 _NAME = re.compile(r"\.facepipe-[0-9a-f]{16}")
@@ -81,7 +81,7 @@ def left_behind(parent: Path) -> Iterator[HiddenFolder]:
     try:
         with os.scandir(parent) as entries:
             names = sorted(entry.name for entry in entries if _NAME.fullmatch(entry.name))
-    except OSError:  # nothing that we could tidy
+    except OSError:  # nothing that we could clean up
         return
     for name in names:
         held = claim(parent / name)

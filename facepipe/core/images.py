@@ -1,4 +1,4 @@
-"""Pictures of others, decoded by Pillow: what they promise is checked in their headers, before a pixel is decoded."""
+"""Pictures from elsewhere, decoded by Pillow; their headers are checked before a pixel is decoded."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def open_image(
 
 @contextmanager
 def decoding(where: object, expected: str = "a picture") -> Iterator[None]:
-    """Whatever a decoder raises as one line: damaged pictures make decoders fail in every way.
+    """Whatever a decoder raises becomes one line: damaged pictures make decoders fail in every way.
 
     :raises InputError: a picture that can't be read
     """

@@ -1,4 +1,4 @@
-"""Files that one process at a time changes: what another reads meanwhile can't be written over by an older state."""
+"""Files that one process changes at a time, so that none overwrites what another has written meanwhile."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def locked(
 ) -> Iterator[None]:
     """Hold the lock of `path` while the block runs; it need not exist.
 
-    The operating system's lock on a file ``.NAME.lock`` beside it. It goes with the process that holds it; the file may
-    stay where that is killed, and always does on Windows, and locks nothing.
+    The operating system's lock on a file ``.NAME.lock`` beside it. It ends with the process that holds it; the file may
+    stay after a kill, and always does on Windows, but locks nothing.
 
-    :param patience: seconds to wait for another who holds it
-    :param waiting: called once where there is another
+    :param patience: seconds to wait for another holder
+    :param waiting: called once if there is one
     :raises InputError: it is held for longer, or the folder does not exist or can't be written
     """
     target = Path(path)

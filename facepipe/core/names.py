@@ -144,7 +144,7 @@ def unmatched(pattern: str, known: Sequence[str], what: str) -> str:
 def find(name: str, known: Collection[str], where: object, kind: str) -> str:
     """The known name that is `name`, or alone differs from it in case.
 
-    :param where: what the name was given as, and `what` it should be one of, for messages
+    :param where: what the name was given as; `kind`: what it should name; both for messages
     :raises InputError: no such name, or only ones that differ in case alone
     """
     if name in known:
@@ -197,7 +197,7 @@ def mirrored_names(name: str) -> list[str]:
 
 
 def named(values: Mapping[str, float], known: Collection[str], flag: str, kind: str) -> dict[str, float]:
-    """Values by the names of `known` that they were given for; case alone may differ where that leaves one.
+    """Values by the names in `known`; the given names may differ from these in case alone, if one fits.
 
     :raises InputError: no such name, or one twice
     """

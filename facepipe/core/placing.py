@@ -1,4 +1,4 @@
-"""Files and folders that are made in hidden folders, put in their places together, whatever is killed meanwhile.
+"""Files and folders made in hidden folders are put in their places together, even if processes are killed meanwhile.
 
 A journal in the first hidden folder is the step that decides: before it all is old, after it all is new, or will be
 when the next process writes there. It may come from anywhere, so a move only goes from a hidden folder to a plain name
@@ -68,7 +68,7 @@ class Move:
 
 
 def identity(path: Path) -> Identity | None:
-    """What sets a file or folder apart from any other and from its later self; None where there is none."""
+    """A mark that differs between files, and before and after a change of one; None where there is none."""
     try:
         status = path.lstat()
     except OSError:

@@ -1,5 +1,5 @@
-"""The project that a caller works in: that of the variable FACEPIPE_PROJECT, else the nearest ``facepipe.toml`` around
-the working folder, which may be of others: its roots don't count.
+"""The project that a caller works in: that of the variable FACEPIPE_PROJECT, else of the nearest ``facepipe.toml``
+around the working folder. The latter may be somebody else's, so its roots don't count.
 
     roots = ["/mnt/assets", "../library"]
 
@@ -13,7 +13,7 @@ the working folder, which may be of others: its roots don't count.
     [defaults."neural-rig train"]
     steps = 4000
 
-Paths are relative to the file. An empty one is a mark. Roots are beside its own folder.
+Paths are relative to the file. An empty file marks the folder. Roots come on top of that folder.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _KEYS = ("roots", "names", "defaults")
 
 @dataclass(frozen=True, kw_only=True)
 class Project:
-    """What a project says."""
+    """The settings of a project."""
 
     file: Path
     roots: tuple[Path, ...] = ()
@@ -53,7 +53,7 @@ class Project:
 def project_around(folder: Path) -> Project | None:
     """The project that the environment names, else that of the nearest file around a folder; None where there is none.
 
-    :raises InputError: a file that can't be read, or says what no project says
+    :raises InputError: a file that can't be read, or unknown keys or kinds of values in it
     """
     if os.environ.get(VARIABLE):
         return replace(_read(Path(os.environ[VARIABLE]).absolute()), trusted=True)

@@ -1,4 +1,4 @@
-"""Bytes, JSON and digests of files, up to a size that a reader can want."""
+"""Bytes, JSON, TOML and digests of files, up to a limit on their size."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def check_regular(path: Path, most: int | None = None) -> int:
 
 
 def is_file(path: Path) -> bool:
-    """Whether it is one; a name that no file can have is none."""
+    """Whether `path` is a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -63,7 +63,7 @@ def read_bytes(path: Path, most: int) -> bytes:
     size = check_regular(path, most)
     try:
         with path.open("rb") as file:
-            return file.read(size)  # no more: files of /proc say 0, and can go on without end
+            return file.read(size)  # no more: files in /proc report 0 bytes, and some never end
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 
 def unsaid() -> Any:
-    """A field of a report for what is drawn of it: not in its JSON."""
+    """A field of a report that pictures are drawn from; it is not in the JSON."""
     return field(default=None, repr=False, compare=False, metadata={"said": False})
 
 
@@ -37,7 +37,7 @@ class ExportReport(Report):
     bytes: int = 0
     seconds: float = 0.0
     dropped: tuple[str, ...] = ()  # what the format can't hold, one line each
-    added: tuple[str, ...] = ()  # what the format asks for and the face has not, one line each
+    added: tuple[str, ...] = ()  # what the format asks for and the face lacks, one line each
     # Largest error, where there is one: of offsets quantised or left out, in the bind pose, at most, whatever shapes
     # are on together, plus that of fewer influences over the face's own animations, plus that of quantised weights
     # where the joints of a point take it a head height apart.

@@ -1,6 +1,6 @@
-"""What files of others may do: where results go, where copied bytes come from, which files are read and loaded.
+"""What files from elsewhere may do: where results go, where copied bytes come from, which files are read and loaded.
 
-One policy for all that reads a stage, a recipe or a project of somebody else. The caller chooses it (``--root``,
+One policy for all that reads a stage, a recipe or a project of somebody else's. The caller chooses it (``--root``,
 ``--trust-models``, `trusting`, or the variable FACEPIPE_ROOTS); nothing that is read can change it.
 """
 
@@ -27,7 +27,7 @@ class Trust:
     """A policy; without roots the root of a file is its project's folder, else its own."""
 
     roots: tuple[Path, ...] = ()
-    urls: tuple[str, ...] = ()  # roots in stores of others, for what reads and writes there (`facepipe.farm`)
+    urls: tuple[str, ...] = ()  # roots in remote stores, for what reads and writes there (`facepipe.farm`)
     project: tuple[Path, ...] = ()  # folders of the caller's project, which are the roots of the files in them
     models: bool = False  # models that can hold code are loaded
     confined: bool = False  # files outside the roots are not even read: for hosts that serve others

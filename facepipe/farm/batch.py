@@ -1,4 +1,4 @@
-"""A plan done from end to end: tasks run, and the report of what they came to."""
+"""A plan run from end to end: its tasks, and the report."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def batch(
     """Run a plan: `facepipe batch`.
 
     :param plan: or its file (.toml)
-    :param state: folder of what is done, and of the report: ``report.html``, ``report.json``; made where there is none
+    :param state: folder of records, and of the report: ``report.html``, ``report.json``; made where there is none
         (default ``NAME_batch`` beside the file)
     :param processes: on this machine, or on each host of ssh (default: a core each)
-    :param cluster: address of a Dask cluster that does it instead
+    :param cluster: address of a Dask cluster that runs it instead
     :param thumbnails: pixels of the pictures in the report, 0 for none
     :param models: models that can run code are loaded
     :param on_task: called with the run; returns what is called with each task that ends and its record
@@ -95,8 +95,8 @@ def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapp
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:
-    """A plan with a step more, which draws the last stage of each face, or the face of the table; unless it has a step
-    of that name.
+    """The plan with one more step, which draws the last stage of each face, or the face of the table, unless it has a
+    step of that name.
 
     :raises InputError: a size that pictures can't have
     """

@@ -18,8 +18,8 @@ from facepipe.core.trust import is_writable, trust
 
 _RECORD = "record.json"
 _PASSING = ".new-"
-_BETWEEN = 0.01  # of its size: what a process may keep until it looks again at all that is there
-_unseen: dict[Path, int] = {}  # folder -> bytes that this process has kept since it looked
+_BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
+_unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
 
 
 class Cache:

@@ -1,4 +1,4 @@
-"""Processes for tasks, each done in one of its own: what a task does to it, or takes too long over, ends it alone."""
+"""Processes for tasks, each task in one of its own: a crash or an overrun ends that process alone."""
 
 from __future__ import annotations
 
@@ -134,9 +134,9 @@ LOST = "lost"  # status of a task whose process ended before it answered
 
 
 class Engine(Protocol):
-    """Does tasks, and says when one is done from any thread.
+    """Does tasks, and calls back from any thread when one is done.
 
-    A record of an engine that can do no more has the reason as `gone`; `warnings` are lines for the report.
+    The record of an engine that can go no further has the reason as `gone`; `warnings` are lines for the report.
     """
 
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:

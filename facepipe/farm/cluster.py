@@ -1,4 +1,4 @@
-"""Who does tasks on a Dask cluster: each thread of its workers has a process of its own for them.
+"""Tasks on a Dask cluster: each thread of its workers has a process of its own for them.
 
 Dask (https://distributed.dask.org) gives tasks to workers and to others where a worker is lost; limits of a task, and
 faults that end its process, are those of `facepipe.farm.child`, as on one machine.
@@ -98,9 +98,9 @@ class Cluster:
             return []
 
     async def _answer(self, request: Mapping[str, Any], order: tuple[int, ...], workers: Sequence[str]) -> Record:
-        """What a task came to.
+        """The record of a task that has ended.
 
-        :param workers: that it goes to as long as there are any; empty: to all
+        :param workers: that may do it, as long as there are any; empty: all
         """
         said = json.dumps([request, self._setting, workers], sort_keys=True).encode()
         key = f"facepipe-{request['task']}-{hashlib.sha256(said).hexdigest()[:32]}"

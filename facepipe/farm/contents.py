@@ -1,4 +1,4 @@
-"""What files hold: digests of them with all that they stand on, found once until one of them changes."""
+"""Digests of files with all that they stand on, computed once until one of these changes."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _read(path: Path) -> Content:
     content = digest(files)
     states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
     if len(states) != len(files):
-        raise InputError(path, "changes while it is read, expected it to rest")
+        raise InputError(path, "changes while it is read, expected a file that nobody writes")
     return Content(content, states)
 
 

@@ -1,4 +1,4 @@
-"""What a plan's tasks came to, a line of JSON each, kept as they end: a killed run loses none that ended."""
+"""Records of a plan's tasks, a line of JSON each, kept as they end: a killed run loses none that ended."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
 
 
 def _read(path: Path) -> tuple[int, dict[str, Record]]:
-    """Lines, and the last record of each task; a line that was cut off, or is damaged, is as if never written."""
+    """The number of lines, and the last record of each task; lines that are cut off or damaged are passed over."""
     records: dict[str, Record] = {}
     lines = 0
     try:
@@ -79,7 +79,7 @@ def _read(path: Path) -> tuple[int, dict[str, Record]]:
 
 
 def _is_record(record: Any) -> bool:
-    """Whether a line is what a run writes: a state folder may come from others."""
+    """Whether a line is what a run writes: a state folder may come from elsewhere."""
     if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("task", "status")):
         return False
     reads, writes = record.get("reads", {}), record.get("writes", {})

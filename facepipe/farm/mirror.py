@@ -116,9 +116,9 @@ class Mirror:
         return digest([path])
 
     def put(self, name: str, content: str) -> State | contents.State | None:
-        """Bring a file that was written to where others find it; its state there.
+        """Bring a file that was written to where other processes look for it; its state there.
 
-        :param own: its digest
+        :param content: its digest
         :raises FacepipeError: a URL outside the roots, or a store that does not answer
         """
         if is_url(name):
@@ -194,7 +194,7 @@ class Mirror:
                 self._keep(url, digest([path]))
                 return
             state = after
-        raise InputError(url, "changes while it is read, expected it to rest")
+        raise InputError(url, "changes while it is read, expected a file that nobody writes")
 
     def _key(self, url: str) -> str:
         return hashlib.sha256(json.dumps([url, self._states[url]]).encode()).hexdigest()

@@ -42,7 +42,7 @@ OUT = "out"
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """A line that is run for each face, or once for all."""
+    """A line of the command line, run for each face, or once for all."""
 
     name: str
     words: tuple[str, ...]
@@ -56,10 +56,10 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is to be done."""
+    """Steps over a table of faces."""
 
     where: str  # for messages
-    folder: Path  # that paths of its lines are relative to
+    folder: Path  # paths in its lines are relative to it
     out: str  # folder of results: an absolute path, or a URL
     rows: tuple[Row, ...]
     steps: tuple[Step, ...]  # those that others need first
@@ -119,7 +119,7 @@ def _step(path: Path, name: str, table: Any) -> Step:
 def words_of(where: object, run: str | Sequence[str]) -> tuple[str, ...]:
     """The words of a line, split as a shell does.
 
-    :raises InputError: none, or a quote that never ends
+    :raises InputError: no word, or a quote that never ends
     """
     try:
         words = shlex.split(run) if isinstance(run, str) else list(run)
@@ -140,7 +140,7 @@ def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = Non
     """
     folder = folder or Path.cwd()
     line = words_of("--each", words)
-    step = Step(name=f"{line[0]}{Path(out).suffix}", words=line, out=out)  # another than that of other formats
+    step = Step(name=f"{line[0]}{Path(out).suffix}", words=line, out=out)  # differs between formats
     if not {"face", "name"} & {*braces(step)}:
         raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")
     return plan_of(

@@ -1,5 +1,7 @@
-"""Files at URLs, through fsspec (https://filesystem-spec.readthedocs.io): Amazon's S3 and what speaks it, Google's
-storage, and this process's memory. Keys and addresses come from the environment, as their libraries read it."""
+"""Files at URLs, through fsspec (https://filesystem-spec.readthedocs.io): Amazon's S3 and what speaks its protocol,
+Google's storage, and this process's memory. Keys and addresses come from the environment, as their libraries read
+it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ _VERSIONS = ("ETag", "etag", "generation", "created", "LastModified", "mtime")  
 
 
 class StoreError(FacepipeError):
-    """A store that does not answer, or not as it should: another time it may."""
+    """A store that does not answer, or not as it should; it may do so later."""
 
 
 def is_url(name: str) -> bool:
@@ -53,7 +55,7 @@ def checked(url: str, roots: Collection[str]) -> str:
 
 
 class Store:
-    """What answers for the URLs of a scheme."""
+    """The store of a URL's scheme."""
 
     def __init__(self, url: str) -> None:
         """:raises InputError: its library is not installed"""
@@ -67,7 +69,7 @@ class Store:
             raise InputError(url, f"needs {SCHEMES[self._scheme]}: pip install {SCHEMES[self._scheme]}") from None
 
     def info(self, url: str) -> Mapping[str, Any] | None:
-        """What the store says of a file or folder; None where there is none."""
+        """What the store knows about a file or folder; None where there is none."""
         with _asked(url), contextlib.suppress(FileNotFoundError):
             found: Mapping[str, Any] = self._files.info(url)
             return found
@@ -113,7 +115,7 @@ class Store:
 
 
 def state_in(info: Mapping[str, Any]) -> State:
-    """The state of a file that a store says something of."""
+    """The state of a file from what a store knows about it."""
     return int(info["size"]), str(next((info[key] for key in _VERSIONS if info.get(key)), ""))
 
 

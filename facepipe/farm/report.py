@@ -1,4 +1,4 @@
-"""What a plan came to: counts, times, failures, errors in millimetres, attributions; as JSON, and as a page."""
+"""The report of a plan: counts, times, failures, errors in millimetres, attributions; as JSON, and as a page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MOST_FIGURES = 6  # of a face
 
 @dataclass(frozen=True, kw_only=True)
 class BatchReport(Report):
-    """What a plan came to."""
+    """The report of a plan."""
 
     faces: int
     tasks: int

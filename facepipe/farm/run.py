@@ -1,4 +1,4 @@
-"""A plan run: tasks given out as soon as what they need is there, and what they come to kept."""
+"""A run of a plan: tasks are given out as soon as what they need is there, and their records are kept."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Run:
     on_task: OnTask
     records: dict[str, Record] = field(default_factory=dict)  # of this run, by task
     scheduling: float = 0.0  # seconds in this class
-    gone: str = ""  # why who does tasks can do no more
-    warnings: dict[str, None] = field(default_factory=dict)  # of who does tasks
+    gone: str = ""  # why the engine can go no further
+    warnings: dict[str, None] = field(default_factory=dict)  # of the engine
 
     def __post_init__(self) -> None:
         self._answers: queue.SimpleQueue[Record] = queue.SimpleQueue()
@@ -145,7 +145,7 @@ class Run:
         engine.submit(request, task.order, self._answers.put)
 
     def _stands(self, last: Mapping[str, Any], words: list[str]) -> bool:
-        """Whether the last record of a task is what it would come to now."""
+        """Whether the last record of a task still holds."""
         if last.get("words") != words or last.get("version") != __version__:
             return False
         if last["status"] == FAILED:

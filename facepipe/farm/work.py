@@ -1,4 +1,4 @@
-"""A task done, in the process that does it: its result made, kept, or taken from a cache.
+"""A task, in the process that does it: its result is made, kept, or taken from a cache.
 
 The key is a digest of the line, of all that it reads, and of the version: tasks of one key have the same results.
 """
@@ -34,7 +34,7 @@ _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.ESTALE, e
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a line came to."""
+    """The outcome of a line."""
 
     missed: bool = False  # a check or threshold
     report: Mapping[str, Any] = field(default_factory=dict)
@@ -154,7 +154,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _is_passing(error: FacepipeError) -> bool:
-    """Whether it can go well another time or elsewhere: a full disk, not a bad file."""
+    """Whether it may succeed later or elsewhere, as after a full disk, but not after a bad file."""
     cause: BaseException | None = error
     if isinstance(error, StoreError):
         return True

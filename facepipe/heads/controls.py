@@ -54,7 +54,7 @@ class Direction:
 
 @cache
 def directions() -> tuple[Direction, ...]:
-    """Of all the measures, and of the traits."""
+    """The directions of all measures and traits."""
     data = arrays("measures")
     names = [*data["names"], *data["traits"]]
     groups = [*data["groups"], *("person" for _ in data["traits"])]
@@ -65,11 +65,11 @@ def directions() -> tuple[Direction, ...]:
     )
 
 
-_MIRRORED = ("tx", "ry", "rz")  # what turns its sign round on the other side
+_MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
 
 
 def bone_sliders() -> tuple[Slider, ...]:
-    """All of them."""
+    """The sliders over joints."""
     table = json.loads((files("facepipe.heads") / "data" / "bone_sliders.json").read_text("utf-8"))
     paths = {path.rpartition("/")[2]: path for path in asset().joints}
     return tuple(
@@ -105,7 +105,7 @@ def identity_shapes() -> Mapping[str, Mapping[float, FloatArray]]:
 
 
 def identity_sliders() -> tuple[Slider, ...]:
-    """All of them, from -1 to 1; those of one side name their mirror."""
+    """The sliders of measures, from -1 to 1; those of one side name their mirror."""
     by_name = {direction.name: direction for direction in directions()}
     sliders = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
     table = json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8"))

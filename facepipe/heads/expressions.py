@@ -83,7 +83,7 @@ def _look(name: str, channel: str, forth: tuple[str, ...], back: tuple[str, ...]
 
 TALK = "talk"
 _RATE = 24
-_SAID = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
+_SPOKEN = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
 _HEAD, _NECK = "root/neck/head", "root/neck"
 _EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
 
@@ -100,10 +100,10 @@ def animations(shapes: frozenset[str]) -> tuple[Animation, ...]:
 
 def _talk(shapes: frozenset[str]) -> Animation:
     times = np.arange(_RATE + 1) / _RATE
-    beats = np.abs(times[:, None] * (len(_SAID) - 1) - np.arange(len(_SAID)))
-    shares = 0.5 + 0.5 * np.cos(np.pi * np.minimum(beats, 1.0))  # (times, said), in sum 1
+    beats = np.abs(times[:, None] * (len(_SPOKEN) - 1) - np.arange(len(_SPOKEN)))
+    shares = 0.5 + 0.5 * np.cos(np.pi * np.minimum(beats, 1.0))  # (times, spoken), in sum 1
     weights: dict[str, FloatArray] = {}
-    for share, viseme in zip(shares.T, _SAID, strict=True):
+    for share, viseme in zip(shares.T, _SPOKEN, strict=True):
         for shape, weight in sided(VISEMES[viseme], shapes).items():
             weights[shape] = weights.get(shape, np.zeros(len(times))) + weight * share
     slow = np.sin(2 * np.pi * times)

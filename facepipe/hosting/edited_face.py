@@ -14,7 +14,7 @@ from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.differences import same
 
-_TURN = 2e-6  # of a matrix: less is what a host's float32 makes of none
+_TURN = 2e-6  # of a matrix: smaller differences come from a host's float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ def edited_face(before: FaceParts, made: FaceParts, bones: Mapping[str, FloatArr
     made = _in_order(made, skeleton.joints)
     meshes = tuple(_mesh(old.get(mesh.name), mesh, warnings) for mesh in made.meshes)
     gone = [name for name in old if name not in {mesh.name for mesh in made.meshes}]
-    warnings += [f"{name}: is not there any more" for name in gone]
+    warnings += [f"{name}: is gone" for name in gone]
     joints, shapes = {*skeleton.joints}, {shape.name for mesh in meshes for shape in mesh.blendshapes}
     sliders = _sliders(before.sliders, joints, shapes, warnings)
     parts = replace(
@@ -79,7 +79,7 @@ def _mesh(before: Mesh | None, made: Mesh, warnings: list[str]) -> Mesh:
             if blendshape.name not in {shape.name for shape in made.blendshapes}
         ]
         if gone:
-            warnings.append(f"{made.name}: shapes {', '.join(gone[:3])} ({len(gone)} in all) are not there any more")
+            warnings.append(f"{made.name}: shapes {', '.join(gone[:3])} ({len(gone)} in all) are gone")
         return edited_mesh(before, made)
     lost = [*before.landmarks] + ([] if before.anchor is None else ["the anchor"])
     if lost:
@@ -179,7 +179,7 @@ def _sliders(before: tuple[Slider, ...], joints: set[str], shapes: set[str], war
     for slider in before:
         rest = kept(slider, joints.__contains__, shapes.__contains__)
         if (slider.channels or slider.shapes) and not rest.channels and not rest.shapes:
-            warnings.append(f"slider {slider.name}: left out, nothing that it moves is there any more")
+            warnings.append(f"slider {slider.name}: left out, all that it moves is gone")
         else:
             result.append(rest)
     return with_mutual_mirrors(result)
@@ -192,7 +192,7 @@ def _network(
         return None
     rest = kept_outputs(before, joints.__contains__, shapes.__contains__)
     if rest is None or not {slider.name for slider in sliders}.issuperset(rest.sliders):
-        warnings.append("slider network: left out, its sliders or all that it adds to are not there any more")
+        warnings.append("slider network: left out, its sliders or all that it adds to are gone")
         return None
     return rest
 
@@ -200,7 +200,7 @@ def _network(
 def _limits(before: FaceParts, skeleton: Skeleton, warnings: list[str]) -> BoneLimits | None:
     if before.bone_limits is None or before.skeleton.joints == skeleton.joints:
         return before.bone_limits
-    warnings.append("bone limits left out: the joints are others")
+    warnings.append("bone limits left out: the joints have changed")
     return None
 
 

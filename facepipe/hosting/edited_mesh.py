@@ -157,7 +157,7 @@ def _skin(kept: Skin | None, made: Skin | None, points: int) -> Skin | None:
 
 
 def _material(kept: Mesh, made: Mesh) -> str | None:
-    """That of the whole mesh; where every face has one of its own, which hosts know alone, that it had before."""
+    """The material of the whole mesh; where each face has its own, as hosts store them, the one from before."""
     there = kept.material in {material_face.material for material_face in made.material_faces}
     return kept.material if made.material is None and there else made.material
 

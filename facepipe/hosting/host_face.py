@@ -1,4 +1,4 @@
-"""What a host needs of faces: those on a stage, layers of them to put on one, and faces as bytes to keep."""
+"""What a host needs of faces: those on a stage, layers with faces for a stage, and faces as bytes to keep."""
 
 from __future__ import annotations
 

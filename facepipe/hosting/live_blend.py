@@ -1,4 +1,4 @@
-"""A blended face whose weights are moved: its sources read and factored once, then solved for any weights."""
+"""A blended face whose weights move: its sources are read and factored once, then it is solved for any weights."""
 
 from __future__ import annotations
 

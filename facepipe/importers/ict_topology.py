@@ -25,7 +25,7 @@ class Part(NamedTuple):
     faces: tuple[int, int]
 
 
-# Face to eye sockets are welded: their faces share points. Head takes its regions point by point (ict_regions).
+# Face to eye sockets are welded: their faces share points. Head takes its regions point by point (`ict`).
 PARTS = (
     Part("Face", "Head", "", (0, 9409), (0, 9230)),
     Part("Head and Neck", "Head", "", (9409, 11248), (9230, 11144)),
@@ -92,7 +92,7 @@ MATERIALS = {
         Material(name="M_EyeBlend", diffuse_color=(0.55, 0.30, 0.25), roughness=0.3, opacity=0.2),
         Material(name="M_EyeOcclusion", diffuse_color=(0.05, 0.02, 0.02), roughness=0.9, opacity=0.15),
         Material(name="M_EyeLashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.15),
-        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),  # see ict_eyes
+        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),  # see `ict`
         Material(name="Pupil", diffuse_color=(0.005, 0.005, 0.005), roughness=0.1),
     )
 }

@@ -1,4 +1,4 @@
-"""What may be set about an import, kind by kind."""
+"""Options of imports, kind by kind."""
 
 from __future__ import annotations
 
@@ -103,21 +103,17 @@ def parse_variants(text: str) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class UsdOptions:
-    """What of a stage to read."""
+    """Options of reading a stage."""
 
     prim: str | None = option(
-        None, "path of the prim to read below; the default prim, or else the whole stage, where not given"
+        None, "path of the prim to read below (default: the default prim, or else the whole stage)"
     )
     skeleton: str | None = option(None, "path of the Skeleton of the face, where meshes are bound to several")
     variant: Mapping[str, str] = option(
-        dict, "variants to read, SET=NAME,...; those that the file selects where not given", parse=parse_variants
+        dict, "variants to read, SET=NAME,... (default: those that the file selects)", parse=parse_variants
     )
-    meters_per_unit: float | None = option(
-        None, "metres in a unit of the file, where it is not as the file says", 1e-6, 1e3, "m"
-    )
-    up_axis: Literal["Y", "Z"] | None = option(
-        None, "axis that points up in the file, where it is not as the file says"
-    )
+    meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")
 
 
 OPTIONS: dict[str, type] = {  # of the kinds in this folder

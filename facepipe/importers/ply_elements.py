@@ -59,7 +59,7 @@ class Element:
 def read_elements(path: Path, data: bytes) -> dict[str, Element]:
     """The elements of a PLY file by name.
 
-    :raises InputError: no PLY header, a type or format that there is none of, data cut short, words that are no numbers
+    :raises InputError: no PLY header, an unknown type or format, data cut short, words that are no numbers
     """
     order, elements, start = _header(path, data)
     if order:

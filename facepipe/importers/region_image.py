@@ -16,7 +16,7 @@ MOST_BYTES = 1 << 28
 def read_region_image(path: Path) -> npt.NDArray[np.uint8]:
     """(h, w, 3|4) pixels of a PNG of any kind, top row first; palettes and greys as colours, 16 bits as their upper 8.
 
-    Values are taken as they are: colour profiles and gamma do not count.
+    Values are taken as they are: colour profiles and gamma are ignored.
 
     :raises InputError: no PNG that can be read, or one too large
     """

@@ -55,7 +55,7 @@ def read_scan(path: Path) -> Scan:
 
 
 def _merged(scan: Scan) -> Scan:
-    """Points at one place as one point; the first one's normal and colour stay, and triangles are no longer any."""
+    """Points at one place as one point, with the first one's normal and colour; triangles that collapse are dropped."""
     first, of_point = merge_points(scan.points)
     if len(first) == len(scan.points):
         return scan
@@ -63,7 +63,7 @@ def _merged(scan: Scan) -> Scan:
     a, b, c = triangles.T
     kept = triangles[(a != b) & (b != c) & (c != a)]
     if len(triangles) and not len(kept):
-        raise InputError(scan.name, "triangles of no size alone, expected a surface")
+        raise InputError(scan.name, "all triangles are degenerate, expected a surface")
     return replace(
         scan,
         points=scan.points[first],

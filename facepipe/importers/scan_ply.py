@@ -1,9 +1,9 @@
 """PLY files: meshes and point clouds with normals and colours, as scanners and photogrammetry write them.
 
-Own, since trimesh's reader refuses binary files whose faces differ in size, follows counts of the header without a
-bound, splits points by texture coordinates, knows fewer kinds of colours and lets NaN through. Elements other than
-``vertex`` and ``face`` are read over. Format: Turk, "The PLY Polygon File Format", 1994; property names as MeshLab,
-CloudCompare, Open3D and Blender write them.
+A reader of our own, since trimesh's refuses binary files whose faces differ in size, follows counts of the header
+without a bound, splits points by texture coordinates, knows fewer kinds of colours and lets NaN through. Elements
+other than ``vertex`` and ``face`` are skipped. Format: Turk, "The PLY Polygon File Format", 1994; property names as
+MeshLab, CloudCompare, Open3D and Blender write them.
 """
 
 from __future__ import annotations

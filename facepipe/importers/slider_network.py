@@ -29,7 +29,7 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
     state of ``torch.nn.Linear`` layers holds them; by choice ``activation``, a text, and ``info``, a JSON object. An
     output is ``joint:channel``, with the path of a joint or its last name, or ``shape:name``.
 
-    :raises InputError: not readable, damaged, or outputs that the face has not
+    :raises InputError: not readable, damaged, or outputs that the face lacks
     """
     arrays = _arrays(path)
     outputs = [str(one) for one in arrays["outputs"]]

@@ -49,7 +49,7 @@ def moving_animation(face: Face) -> Animation | None:
 
 
 def on_frames(face: Face, seconds: FloatArray) -> FloatArray:
-    """(T,) seconds, those that are a whole time code of the stage in float32 exactly so."""
+    """(T,) seconds; those that are a whole time code of the stage in float32 become exactly that."""
     rate = face.stage.GetTimeCodesPerSecond()
     whole = np.rint(np.asarray(seconds, dtype=np.float64) * rate) / rate
     return np.where(whole.astype(np.float32) == np.asarray(seconds, dtype=np.float32), whole, seconds)

@@ -52,7 +52,7 @@ def author_animation_changes(
     Prims of animations that are gone are deactivated.
 
     :param prims: what `old` was read from
-    :param skeleton: what `new` counts on
+    :param skeleton: that `new` refers to
     """
     present = list(zip(prims, old, strict=True))
     lines = []
@@ -79,7 +79,7 @@ def author_animation_changes(
 
 
 def _differing(before: Animation, done: Animation) -> tuple[str, ...]:
-    """Fields of a completed animation that differ from what is there; all where the times do."""
+    """Fields of a completed animation that differ from the old one; all of them where the times differ."""
     retimed = not same(before.times, done.times)
     pairs = {field: (getattr(before, field), getattr(done, field)) for field in _ATTRIBUTES}
     if pairs["scales"][0] is not None and pairs["scales"][1] is not None:

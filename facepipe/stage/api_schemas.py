@@ -1,4 +1,4 @@
-"""Our API schemas on prims, by the metadata and the attributes that stand there.
+"""facepipe's API schemas on prims, by their metadata and attributes.
 
 USD builds its schema registry once, at first use. In a process that opened a stage before the schemas were there, USD
 neither applies them nor has their attributes; here both work alike, and write the same.
@@ -63,7 +63,7 @@ def put_value(prim: Usd.Prim, name: str, value: Any) -> None:
 
 
 def is_reserved(schema: str, instance: str) -> bool:
-    """Whether an instance of a multiple-apply schema can't be called so, since an attribute of the schema is."""
+    """Whether no instance of a multiple-apply schema can have a name, since an attribute of the schema has it."""
     last = instance.rpartition(":")[2]
     return any(
         attribute.name.rpartition(":")[2] == last for attribute in _layer().GetPrimAtPath(f"/{schema}").attributes

@@ -34,7 +34,7 @@ def copy_refusal(
     where: object, attribute: Usd.Attribute, asset: Sdf.AssetPath, time: Usd.TimeCode = _DEFAULT
 ) -> InputError | None:
     """Why the file that a value of an attribute names may not be copied: it is outside the roots and the folder of the
-    layer that names it. A stage that is all in memory is the caller's own word.
+    layer that names it. A stage that is all in memory is the caller's own.
     """
     namer = _naming_file(attribute, time)
     try:
@@ -91,7 +91,7 @@ def _values(attribute: Usd.Attribute) -> Iterator[tuple[Usd.Attribute, Usd.TimeC
 def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
     """The file of the layer that a value comes from; None where all of the stage is in memory."""
     layer = _layer(attribute, time)
-    if layer is None or layer.anonymous:  # a mend in memory, of what a file says
+    if layer is None or layer.anonymous:  # a repair in memory of what a file says
         below = [one for one in attribute.GetStage().GetLayerStack() if not one.anonymous]
         layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
     return None if layer is None else _file_of(layer.realPath or layer.identifier)

@@ -36,7 +36,7 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. A face without joints can
     get some, one with joints keeps them. What weaker layers have
     and `parts` lacks is hidden: values are blocked, prims deactivated. Time samples of what changes no longer count.
-    Instances that hold changed prims are instanced no more.
+    Instances that hold changed prims are no longer instanced.
 
     :param primvars: more float values (n,) per point of all meshes in stage order, by primvar name; a mesh whose
         values are all NaN gets none

@@ -172,7 +172,7 @@ def check_mesh_change(where: object, old: Mesh, new: Mesh) -> None:
     """Check that only what can be authored over a mesh differs.
 
     :raises TopologyError: another number of points, or other faces
-    :raises InputError: another field that stays as it is, or a skin to take away
+    :raises InputError: a change of a field that can't be authored over, or a skin that is gone
     """
     if len(new.points) != len(old.points):
         raise TopologyError(where, f"{len(new.points)} points, expected {len(old.points)}")

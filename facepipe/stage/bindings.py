@@ -25,7 +25,7 @@ def authored_skel_properties(prim: Usd.Prim) -> list[str]:
     return [name for name in SKEL_PROPERTIES if name in authored]
 
 
-Known = dict[str, dict[Sdf.Path, Any]]  # of properties, what holds for prims that were asked before
+Known = dict[str, dict[Sdf.Path, Any]]  # property -> prim -> what was found to hold there
 
 
 def inherited_attribute(prim: Usd.Prim, name: str, known: Known | None = None) -> Usd.Attribute | None:

@@ -34,7 +34,7 @@ def read_blendshapes(prim: Usd.Prim, points: int) -> tuple[Blendshape, ...]:
     if len(names) != len(targets):
         raise SchemaError(prim.GetPath(), f"{len(names)} skel:blendShapes and {len(targets)} targets, expected as many")
     if len(set(names)) != len(names):
-        raise SchemaError(prim.GetPath(), "a name stands twice in skel:blendShapes")
+        raise SchemaError(prim.GetPath(), "a name occurs twice in skel:blendShapes")
     return tuple(
         _read(UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target)), str(target), name, points)
         for name, target in zip(names, targets, strict=True)
@@ -96,7 +96,7 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
             )
         )
     if len({one.weight for one in parts}) != len(parts):
-        raise SchemaError(merge.where, "two inbetweens have one weight")
+        raise SchemaError(merge.where, "two inbetweens have the same weight")
     return tuple(sorted(parts, key=lambda one: one.weight))
 
 

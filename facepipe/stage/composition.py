@@ -60,7 +60,7 @@ def checked_layers(path: Path) -> list[Sdf.Layer]:
 
 
 def composable_layers(path: Path) -> list[Sdf.Layer]:
-    """The same, where USD can compose them.
+    """The layers as `checked_layers` gives them, where USD can compose them.
 
     :raises InputError: as above; arcs that come to too many opinions, too deep or in a circle
     """

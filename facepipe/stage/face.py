@@ -43,7 +43,7 @@ Read = TypeVar("Read")
 
 
 class Face:
-    """One face on a stage. Arrays are read once, when first asked for; the stage is the truth.
+    """One face on a stage. Arrays are read once, when first asked for; the stage is the source of truth.
 
     Points of all meshes stand one after another in stage order wherever a function takes or gives `points`.
     """
@@ -72,7 +72,7 @@ class Face:
 
         face = cls(author(parts))
         if textures_of(parts):
-            face.__dict__["materials"] = parts.materials  # with the textures' bytes, which the stage has not
+            face.__dict__["materials"] = parts.materials  # with the textures' bytes, which the stage lacks
         return face
 
     @property
@@ -176,7 +176,7 @@ class Face:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """Names of its blendshapes, each once, in the order the meshes bring them."""
+        """Names of its blendshapes, each once, in the order of the meshes."""
         return tuple(dict.fromkeys(shape.name for mesh in self.meshes for shape in mesh.blendshapes))
 
     @property
@@ -318,7 +318,7 @@ class Face:
     def sample(self, name: str, index: int = 0) -> tuple[FloatArray, dict[str, float]]:
         """Local joint transforms (j, 4, 4) and shape weights of one sample of an animation.
 
-        :raises InputError: no such animation or sample, or joints and shapes that the face has not
+        :raises InputError: no such animation or sample, or joints and shapes that the face lacks
         """
         animation = next((one for one in self.animations if one.name == name), None)
         if animation is None:

@@ -70,7 +70,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
 
 
 def _check_clocks(file: Path, stage: Usd.Stage) -> None:
-    """USD maps times between layers by their clocks, and never comes back where one stands still or is not finite."""
+    """USD maps times between layers by their rates, and never returns where one is zero or not finite."""
     layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
     for layer in layers if len(layers) > 1 else ():
         rate = layer.timeCodesPerSecond
@@ -236,7 +236,7 @@ _name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a
 
 @contextlib.contextmanager
 def naming(name: Callable[[Path], str]) -> Iterator[None]:
-    """In the block, files that are copies of others at URLs are called by those where no relative path leads to them.
+    """In the block, copies of files at URLs are named by these URLs where no relative path leads to them.
 
     :param name: the URL of a path, or the path where it has none
     """

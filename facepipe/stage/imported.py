@@ -25,7 +25,7 @@ class Imported:
 
 
 def with_units(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:
-    """The face in the unit and with the up axis that the user knows better than its file; None: as the file says."""
+    """The face with a unit and an up axis in place of those of its file; None keeps the file's."""
     return replace(parts, meters_per_unit=meters_per_unit or parts.meters_per_unit, up_axis=up_axis or parts.up_axis)
 
 

@@ -1,4 +1,4 @@
-"""Files of layers, looked at before USD opens them: what they nest and promise is bounded first."""
+"""Layer files, checked before USD opens them: their nesting and the counts that they promise are bounded."""
 
 from __future__ import annotations
 

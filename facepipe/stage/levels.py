@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
-    """Author the lower levels of a face over an override layer, which stays at the level that it is at: the highest.
+    """Author the lower levels of a face over an override layer, which stays at the finest level.
 
     :param levels: of each level, and of each mesh of the face, what takes its place
     """

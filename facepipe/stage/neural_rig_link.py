@@ -13,7 +13,7 @@ from facepipe.stage.guard import reads_prim
 
 
 class NeuralRigLink(NamedTuple):
-    """What a face says of its neural rig."""
+    """A face's link to its neural rig."""
 
     file: str  # as authored
     path: Path | None  # of that file; None where there is none

@@ -14,7 +14,7 @@ _REPORT = "report.json"
 
 
 def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Check a place before any work is done for it; what a killed run left beside it is settled first.
+    """Check a place before any work is done for it; what a killed run left beside it is cleaned up first.
 
     :raises InputError: no folder, an input or a layer or texture of one, or a file that may not be overwritten
     """

@@ -100,7 +100,7 @@ LIGHT_ROWS = 9  # spherical harmonics up to the second order
 
 
 def _photo_fault(photo: PhotoView) -> str | None:
-    """What is wrong with a photo in float32, which files hold: what was found and expected; None where it is whole."""
+    """What is wrong with a photo whose numbers are float32, as in files: found and expected; None where nothing is."""
     if not all(1 <= side <= MOST_PIXELS for side in (photo.width, photo.height)):
         return f"{photo.width} x {photo.height} pixels, expected 1 to {MOST_PIXELS} each"
     for name, values, shape in (("transform", photo.transform, (4, 4)), ("light", photo.light, (LIGHT_ROWS, 3))):
@@ -189,7 +189,7 @@ def is_photo(prim: Usd.Prim) -> bool:
 def read_photo(prim: Usd.Prim) -> PhotoView:
     """A Camera prim with FacepipePhotoAPI.
 
-    :raises SchemaError: sizes, apertures, light or tints that are none
+    :raises SchemaError: invalid sizes, apertures, light or tints
     """
     where, camera = str(prim.GetPath()), UsdGeom.Camera(prim)
 

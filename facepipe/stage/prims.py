@@ -1,4 +1,4 @@
-"""Prims of a face: those below a prim, their exact names, and where opinions on one may stand."""
+"""Prims of a face: those below a prim, their exact names, and where opinions on one may be authored."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def _info(prim: Usd.Prim, text: str) -> dict[str, object]:
 def check_face_network(where: object, parts: FaceParts, error: type[FacepipeError] = InputError) -> None:
     """Check that the network of a face is whole, and that the face has its sliders.
 
-    :raises error: it is not so
+    :raises error: a damaged network, or one of sliders that the face lacks
     """
     network = parts.slider_network
     if network is None:

@@ -21,7 +21,7 @@ from facepipe.stage.values import floats, ints
 def read_sliders(prim: Usd.Prim) -> tuple[Slider, ...]:
     """The sliders applied to the face prim, by name.
 
-    :raises SchemaError: lists of one slider that are not parallel, a range that is none, a damaged curve, or a mirror
+    :raises SchemaError: lists of one slider that are not parallel, an invalid range, a damaged curve, or a mirror
         that is not mutual
     """
     names = {

@@ -1,4 +1,4 @@
-"""What a composed stage says, counted before USD follows it: it recurses, or takes the square or more of these."""
+"""Counts on a composed stage, checked before USD follows it: it recurses, or takes the square or more of them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _check_joints(where: object, prim: Usd.Prim) -> None:
         joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() or ()
         deepest = max((str(joint).count("/") for joint in joints), default=0)
     except UNREADABLE:
-        return  # who reads it says so
+        return  # its reader reports that
     if deepest >= MOST_LEVELS:
         raise InputError(f"{where} -> {prim.GetPath()}.joints", f"nests joints more than {MOST_LEVELS} deep")
 

@@ -21,8 +21,8 @@ from facepipe.stage.levels import flattened
 class TextureFolder:
     """The folder ``<stem>_textures`` beside a stage file, made only if there are textures to write.
 
-    A file that is there with other content is never overwritten: another stage may show it. Whatever names others gave,
-    those of files are plain, and differ in more than case.
+    A file that is there with other content is never overwritten: another stage may show it. Names of files
+    are plain, whatever the textures are called, and differ in more than case.
     """
 
     def __init__(self, stage_file: Path) -> None:

@@ -300,7 +300,7 @@ def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_els
         "burst": "(xyz_plugin.burst:Burst): can't be loaded: no licence",
         "plain": "(xyz_plugin.plain:Lift): has fields that can't be read, expected a dataclass: must be called with a "
         "dataclass type or instance",
-        "clash": "(xyz_plugin.clash:Lift) -> output: is called as what every command has, expected another name",
+        "clash": "(xyz_plugin.clash:Lift) -> output: has the name of what every command has, expected another",
         "empty": "(xyz_plugin.empty:Lift): has no source, expected one",
     }
     listing = run(folder, "--help")

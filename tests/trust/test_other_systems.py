@@ -244,7 +244,7 @@ def test_a_folder_in_another_case_is_the_same_one(tmp_path: Path, monkeypatch: p
 
 
 def test_names_of_passing_files_are_ours_in_any_case(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="for facepipe's passing files"), replacing(tmp_path / ".Facepipe-lock"):
+    with pytest.raises(InputError, match="for facepipe's temporary files"), replacing(tmp_path / ".Facepipe-lock"):
         pass
     with pytest.raises(ValueError, match="FACEPIPE"):
         placing._move([tmp_path], 0, ".FACEPIPE-lock", None, "main")

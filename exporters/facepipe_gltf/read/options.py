@@ -17,9 +17,5 @@ class Options:
     fps: float | None = option(
         None, "frames per second that animations are sampled at; their own keys where not given", 1.0, 1000.0
     )
-    meters_per_unit: float | None = option(
-        None, "metres in a unit of the file, where it is not as the file says", 1e-6, 1e3, "m"
-    )
-    up_axis: Literal["Y", "Z"] | None = option(
-        None, "axis that points up in the file, where it is not as the file says"
-    )
+    meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
+    up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")

@@ -1,7 +1,7 @@
 """Faces of other tools' UsdSkel stages.
 
-What such a stage leaves out or does differently is mended in its session layer, which is never saved; then the
-readers of our own stages read it.
+What such a stage leaves out or does differently is repaired in its session layer, which is never saved; then the
+readers of facepipe's own stages read it.
 """
 
 from typing import TYPE_CHECKING

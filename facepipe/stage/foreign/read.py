@@ -1,4 +1,4 @@
-"""A foreign stage as parts, with what it says in facepipe's own words where it is or holds a face."""
+"""A foreign stage as parts, with facepipe's own attributes where it is or holds a face."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def read_foreign(
     skeleton: str | None = None,
     variants: Mapping[str, str] | None = None,
 ) -> Foreign:
-    """The face of a UsdSkel stage, mended as far as it says what it means.
+    """The face of a UsdSkel stage, repaired as far as its meaning is clear.
 
     :param root: path of the prim to read below; default the default prim, or the whole stage
     :param skeleton: path of the Skeleton, needed where meshes are bound to several
@@ -206,7 +206,7 @@ def _sliders(scene: Scene) -> tuple[Slider, ...]:
 
 
 def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | None:
-    """The first learned network that the sliders `own` are enough for; others are left out."""
+    """The first learned network that takes none but the given sliders; others are left out."""
     names, chosen = {one.name for one in sliders}, None
     for prim in _prims(scene):
         try:
@@ -215,9 +215,7 @@ def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | 
             scene.warn(f"{error}: network left out")
             continue
         if network is not None and (chosen is not None or not names.issuperset(network.sliders)):
-            scene.warn(
-                "a learned network of sliders left out: it is one too many, or its sliders are not there", [prim]
-            )
+            scene.warn("a learned network of sliders left out: another is kept, or its sliders are missing", [prim])
         elif network is not None:
             chosen = network
     return chosen

@@ -1,4 +1,4 @@
-"""The part of a foreign stage that is read, with which variants, and its session layer as the place for mends."""
+"""The part of a foreign stage that is read, its variants, and its session layer, where repairs go."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Scene:
             yield from prims_below(root, self.path)
 
     def _open_instances(self) -> None:
-        """Instances become plain prims: what is mended below one is not mended below all."""
+        """Instances become plain prims: a repair below one is not one below all."""
         while True:
             instances = [prim for root in self.roots for prim in Usd.PrimRange(root) if prim.IsInstance()]
             if not instances:
