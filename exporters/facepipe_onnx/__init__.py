@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from facepipe_onnx.encoder import export_encoder
     from facepipe_onnx.model_file import outputs
     from facepipe_onnx.options import Options
+    from facepipe_onnx.read import validate
     from facepipe_onnx.runtime import Deformer
-    from facepipe_onnx.verify import validate
     from facepipe_onnx.writer import export, export_parts
 else:
     __getattr__, __dir__ = lazy(__name__)

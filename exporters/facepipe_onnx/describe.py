@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from facepipe.core import __version__
-from facepipe.parts import FaceParts, Slider, SliderNetwork
+from facepipe.core.arrays import FloatArray
+from facepipe.parts import FaceParts, Mesh, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig
-from facepipe_onnx import describe_sliders
-from facepipe_onnx.describe_sliders import numbers, units
+from facepipe.rig.activation import curves
 from facepipe_onnx.graph import signature
-from facepipe_onnx.kinds import DEFORMER, SLIDERS
-from facepipe_onnx.operators import FURTHER
+from facepipe_onnx.metadata import DEFORMER, FURTHER, SLIDERS
 from facepipe_onnx.options import Options
 from facepipe_onnx.slider_graph import signature as slider_signature
 
@@ -27,6 +26,22 @@ _CONVENTIONS = {
     "order": "blendshapes first, then linear blend skinning",
     "weights": "0 neutral, 1 the sculpt; other weights extrapolate, inbetweens interpolate piecewise linearly",
 }
+Json = dict[str, Any]
+_MARKS = 64  # points of a mesh
+_MOST_ENTRIES = 8192
+_ENTRIES = ("channel_curves", "channels", "shape_curves", "shapes")
+_SLIDER_CONVENTIONS = {
+    "sliders": "clamped to their ranges; what each adds to channels and shapes is gain * (value - default), or "
+    "gain * curve(value) where it has a curve: knots (value, amount), straight between them, constant beyond; a "
+    "slider_network, whose weights the graph holds, adds to channels and shapes from the clamped values of its sliders"
+    f"; channels and shapes of more than {_MOST_ENTRIES:,} entries in all are null: the graph holds them too",
+    "weights": "shape weights of expressions, added to those that sliders drive; 0 adds nothing",
+    "skinning_matrices": "world times inverse bind: from skeleton space at bind time to world; blend by skin weights. "
+    "For vertices of the face's GLB: gltf_from_world @ skinning matrix @ skeleton_from_gltf",
+    "morph_weights": "activations of the morph targets, inbetweens among them; meshes[i].targets numbers those of a "
+    "mesh in the order of its GLB targets",
+}
+_Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def describe(
@@ -52,24 +67,23 @@ def describe(
             "format": DEFORMER.format,
             "inputs": [_input(name, shape, parts, rig) for name, shape in inputs.items()],
             "outputs": [_output(name, shape, rig) for name, shape in outputs.items()],
-            "sliders": describe_sliders.records(parts.sliders),
+            "sliders": _slider_records(parts.sliders),
         }
     inputs, outputs = slider_signature(rig, sliders, options)
     first, *others = inputs.items()
     return metadata | {
-        "conventions": _CONVENTIONS | describe_sliders.CONVENTIONS,
+        "conventions": _CONVENTIONS | _SLIDER_CONVENTIONS,
         "format": SLIDERS.format,
         "inputs": [
-            describe_sliders.slider_input(*first, sliders),
+            _slider_input(*first, sliders),
             *(_input(name, shape, parts, rig) for name, shape in others),
         ],
-        "meshes": describe_sliders.with_targets(metadata["meshes"], parts, rig),
+        "meshes": _with_targets(metadata["meshes"], parts, rig),
         "outputs": [
-            describe_sliders.output(name, shape, parts, rig) or _output(name, shape, rig)
-            for name, shape in outputs.items()
+            _slider_output(name, shape, parts, rig) or _output(name, shape, rig) for name, shape in outputs.items()
         ],
-        "slider_network": None if network is None else describe_sliders.network_record(network),
-        "sliders": describe_sliders.records(sliders),
+        "slider_network": None if network is None else _network_record(network),
+        "sliders": _slider_records(sliders),
     }
 
 
@@ -113,12 +127,12 @@ def _input(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> dic
             "channels": list(CHANNELS),
             "default": [0.0] * 6 + [1.0] * 3,
             "joints": list(rig.joints),
-            "limits": None if limits is None else {"lower": numbers(limits.lower), "upper": numbers(limits.upper)},
-            "units": units(),
+            "limits": None if limits is None else {"lower": _numbers(limits.lower), "upper": _numbers(limits.upper)},
+            "units": _units(),
         }
     if name == "joint_transforms":
-        return own | {"default": numbers(rig.rest), "joints": list(rig.joints), "space": "local to the parent joint"}
-    return own | {"default": numbers(rig.parent_world), "space": "world matrix that root joints hang under"}
+        return own | {"default": _numbers(rig.rest), "joints": list(rig.joints), "space": "local to the parent joint"}
+    return own | {"default": _numbers(rig.parent_world), "space": "world matrix that root joints hang under"}
 
 
 def _output(name: str, shape: tuple[int, ...], rig: Rig) -> dict[str, Any]:
@@ -133,5 +147,126 @@ def _sculpt(rig: Rig, number: int) -> dict[str, Any]:
     return {
         "name": target.name,
         "shape": rig.shapes[target.shape],
-        "activation": numbers(np.array(target.curve.knots)),
+        "activation": _numbers(np.array(target.curve.knots)),
     }
+
+
+def _slider_records(sliders: Sequence[Slider]) -> list[Json]:
+    """The sliders of the face; of very many channels and shapes only the graph tells."""
+    short = sum(len(one.channels) + len(one.shapes) for one in sliders) > _MOST_ENTRIES
+    return [_slider_record(one) | (dict.fromkeys(_ENTRIES) if short else {}) for one in sliders]
+
+
+def _slider_record(slider: Slider) -> Json:
+    """A slider of the face."""
+    return {
+        "channel_curves": _curves(slider.channel_curves),
+        "channels": [list(channel) for channel in slider.channels],
+        "default": slider.default,
+        "group": slider.group,
+        "mirror": slider.mirror,
+        "name": slider.name,
+        "range": [slider.minimum, slider.maximum],
+        "shape_curves": _curves(slider.shape_curves),
+        "shapes": [list(shape) for shape in slider.shapes],
+        "value": _value(slider),
+    }
+
+
+def _network_record(network: SliderNetwork) -> Json:
+    """The learned network of a face's sliders, without its numbers."""
+    return {
+        "activation": network.activation,
+        "channels": [list(channel) for channel in network.channels],
+        "info": dict(network.info),
+        "layers": [len(network.sliders), *(len(bias) for bias in network.biases)],
+        "shapes": list(network.shapes),
+        "sliders": list(network.sliders),
+    }
+
+
+def _curves(found: Sequence[Any]) -> list[Any]:
+    return [None if curve is None else [list(knot) for knot in curve] for curve in found]
+
+
+def _value(slider: Slider) -> float:
+    return slider.default if slider.value is None else slider.value
+
+
+def _slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) -> Json:
+    """The input of slider values: ``default`` is the neutral, ``values`` what is set on the face."""
+    return {
+        "default": [slider.default for slider in sliders],
+        "groups": [slider.group for slider in sliders],
+        "name": name,
+        "names": [slider.name for slider in sliders],
+        "range": [[slider.minimum, slider.maximum] for slider in sliders],
+        "shape": list(shape),
+        "type": "float32",
+        "values": [_value(slider) for slider in sliders],
+    }
+
+
+def _slider_output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Json | None:
+    """An output that only graphs of sliders have; None for the others."""
+    own: Json = {"name": name, "shape": list(shape), "type": "float32"}
+    if name == "coefficients":
+        return own | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": _units()}
+    if name == "skinning_matrices":
+        world = _gltf_from_world(parts)
+        back = np.linalg.inv(world @ rig.parent_world)
+        return own | {
+            "gltf_from_world": _numbers(world),
+            "joints": list(rig.joints),
+            "skeleton_from_gltf": _numbers(back),
+            "space": "skeleton space at bind time -> world, stage units",
+        }
+    if name == "morph_weights":
+        targets = [{"name": target.name, "shape": rig.shapes[target.shape]} for target in rig.targets]
+        return own | {"targets": targets}
+    return None
+
+
+def _units() -> list[str]:
+    """Of the 9 bone coefficients of a joint."""
+    return ["stage units"] * 3 + ["radians"] * 3 + ["factor of rest"] * 3
+
+
+def _gltf_from_world(parts: FaceParts) -> FloatArray:
+    """(4, 4) from world space of the stage to glTF: metres, Y up."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = (_Z_UP_TO_Y_UP if parts.up_axis == "Z" else np.eye(3)) * parts.meters_per_unit
+    return matrix
+
+
+def _with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Json]:
+    """The `meshes` with the numbers of their morph targets, and with marks of their neutral."""
+    neutral = rig.evaluate() @ _gltf_from_world(parts)[:3, :3].T
+    return [
+        own | {"marks": _marks(neutral[own["first"] :][: own["count"]]), "targets": _targets(mesh, rig)}
+        for own, mesh in zip(meshes, parts.meshes, strict=True)
+    ]
+
+
+def _marks(points: FloatArray) -> Json:
+    """Some points (n, 3) of a mesh with their numbers, evenly among them: they tell faces of one topology apart."""
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(_MARKS, len(points))).astype(int))
+    rounded = [[float(f"{value:.6g}") + 0.0 for value in points[number]] for number in chosen]
+    return {"points": chosen.tolist(), "positions": rounded}
+
+
+def _targets(mesh: Mesh, rig: Rig) -> list[int]:
+    """Numbers in `Rig.targets` of a mesh's shapes, each followed by its inbetweens."""
+    numbered = {(rig.shapes[target.shape], target.name, target.curve): i for i, target in enumerate(rig.targets)}
+    found = []
+    for shape in mesh.blendshapes:
+        by_weight = curves(tuple(one.weight for one in shape.inbetweens))
+        sculpts = [(shape.name, 1.0), *((f"{shape.name}_{one.name}", one.weight) for one in shape.inbetweens)]
+        keys = [(shape.name, name, by_weight[weight]) for name, weight in sculpts]
+        found += [numbered[key] for key in keys if key in numbered]
+    return found
+
+
+def _numbers(values: Any) -> Any:
+    """An array as JSON."""
+    return np.asarray(values, dtype=np.float64).tolist()

@@ -14,10 +14,16 @@ from facepipe.core.errors import TopologyError
 from facepipe.core.reports import ExportReport
 from facepipe.onnx_graph import Nodes
 from facepipe.rig.neural_encoder import EPSILON, EncoderLayer, NeuralEncoder
-from facepipe_onnx.kinds import ENCODER
-from facepipe_onnx.metadata_checks import operators
+from facepipe_onnx.metadata import ENCODER, FURTHER, operators
 from facepipe_onnx.model_file import outputs, write_model
-from facepipe_onnx.operators import FURTHER
+
+_CONVENTIONS = {
+    "points": "points of all meshes one after another, in their order on the face; only those that `chosen` numbers "
+    "count, the others may be anything",
+    "lengths": "millimetres",
+    "space": "world space at bind time, right-handed, up axis face.up_axis; the head as it is at rest, not turned",
+    "controls": "clamped to their ranges",
+}
 
 
 def _build(encoder: NeuralEncoder, name: str = "face") -> Any:
@@ -91,15 +97,6 @@ def _in_own_units(nodes: Nodes, encoder: NeuralEncoder, value: str) -> None:
     clamped = nodes.add("Clip", value, *ends)
     scaled = nodes.add("Mul", clamped, nodes.constant("half_range", (high - low) / 2.0))
     nodes.add("Add", scaled, nodes.constant("middle", (high + low) / 2.0), name="controls")
-
-
-_CONVENTIONS = {
-    "points": "points of all meshes one after another, in their order on the face; only those that `chosen` numbers "
-    "count, the others may be anything",
-    "lengths": "millimetres",
-    "space": "world space at bind time, right-handed, up axis face.up_axis; the head as it is at rest, not turned",
-    "controls": "clamped to their ranges",
-}
 
 
 def _describe(

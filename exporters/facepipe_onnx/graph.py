@@ -19,9 +19,18 @@ from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.onnx_graph import Nodes
 from facepipe.rig import Rig
-from facepipe_onnx import morph, skin
+from facepipe_onnx.deform import (
+    OFFSET_BYTES,
+    WEIGHT_BYTES,
+    Ends,
+    joint_columns,
+    morph_nodes,
+    moved_lengths,
+    normal_nodes,
+    skin_nodes,
+    skinning_nodes,
+)
 from facepipe_onnx.joints import tree_order, world_nodes
-from facepipe_onnx.normals import normal_nodes
 from facepipe_onnx.options import Options
 from facepipe_onnx.partition import Partition, block_size, partition
 
@@ -86,32 +95,32 @@ def rigid(nodes: Nodes, rig: Rig, batch: int, activations: str | None = None) ->
     linear, offset = rig.parent_world[:3, :3], rig.parent_world[:3, 3]
     targets = tuple(dataclasses.replace(t, offsets=t.offsets @ linear.T) for t in rig.targets)
     world = dataclasses.replace(rig, targets=targets)
-    moved = morph.moved(world)
-    parts = partition(moved, block_size([(moved, morph.ENTRY_BYTES)], len(rig.points)), morph.ENTRY_BYTES)
-    blocks = morph.morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch, activations)
+    moved = moved_lengths(world)
+    parts = partition(moved, block_size([(moved, OFFSET_BYTES)], len(rig.points)), OFFSET_BYTES)
+    blocks = morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch, activations)
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
 
 
-def _ends(nodes: Nodes, rig: Rig, worlds: str) -> skin.Ends:
+def _ends(nodes: Nodes, rig: Rig, worlds: str) -> Ends:
     """Products of `worlds`, sorted by depth, with constants."""
     order = tree_order(rig.parents)[0]
     return lambda ends: nodes.add("MatMul", worlds, nodes.constant("inverse_bind", ends[order]))
 
 
-def skinned(nodes: Nodes, rig: Rig, ends: skin.Ends | None, options: Options, activations: str | None = None) -> None:
+def skinned(nodes: Nodes, rig: Rig, ends: Ends | None, options: Options, activations: str | None = None) -> None:
     """`points` of a face that joints or a parent move, in two orders: the morph's groups, then the skin's.
 
     :param activations: of the targets; None: those of the input ``weights``
     """
     batch = options.batch
     centre = (rig.points.min(axis=0) + rig.points.max(axis=0)) / 2
-    moved = morph.moved(rig)
-    influences = sparse.csr_array(rig.influences[:, skin.joint_columns(rig)])
-    size = block_size([(moved, morph.ENTRY_BYTES), (influences, skin.ENTRY_BYTES)], len(rig.points))
-    parts = partition(influences, size, skin.ENTRY_BYTES)
+    moved = moved_lengths(rig)
+    influences = sparse.csr_array(rig.influences[:, joint_columns(rig)])
+    size = block_size([(moved, OFFSET_BYTES), (influences, WEIGHT_BYTES)], len(rig.points))
+    parts = partition(influences, size, WEIGHT_BYTES)
     homogeneous = _homogeneous(nodes, rig, rig.points - centre, moved, parts, batch, activations)
-    matrices = skin.skinning_nodes(nodes, rig, ends, centre, parent=options.parent, batch=batch)
-    planes = skin.skin_nodes(nodes, rig, matrices, homogeneous, parts, batch)
+    matrices = skinning_nodes(nodes, rig, ends, centre, parent=options.parent, batch=batch)
+    planes = skin_nodes(nodes, rig, matrices, homogeneous, parts, batch)
     rows = nodes.add("Transpose", planes, perm=[0, 2, 1])
     blocks = nodes.reshape(rows, batch, len(parts.order), 3 * size)
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
@@ -131,8 +140,8 @@ def _homogeneous(
     ones = np.ones((1, 1, len(order)))
     if not rig.targets:
         return nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
-    morphs = partition(moved, parts.size, morph.ENTRY_BYTES)
-    blocks = morph.morph_nodes(nodes, rig, neutral, morphs, batch, activations)
+    morphs = partition(moved, parts.size, OFFSET_BYTES)
+    blocks = morph_nodes(nodes, rig, neutral, morphs, batch, activations)
     blocks = _reorder(nodes, blocks, morphs.position[parts.order])
     rows = nodes.reshape(blocks, batch, len(order), 3)
     planes = nodes.add("Transpose", rows, perm=[0, 2, 1])

@@ -10,7 +10,7 @@ from facepipe.core import __version__
 from facepipe.core.atomic import together, write_bytes
 from facepipe.core.errors import ExportError, InputError
 from facepipe.onnx_graph import MAX_BYTES
-from facepipe_onnx import sidecar
+from facepipe_onnx.metadata import sidecar_path, sidecar_text, to_properties
 from facepipe_onnx.read import problems
 
 
@@ -22,7 +22,7 @@ def outputs(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     target = Path(path)
     if target.suffix.lower() != ".onnx":
         raise InputError(target, f"suffix '{target.suffix}', expected .onnx")
-    return target, sidecar.path_of(target)
+    return target, sidecar_path(target)
 
 
 def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.PathLike[str]) -> int:
@@ -34,13 +34,13 @@ def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.
     data = _serialised(model, metadata, name)
     with together(target):
         write_bytes(target, data)
-        write_bytes(beside, sidecar.to_text(metadata).encode())
+        write_bytes(beside, sidecar_text(metadata).encode())
     return len(data)
 
 
 def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
     model.producer_version = __version__
-    for key, value in sidecar.to_properties(metadata).items():
+    for key, value in to_properties(metadata).items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     if model.ByteSize() > MAX_BYTES:

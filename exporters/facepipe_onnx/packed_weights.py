@@ -9,17 +9,22 @@ What rounding a row does is made up for by the rows after it, for samples of the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.onnx_graph import Nodes
+from facepipe.parts import Slider
+from facepipe.rig import Rig
+from facepipe_onnx.ramps import slider_samples
 
 _FLOAT = 1  # TensorProto.FLOAT
 _LEVELS = 127
 _ROUNDS = 4
 _DAMPING = 1e-5  # of the samples' mean square
+_VECTORS = 256
 
 
 class PackedNodes(Nodes):
@@ -83,14 +88,14 @@ def _stored(nodes: PackedNodes, name: str, matrix: FloatArray, samples: FloatArr
     if nodes.weights == "float16":
         half = rounded(matrix, samples, lambda row: row.astype(np.float16))
         return nodes.add("Cast", nodes.constant(name, half, np.float16), to=_FLOAT), half
-    rows, columns = (one.astype(np.float32).astype(np.float64) for one in scales(matrix))
+    rows, columns = (one.astype(np.float32).astype(np.float64) for one in _scales(matrix))
     whole = rounded(matrix / (rows * columns), samples * rows.T, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
     cast = nodes.add("Cast", nodes.constant(name, whole, np.int8), to=_FLOAT)
     factors = [nodes.constant(f"{name}_{side}", one) for side, one in (("rows", rows), ("columns", columns))]
     return nodes.add("Mul", nodes.add("Mul", cast, factors[0]), factors[1]), whole * rows * columns
 
 
-def scales(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _scales(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Scales of rows (r, 1) and columns (1, c) that bring a matrix to -127..127.
 
     Rows and columns are brought to like sizes by turns: the root of the largest number of each.
@@ -125,3 +130,47 @@ def rounded(matrix: FloatArray, samples: FloatArray, near: Callable[[FloatArray]
         missed = (left[row] - found[row]) / upper[number, number]
         left[order[number + 1 :]] -= np.outer(upper[number, number + 1 :], missed)
     return found
+
+
+def packed_error(packed: Any, whole: Any, rig: Rig, sliders: Sequence[Slider], mm_per_unit: float) -> dict[str, Any]:
+    """Largest distance of a point in millimetres, and how many slider vectors it was measured over.
+
+    These are the defaults, every slider alone at its ends, and random ones of few sliders and of many.
+
+    :param packed: the model with fewer bytes
+    :param whole: the same in float32
+    :param rig: of the exported shapes
+    """
+    low, high, rest = (np.array([getattr(one, key) for one in sliders]) for key in ("minimum", "maximum", "default"))
+    alone = np.repeat(rest[None], 2 * len(sliders), axis=0)
+    alone[::2][np.diag_indices(len(sliders))], alone[1::2][np.diag_indices(len(sliders))] = low, high
+    vectors = np.concatenate([alone, slider_samples(sliders, _VECTORS, seed=1)]).astype(np.float32)
+    runs = [_points(model, rig, vectors) for model in (packed, whole)]
+    worst = max(
+        (float(np.linalg.norm(one - other, axis=1).max(initial=0.0)) for one, other in zip(*runs, strict=True)),
+        default=0.0,
+    )
+    return {"error_mm": worst * mm_per_unit, "vectors": len(vectors)}
+
+
+def _points(model: Any, rig: Rig, vectors: FloatArray) -> Iterator[FloatArray]:
+    """World points (n, 3) under every vector, as a GPU makes them of the outputs."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    inputs = {one.name: np.zeros(one.shape, np.float32) for one in session.get_inputs()}
+    if "parent" in inputs:
+        inputs["parent"][:] = rig.parent_world
+    given = {one.name for one in session.get_outputs()}
+    names = [name for name in ("coefficients", "morph_weights") if name in given]
+    for vector in vectors:
+        inputs["sliders"][:] = vector
+        found = dict(zip(names, session.run(names, inputs), strict=True))
+        points, local = rig.points, rig.rest
+        if "morph_weights" in found:
+            points = points + (rig.deltas @ found["morph_weights"][0].astype(np.float64)).reshape(-1, 3)
+        if "coefficients" in found:
+            local = rig.local_transforms(found["coefficients"][0].astype(np.float64))
+        yield rig.skin(points, rig.skinning_matrices(local))

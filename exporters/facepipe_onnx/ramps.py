@@ -19,6 +19,8 @@ from facepipe.parts import Curve, Slider
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries
 
+_BUSY = (0.05, 0.2, 0.5, 1.0)  # shares of the sliders that are off their defaults
+
 
 class Ramps(NamedTuple):
     """``base + ramps @ gains``: bone coefficients and shape weights of the sliders."""
@@ -96,3 +98,18 @@ def ramp_nodes(nodes: Nodes, ramps: Ramps, sliders: int) -> str:
     risen = nodes.add("Mul", past, nodes.constant("ramp_slopes", 1 / (ramps.ends - ramps.starts)[None]))
     bounds = [nodes.constant(name, np.array(value)) for name, value in (("zero", 0.0), ("full", 1.0))]
     return nodes.add("Clip", risen, *bounds)
+
+
+def slider_samples(sliders: Sequence[Slider], count: int, seed: int) -> FloatArray:
+    """(count, sliders) values: the defaults, then random ones of few sliders and of many."""
+    random = np.random.default_rng(seed)
+    low, high, rest = (np.array([getattr(one, key) for one in sliders]) for key in ("minimum", "maximum", "default"))
+    values = low + random.random((count, len(sliders))) * (high - low)
+    moved = random.random(values.shape) < random.choice(_BUSY, size=(count, 1))
+    moved[0] = False
+    return np.where(moved, values, rest)
+
+
+def ramp_samples(ramps: Ramps, values: FloatArray) -> FloatArray:
+    """(count, k) values 0..1 of the ramps under (count, sliders) values."""
+    return np.asarray(((values[:, ramps.sliders] - ramps.starts) / (ramps.ends - ramps.starts)).clip(0.0, 1.0))

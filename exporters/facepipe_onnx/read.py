@@ -1,4 +1,4 @@
-"""Reads an ONNX file of unknown origin and says what keeps it from being a graph of facepipe.
+"""Reads an ONNX file of unknown origin and finds what keeps it, or its sidecar, from being a graph of facepipe.
 
 Nothing is handed to onnx's checker or to onnxruntime before its parts have been found to be plain: tensors inside the
 file, of the size their shape says, no subgraphs, no custom operators.
@@ -7,6 +7,7 @@ file, of the size their shape says, no subgraphs, no custom operators.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,9 +16,18 @@ import numpy as np
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
+from facepipe.core.reports import Finding
 from facepipe.onnx_graph import IR_VERSION, MAX_BYTES, OPSET
-from facepipe_onnx.metadata_checks import TYPES, metadata_faults, shape_of
-from facepipe_onnx.operators import FURTHER, PER_FRAME
+from facepipe_onnx.metadata import (
+    FURTHER,
+    PER_FRAME,
+    TYPES,
+    metadata_faults,
+    model_metadata,
+    parse_json,
+    shape_of,
+    sidecar_path,
+)
 
 FREE_ELEMENTS, PER_BYTE = 1 << 26, 32  # that one evaluation may make: these, and as many for each byte of the weights
 _MAX_WHOLE = 1 << 16  # of these, whole numbers: they are shapes, of which readers keep each size as an object
@@ -180,3 +190,39 @@ def _first_line(error: Exception) -> str:
 def _shown(text: str) -> str:
     """Text with names out of the file as one printable line."""
     return "".join(one if one.isprintable() else " " for one in text)[:300]
+
+
+def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
+    """What is wrong with a .onnx deformer and its sidecar.
+
+    :raises InputError: no such file, or no ONNX at all
+    """
+    file = Path(path)
+    model = read(file)
+    found = list(problems(model))
+    if not found:
+        found = list(_sidecar_problems(file, model))
+    return tuple(
+        Finding(
+            check=f"facepipe:{one.check}",
+            severity="error" if one.check != "OnnxSidecarMissing" else "warning",
+            where=f"{file.name} -> {one.where}",
+            message=one.message,
+        )
+        for one in found
+    )
+
+
+def _sidecar_problems(file: Path, model: Any) -> Iterator[Problem]:
+    beside = sidecar_path(file)
+    if not beside.exists():
+        yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
+        return
+    try:
+        text = read_bytes(beside, MAX_BYTES)
+        same = parse_json(text, beside.name) == model_metadata(model)
+    except InputError as error:
+        yield Problem("OnnxSidecar", error.where, error.what)
+        return
+    if not same:
+        yield Problem("OnnxSidecar", beside.name, "differs from the metadata in the model")

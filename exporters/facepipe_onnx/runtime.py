@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
-from facepipe_onnx import sidecar
-from facepipe_onnx.metadata_checks import properties
+from facepipe_onnx.metadata import PREFIX, model_metadata
 from facepipe_onnx.read import problems, read
 
 Array = npt.NDArray[Any]
@@ -28,7 +27,7 @@ class Deformer:
         model = read(self.path)
         for problem in problems(model):
             raise InputError(f"{self.path} -> {problem.where}", problem.message)
-        self.metadata: dict[str, Any] = sidecar.from_properties(properties(model))
+        self.metadata: dict[str, Any] = model_metadata(model)
         self._inputs = {one["name"]: one for one in self.metadata["inputs"]}
         self.sliders: tuple[str, ...] = tuple(self._inputs.get("sliders", {}).get("names", ()))
         self.shapes: tuple[str, ...] = tuple(self._inputs.get("weights", {}).get("names", ()))
@@ -139,7 +138,7 @@ class Deformer:
             default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(one["shape"])), dtype=np.float32)
             return default
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            where = f"{self.path} -> metadata {sidecar.PREFIX}inputs -> {name}"
+            where = f"{self.path} -> metadata {PREFIX}inputs -> {name}"
             raise InputError(where, f"no default that fits shape {one['shape']}") from error
 
     def _start(self, data: bytes, threads: int) -> Any:

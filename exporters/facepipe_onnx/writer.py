@@ -23,10 +23,10 @@ from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe
 from facepipe_onnx.encoder import export_encoder
 from facepipe_onnx.graph import build, select_shapes
-from facepipe_onnx.metadata_checks import operators
+from facepipe_onnx.metadata import operators
 from facepipe_onnx.model_file import outputs, write_model
 from facepipe_onnx.options import Options
-from facepipe_onnx.packed_error import packed_error
+from facepipe_onnx.packed_weights import packed_error
 
 
 def export(face: HasParts, path: str | os.PathLike[str], options: Options | None = None) -> ExportReport:

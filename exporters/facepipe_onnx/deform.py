@@ -1,0 +1,196 @@
+"""Points as nodes: blendshapes (shape weights -> activations -> points), linear blend skinning, and normals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.onnx_graph import Nodes
+from facepipe.rig import Rig
+from facepipe_onnx.joints import tree_order
+from facepipe_onnx.partition import Group, Partition
+
+OFFSET_BYTES = 12  # one offset
+WEIGHT_BYTES = 4  # one skin weight
+# (j, 4, 4) constants at the joints -> [batch, joints, 4, 4] world matrices times them, joints sorted by depth
+Ends = Callable[[FloatArray], str]
+_SMALLEST = 1e-18  # of a squared length: shorter sums stay as they are, and give (near) zero normals
+
+
+def moved_lengths(rig: Rig) -> sparse.csr_array:
+    """(points, targets) length of the float32 offset by which a target moves a point."""
+    shape = (len(rig.points), len(rig.targets))
+    if not rig.targets:
+        return sparse.csr_array(shape)
+    with np.errstate(over="ignore"):  # refused when they are stored
+        lengths = [np.abs(t.offsets.astype(np.float32)).max(axis=1, initial=0.0) for t in rig.targets]
+    columns = [np.full(len(t.point_indices), i) for i, t in enumerate(rig.targets)]
+    entries = (np.concatenate([t.point_indices for t in rig.targets]), np.concatenate(columns))
+    matrix = sparse.csr_array((np.concatenate(lengths), entries), shape=shape)
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def activation_nodes(nodes: Nodes, rig: Rig, weights: str = "weights", name: str | None = None) -> str:
+    """[batch, targets] activations of the targets under [batch, shapes] `weights`.
+
+    A curve is ``base + slope * w + sum(change * relu(w - at))`` (`facepipe.rig.activation.Curve.hinges`).
+    """
+    shapes = np.array([target.shape for target in rig.targets], dtype=np.int64)
+    if all(target.curve.is_identity for target in rig.targets):
+        if not np.array_equal(shapes, np.arange(len(rig.shapes))):
+            return nodes.add("Gather", weights, nodes.indices(shapes), axis=1, name=name)
+        return nodes.concat([weights], 1, name)
+    curves = [target.curve.hinges() for target in rig.targets]
+    bends = sorted(
+        {(target.shape, at) for target, curve in zip(rig.targets, curves, strict=True) for at, _ in curve[2]}
+    )
+    mix = np.zeros((len(rig.shapes) + len(bends), len(rig.targets)))
+    for i, (target, (_, slope, changes)) in enumerate(zip(rig.targets, curves, strict=True)):
+        mix[target.shape, i] = slope
+        for at, change in changes:
+            mix[len(rig.shapes) + bends.index((target.shape, at)), i] = change
+    features = weights
+    if bends:
+        starts = nodes.constant("bend_weights", np.array([[at for _, at in bends]]))
+        past = nodes.add("Relu", nodes.add("Sub", nodes.gather(weights, 1, [shape for shape, _ in bends]), starts))
+        features = nodes.concat([weights, past], 1)
+    base = nodes.constant("curve_base", np.array([curve[0] for curve in curves]))
+    return nodes.add("Gemm", features, nodes.constant("curve_mix", mix), base, name=name)
+
+
+def morph_nodes(
+    nodes: Nodes, rig: Rig, neutral: FloatArray, parts: Partition, batch: int, activations: str | None = None
+) -> str:
+    """[batch, blocks, 3 * block size] morphed points in the order of the partition's groups.
+
+    :param neutral: (n, 3) points in the space of the targets' offsets
+    :param activations: of `activation_nodes`; None: those of the input ``weights``
+    """
+    # the 1 multiplies the neutral points
+    one = nodes.constant("one", np.ones((batch, 1)))
+    activations = nodes.concat([activations or activation_nodes(nodes, rig), one], 1)
+    pieces = [_group(nodes, activations, rig.deltas, neutral, parts, group, batch) for group in parts.groups]
+    blocks = sum(len(group.blocks) for group in parts.groups)
+    return nodes.reshape(nodes.concat(pieces, 1), batch, blocks, 3 * parts.size)
+
+
+def _group(
+    nodes: Nodes,
+    activations: str,
+    deltas: sparse.csr_array,
+    neutral: FloatArray,
+    parts: Partition,
+    group: Group,
+    batch: int,
+) -> str:
+    """[batch, 3 * points] of one group: its few activations times its own small dense matrix."""
+    points = parts.members(group)
+    rest = neutral[points].reshape(1, -1)
+    if not len(group.columns):
+        return nodes.constant("still_points", np.tile(rest, (batch, 1)))
+    rows = (3 * points[:, None] + np.arange(3)).ravel()
+    dense = deltas[rows][:, group.columns].toarray().T
+    own = nodes.gather(activations, 1, [*group.columns.tolist(), deltas.shape[1]])
+    return nodes.add("MatMul", own, nodes.constant("shape_offsets", np.concatenate([dense, rest])))
+
+
+def skinning_nodes(nodes: Nodes, rig: Rig, ends: Ends | None, centre: FloatArray, *, parent: bool, batch: int) -> str:
+    """[batch, 12, joints + 1] matrices from centred skeleton space to world, entry ``3 * column + row``.
+
+    Joints are sorted by depth, the skeleton's own matrix is last.
+
+    :param ends: None if there are no joints
+    :param centre: (3,) skeleton-space origin of the points; keeps products of float32 small
+    """
+    shift = np.eye(4)
+    shift[:3, 3] = centre
+    matrices = [] if ends is None else [ends(rig.inverse_bind @ shift)]
+    if parent:
+        shifted = nodes.add("MatMul", "parent", nodes.constant("centre", shift))
+        matrices.append(nodes.reshape(shifted, batch, 1, 4, 4))
+    else:
+        own = np.tile(rig.parent_world @ shift, (batch, 1, 1, 1))
+        matrices.append(nodes.constant("skeleton_world", own))
+    rows = nodes.slice(nodes.concat(matrices, 1), 2, 0, 3)
+    count = len(rig.joints) + 1
+    return nodes.reshape(nodes.add("Transpose", rows, perm=[0, 3, 2, 1]), batch, 12, count)
+
+
+def skin_nodes(nodes: Nodes, rig: Rig, matrices: str, points: str, parts: Partition, batch: int) -> str:
+    """[batch, 3, points] world points in the order of the partition's groups.
+
+    :param matrices: [batch, 12, joints + 1] of `skinning_nodes`
+    :param points: [batch, 4, points] homogeneous centred points in the same order, or 1 instead of batch
+    """
+    blended = nodes.concat([_blend(nodes, matrices, rig, parts, i) for i in range(len(parts.groups))], 2)
+    total = sum(len(group.blocks) for group in parts.groups) * parts.size
+    blended = nodes.reshape(blended, batch, 4, 3, total)
+    products = nodes.add("Mul", blended, nodes.reshape(points, -1, 4, 1, total))
+    flat = nodes.reshape(products, batch, 4, 3 * total)
+    summed = nodes.add("MatMul", nodes.constant("sum_of_columns", np.ones((1, 4))), flat)
+    return nodes.reshape(summed, batch, 3, total)
+
+
+def joint_columns(rig: Rig) -> npt.NDArray[np.integer]:
+    """(joints + 1,) joints in the column order of `skinning_nodes`."""
+    return np.append(tree_order(rig.parents)[0], len(rig.joints))
+
+
+def _blend(nodes: Nodes, matrices: str, rig: Rig, parts: Partition, number: int) -> str:
+    group = parts.groups[number]
+    weights = rig.influences[:, joint_columns(rig)][parts.members(group)][:, group.columns]
+    own = nodes.gather(matrices, 2, group.columns)
+    return nodes.add("MatMul", own, nodes.constant("skin_weights", weights.toarray().T))
+
+
+def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, batch: int) -> str:
+    """Adds [batch, points, 3] `normals` of [batch, points, 3] points; (0, 1, 0) where a point has no triangle.
+
+    :param triangles: (t, 3) point indices
+    """
+    degree = np.bincount(triangles.ravel(), minlength=count)
+    pieces = []
+    if len(triangles):
+        corners = [nodes.gather(points, 1, triangles[:, i]) for i in range(3)]
+        areas = _cross(nodes, nodes.add("Sub", corners[1], corners[0]), nodes.add("Sub", corners[2], corners[0]))
+        pieces.append(_units(nodes, nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)))
+    if not degree.all():
+        up = np.tile([0.0, 1.0, 0.0], (batch, int(np.count_nonzero(degree == 0)), 1))
+        pieces.append(nodes.constant("loose_normals", up))  # not scaled: some runtimes' roots of 1 are not 1
+    order = np.argsort(np.where(degree == 0, len(triangles) * 3 + 1, degree), kind="stable")
+    position = nodes.indices(np.argsort(order, kind="stable"))
+    return nodes.add("Gather", nodes.concat(pieces, 1), position, axis=1, name="normals")
+
+
+def _units(nodes: Nodes, vectors: str) -> str:
+    squares = nodes.add("MatMul", nodes.add("Mul", vectors, vectors), nodes.constant("sum_of_axes", np.ones((3, 1))))
+    smallest = nodes.constant("smallest", np.array(_SMALLEST))
+    return nodes.add("Div", vectors, nodes.add("Sqrt", nodes.add("Clip", squares, smallest)))
+
+
+def _cross(nodes: Nodes, first: str, second: str) -> str:
+    turned = [[nodes.gather(one, 2, axes) for axes in ((1, 2, 0), (2, 0, 1))] for one in (first, second)]
+    ahead, behind = nodes.add("Mul", turned[0][0], turned[1][1]), nodes.add("Mul", turned[0][1], turned[1][0])
+    return nodes.add("Sub", ahead, behind)
+
+
+def _sums(nodes: Nodes, areas: str, degree: IntArray, triangles: IntArray, batch: int) -> list[str]:
+    """[batch, points, 3] sums over the triangles at each point that has some; points of one number of them at a time.
+
+    :param degree: (n,) triangles at each point
+    """
+    around = np.argsort(triangles.ravel(), kind="stable") // 3  # triangles, point by point
+    first = np.cumsum(degree) - degree
+    pieces = []
+    for size in np.unique(degree[degree > 0]):
+        members = np.flatnonzero(degree == size)
+        own = nodes.gather(areas, 1, around[first[members, None] + np.arange(size)].ravel())
+        grouped = nodes.reshape(own, batch, len(members), int(size), 3)
+        total = nodes.add("MatMul", nodes.constant(f"sum_{size}", np.ones((1, size))), grouped)
+        pieces.append(nodes.reshape(total, batch, len(members), 3))
+    return pieces
