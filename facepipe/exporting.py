@@ -15,7 +15,7 @@ from facepipe.core.reports import ExportReport
 from facepipe.kinds import Watch, unwatched
 from facepipe.parts import HeldFace, HeldLevels
 from facepipe.processors.neural_rig.options import AttachOptions
-from facepipe.processors.sliders.distil_options import DISTIL, DistilOptions
+from facepipe.processors.sliders.options import DISTIL, DistilOptions
 from facepipe.registry import exporter, outputs
 
 if TYPE_CHECKING:

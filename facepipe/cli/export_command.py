@@ -30,7 +30,7 @@ from facepipe.cli.parser import Parser, add_options, add_output, add_rename, out
 from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
 from facepipe.processors.neural_rig.options import AttachOptions
-from facepipe.processors.sliders.distil_options import DISTIL, DistilOptions
+from facepipe.processors.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
     from facepipe.processors.sliders import DistilReport

@@ -5,8 +5,9 @@ M can't satisfy ``M x = D``, so here they hold -1 and +1. Multiplying both sides
 solution as it is, since M^T D lies in the range of M^T M; it differs once points are held, and that is what
 `GradientSystem.moving` solves.
 
-The main component, which holds the anchor, is solved first; loose components follow it over bridges, so that they
-never pull at the face.
+Real heads have dozens of connected components (eyeballs, every tooth, lashes), and edge vectors say nothing about where
+a loose one lies. So the main component, which holds the anchor, is solved first; each point of a loose one follows the
+nearest point of it over a bridge edge, each joint the points around it, and they never pull at the face.
 """
 
 from __future__ import annotations
@@ -15,14 +16,69 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.bridges import Bridges
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.differences import incidence
 from facepipe.geometry.factor import Factor, Solver, factorise
 
-Mask = npt.NDArray[np.bool_]
+_JOINT_REACH = 1.5  # a joint's bridges go to the points up to this many times as far as the nearest one
+_JOINT_BRIDGES = 256  # at most, the nearest ones
+_TIES = 8  # points looked at for being equally near
+_EQUAL = 1e-9  # distances that differ by less are equal
+
+
+@dataclass(frozen=True)
+class Bridges:
+    """Edges from followers to leaders, and their weights: followers move with leaders, never the other way."""
+
+    followers: IntArray  # (b,)
+    leaders: IntArray  # (b,) points
+    weights: FloatArray  # (b,) above 0
+
+
+def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
+    """From every point (of `points` (n, 3)) outside component number `main` to the nearest point in it.
+
+    The weight is ``1 / (1 + (d / median)^2)``, by the median distance of the same component: where a part touches the
+    face it follows the face.
+    """
+    from scipy.spatial import cKDTree
+
+    inside = np.flatnonzero(component == main)
+    loose = np.flatnonzero(component != main)
+    if not len(loose):
+        return Bridges(loose, loose, np.zeros(0))
+    distances, nearest = cKDTree(points[inside]).query(points[loose], k=np.arange(1, min(_TIES, len(inside)) + 1))
+    distance = distances[:, 0]
+    # the first of those that are equally near, which rounding (other units, axes or places) would choose among
+    tied = distances <= distance[:, None] * (1.0 + _EQUAL)
+    leaders = np.where(tied, inside[nearest], len(points)).min(axis=1)
+    reach = _medians(distance, component[loose])
+    return Bridges(loose, leaders, 1.0 / (1.0 + (distance / reach) ** 2))
+
+
+def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
+    """From every joint (j, 3) to the points around it; the joints' numbers are the followers."""
+    from scipy.spatial import cKDTree
+
+    count = min(_JOINT_BRIDGES, len(points))
+    if not count or not len(joints):
+        return Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    distances, nearest = cKDTree(points).query(joints, k=np.arange(1, count + 1))
+    reach = _JOINT_REACH * np.maximum(distances[:, :1], np.finfo(np.float64).tiny)
+    near = distances <= reach * (1.0 + _EQUAL)
+    followers = np.repeat(np.arange(len(joints)), near.sum(axis=1))
+    weights = 1.0 / (1.0 + np.divide(distances, reach, out=np.zeros_like(distances), where=near) ** 2)
+    return Bridges(followers, nearest[near], weights[near])
+
+
+def _medians(values: FloatArray, group: IntArray) -> FloatArray:
+    """(n,) median of each value's group; 1 where that is 0."""
+    numbers, place, counts = np.unique(group, return_inverse=True, return_counts=True)
+    order = np.lexsort((values, place))
+    ends = np.cumsum(counts)
+    medians = values[order][ends - counts + counts // 2] if len(numbers) else np.zeros(0)
+    return np.asarray(np.where(medians > 0, medians, 1.0)[place])
 
 
 @dataclass(frozen=True)
@@ -45,7 +101,13 @@ class GradientSystem:
     """
 
     def __init__(
-        self, edges: IntArray, weights: FloatArray, main: Mask, bridges: Bridges, anchor: int, solver: Solver = "auto"
+        self,
+        edges: IntArray,
+        weights: FloatArray,
+        main: BoolArray,
+        bridges: Bridges,
+        anchor: int,
+        solver: Solver = "auto",
     ) -> None:
         self.edges, self.bridges, self.anchor, self.solver = edges, bridges, anchor, solver
         nothing = Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
@@ -70,7 +132,7 @@ class GradientSystem:
         points[self._loose.points] = self._loose_factor.solve(self._loose.divergence @ vectors)
         return points
 
-    def moving(self, moving: Mask) -> MovingSystem:
+    def moving(self, moving: BoolArray) -> MovingSystem:
         """The bi-Laplacian of the same edges where only the points of `moving` (n,) may differ from 0."""
         return MovingSystem(self, moving)
 
@@ -81,7 +143,7 @@ class MovingSystem:
     Where all of the main component moves, only the anchor holds it: it is `pinned`, and its offset must be given.
     """
 
-    def __init__(self, system: GradientSystem, moving: Mask) -> None:
+    def __init__(self, system: GradientSystem, moving: BoolArray) -> None:
         self._anchor, edge_count = system._anchor, len(system.edges)
         self.pinned = bool(moving[system._main.points].all())
         held = self._anchor if self.pinned else None
@@ -113,7 +175,9 @@ class MovingSystem:
 class _Held:
     """One block of a moving system."""
 
-    def __init__(self, block: _Block, moving: Mask, edge_count: int, solver: Solver, held: int | None = None) -> None:
+    def __init__(
+        self, block: _Block, moving: BoolArray, edge_count: int, solver: Solver, held: int | None = None
+    ) -> None:
         free = moving[block.points].copy()
         if held is not None:
             free[held] = False
@@ -143,7 +207,7 @@ def _used(matrix: Any) -> IntArray:
     return np.flatnonzero(used)
 
 
-def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: Mask) -> _Block:
+def _block(edges: IntArray, weights: FloatArray, bridges: Bridges, inside: BoolArray) -> _Block:
     """The block of the points `inside`; bridges end in their followers alone, leaders are given."""
     from scipy.sparse import csr_array, vstack
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.merged_points import merge_points
-from facepipe.geometry.polygons import components
+from facepipe.geometry.polygons import components, merge_points
 
 _THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
 _LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphere's is 0.28

@@ -16,8 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
-from facepipe.geometry.merged_points import merge_points
-from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.polygons import merge_points, point_triangles
 from facepipe.importers import load
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import material_faces

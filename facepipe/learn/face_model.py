@@ -11,11 +11,10 @@ from torch.nn.functional import normalize
 
 from facepipe.learn.antialias import Outline, antialias
 from facepipe.learn.camera import Camera, rotation_matrices
-from facepipe.learn.colors import SurfaceColors
 from facepipe.learn.light import KeyLight, shade
 from facepipe.learn.rasterise import barycentrics, facing, interpolate, rasterise
 from facepipe.learn.rig import DifferentiableRig
-from facepipe.learn.surfaces import PointNormals, opaque_surfaces
+from facepipe.learn.surfaces import PointNormals, SurfaceColors, opaque_surfaces
 from facepipe.parts import FaceParts
 from facepipe.rig import build
 

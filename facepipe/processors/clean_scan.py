@@ -12,8 +12,7 @@ from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
 from facepipe.declare import check_ranges, option
 from facepipe.geometry.cloud_normals import cloud_normals
-from facepipe.geometry.merged_points import merge_points
-from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.polygons import merge_points, point_normals
 from facepipe.geometry.scan_surface import SurfaceReport, clean_surface
 from facepipe.scans import Scan
 

@@ -1,7 +1,9 @@
 """The rig of one face as flat arrays, and its evaluation.
 
 ``point = sum_i w_i world_i inverse(bind_i) geomBind (point_0 + sum_k b_k delta_k)`` (DESIGN section 7): blendshapes
-first, then linear blend skinning, in float64; dual quaternions where a mesh has them as its method.
+first, then linear blend skinning, in float64; dual quaternions where a mesh has them as its method: L. Kavan, S.
+Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions" (2007), with scale and shear of each joint apart,
+before the rigid motion, as UsdSkel has it.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.trs import decompose, rotation_matrices
 
 _FLAT = 1e-9  # of a volume: less, and there is no way back
 
@@ -124,10 +127,8 @@ class Rig:
         """(n, 3, 4) transforms of points under (j + 1, 4, 4) skinning matrices."""
         blended = (self.influences @ matrices[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
         if self.dual is not None:
-            from facepipe.rig.dual_quaternions import dual_quaternion_blend
-
             root = matrices[-1]  # quaternions blend in skeleton space: what scales the skeleton scales them all
-            within = dual_quaternion_blend(self.influences[self.dual], np.linalg.inv(root) @ matrices)
+            within = _dual_quaternion_blend(self.influences[self.dual], np.linalg.inv(root) @ matrices)
             blended[self.dual] = root[:3, :3] @ within
             blended[self.dual, :, 3] += root[:3, 3]
         return np.asarray(blended)
@@ -214,3 +215,61 @@ class Rig:
         if not np.isfinite(array).all():
             raise InputError(self.name, f"{name} hold NaN or infinity, expected finite numbers")
         return array
+
+
+def _dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -> FloatArray:
+    """(n, 3, 4) transforms of points with (n, j) weights that sum to 1 under (j, 4, 4) affine matrices.
+
+    Each matrix is a stretch K and then a rigid motion, as unit quaternion q and dual part ``d = (0, t) q / 2``. Points
+    take ``q = sum +-w q_j / |sum +-w q_j|``, d by the same sum and length, and ``sum w K_j``; the translation is the
+    vector part of ``2 d conj(q)``.
+    """
+    stretch, turned = _polar(matrices)
+    real = decompose(turned).rotation  # (j, 4) x y z w
+    dual = 0.5 * _product(np.pad(turned[:, :3, 3], ((0, 0), (0, 1))), real)
+    signed = _on_one_side(influences, real)
+    length = np.linalg.norm(signed @ real, axis=1)[:, None]
+    length[length == 0] = 1.0
+    real, dual = (signed @ real) / length, (signed @ dual) / length
+    blended = np.empty((influences.shape[0], 3, 4))
+    blended[..., :3] = rotation_matrices(real) @ (influences @ stretch.reshape(-1, 9)).reshape(-1, 3, 3)
+    blended[..., 3] = 2.0 * _product(dual, real * (-1.0, -1.0, -1.0, 1.0))[:, :3]
+    return blended
+
+
+def _polar(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(j, 3, 3) symmetric stretches, negative where a matrix mirrors, and the (j, 4, 4) rigid motions after them."""
+    linear = matrices[:, :3, :3]
+    U, _, Vt = np.linalg.svd(linear)
+    rotation = U @ Vt
+    rotation *= np.where(np.linalg.det(rotation) < 0, -1.0, 1.0)[:, None, None]
+    rigid = np.array(matrices)
+    rigid[:, :3, :3] = rotation
+    return np.swapaxes(rotation, 1, 2) @ linear, rigid
+
+
+def _on_one_side(influences: sparse.csr_array, real: FloatArray) -> sparse.csr_array:
+    """The weights, negative where a joint's quaternion lies on the other side than that of the largest weight."""
+    rows = np.repeat(np.arange(influences.shape[0]), np.diff(influences.indptr))
+    order = np.lexsort((influences.indices, -influences.data, rows))
+    first = order[np.concatenate([[True], rows[order][1:] != rows[order][:-1]])] if len(order) else order
+    pivot = np.zeros(influences.shape[0], np.int64)
+    pivot[rows[first]] = influences.indices[first]
+    opposite = np.einsum("ij,ij->i", real[influences.indices], real[pivot[rows]]) < 0
+    data = np.where(opposite, -influences.data, influences.data)
+    return sparse.csr_array((data, influences.indices, influences.indptr), shape=influences.shape)
+
+
+def _product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n, 4) products of quaternions x y z w."""
+    ax, ay, az, aw = np.moveaxis(a, -1, 0)
+    bx, by, bz, bw = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
+    )

@@ -12,8 +12,7 @@ from hypothesis.extra.numpy import arrays
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.geodesics import cells, graph_distances, surface_graph
 from facepipe.geometry.heat_weights import fewest, heat_weights, influences
-from facepipe.geometry.merged_points import welded_points
-from facepipe.geometry.polygons import edges, point_triangles
+from facepipe.geometry.polygons import edges, point_triangles, welded_points
 
 RNG = np.random.default_rng(3)
 

@@ -16,8 +16,7 @@ from scan_files import CUBE, PAINT, SIDES, cube, read, volume
 from solids import ball
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.merged_points import merge_points
-from facepipe.geometry.polygons import edges
+from facepipe.geometry.polygons import edges, merge_points
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_ply import write_ply
 from facepipe.parts import FaceParts, Mesh

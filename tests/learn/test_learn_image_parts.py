@@ -10,9 +10,8 @@ from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.learn.camera import Camera, rotation_matrices
-from facepipe.learn.colors import bilinear
 from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.surfaces import PointNormals
+from facepipe.learn.surfaces import PointNormals, bilinear
 from facepipe.pictures import textures
 from facepipe.pictures.camera import Frame, portrait
 

@@ -11,7 +11,7 @@ import scan_domes
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import Material
-from facepipe.pictures.fit_sheet import FitPicture, fit_sheet
+from facepipe.pictures.rebuild_pictures import FitPicture, fit_sheet
 from facepipe.processors.database.whole_faces import whole_parts, whole_points
 from facepipe.scans import no_triangles
 

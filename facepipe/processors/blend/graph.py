@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.bridges import Bridges, joint_bridges, part_bridges
 from facepipe.geometry.differences import cotangent_weights
+from facepipe.geometry.gradient_system import Bridges, joint_bridges, part_bridges
 from facepipe.geometry.polygons import back_of_border, components, edges, point_triangles
 from facepipe.geometry.region_masks import normalise_masks, smooth_masks
 from facepipe.parts import FaceParts, all_regions

@@ -11,8 +11,7 @@ from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.threads import one_thread
-from facepipe.geometry.merged_points import welded_points
-from facepipe.geometry.polygons import components, edges, point_areas
+from facepipe.geometry.polygons import components, edges, point_areas, welded_points
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.lod.cards import apart, cards_of, widened, within
 from facepipe.processors.lod.simplifier import MOST_ATTRIBUTES, Simplifier

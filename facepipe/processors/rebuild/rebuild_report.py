@@ -170,8 +170,7 @@ class RebuildPictures:
         """Scans are read twice: all are measured before the first is drawn, for one scale of colours."""
         import numpy as np
 
-        from facepipe.pictures.fit_sheet import round_above
-        from facepipe.pictures.rebuild_pictures import Turntable
+        from facepipe.pictures.rebuild_pictures import Turntable, round_above
         from facepipe.processors.database.whole_faces import whole_parts
         from facepipe.processors.rebuild.scan_fit import in_place, scan_distances
 

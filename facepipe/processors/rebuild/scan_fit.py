@@ -129,7 +129,7 @@ class FaceOnScan:
     def draw(self, path: Path) -> None:
         """Scan, face and their distance."""
         from facepipe.pictures import save_png
-        from facepipe.pictures.fit_sheet import FitPicture, fit_sheet
+        from facepipe.pictures.rebuild_pictures import FitPicture, fit_sheet
         from facepipe.processors.database.whole_faces import whole_parts
 
         template = self.template

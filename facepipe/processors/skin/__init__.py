@@ -7,9 +7,9 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.processors.skin.joints_file import JointSet, JointSpec, read_joints
     from facepipe.processors.skin.options import SkinOptions
-    from facepipe.processors.skin.report import SkinReport
     from facepipe.processors.skin.skin_action import Skin
     from facepipe.processors.skin.skin_face import SkinFace
+    from facepipe.processors.skin.skinning import SkinReport
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -15,8 +15,7 @@ from facepipe.parts import FaceParts, Skeleton
 from facepipe.processors.same_topology import in_order
 from facepipe.processors.skin.correspondence import main_places, matched_parts
 from facepipe.processors.skin.features import Eyeball, eyeballs_of, slits_of
-from facepipe.processors.skin.report import TransferReport
-from facepipe.processors.skin.skinning import Skinning, with_binds
+from facepipe.processors.skin.skinning import Skinning, TransferReport, with_binds
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.rig import build
 

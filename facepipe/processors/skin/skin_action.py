@@ -37,7 +37,7 @@ from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.skin.options import SkinOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.skin.report import SkinReport
+    from facepipe.processors.skin.skinning import SkinReport
     from facepipe.stage import Face
 
 # option -> the way to skin that it is of, and what that is given as

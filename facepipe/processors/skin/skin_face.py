@@ -17,8 +17,7 @@ from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import from_joints
 from facepipe.processors.skin.joints_file import JointSet
 from facepipe.processors.skin.options import SkinOptions
-from facepipe.processors.skin.report import FitReport, SkinReport, steps
-from facepipe.processors.skin.skinning import Skinning, arranged, check_joints, skinned
+from facepipe.processors.skin.skinning import FitReport, Skinning, SkinReport, arranged, check_joints, skinned, steps
 from facepipe.processors.skin.surface import Surface, size_warnings, surface_of
 from facepipe.rig import build
 from facepipe.stage import Face

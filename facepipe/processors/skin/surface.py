@@ -11,8 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
-from facepipe.geometry.merged_points import welded_points
-from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles
+from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles, welded_points
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import mesh_spaces
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     )
     from facepipe.processors.sliders.distil import DistilReport, DistilSliders
     from facepipe.processors.sliders.from_shapes import SlidersFromShapes
+    from facepipe.processors.sliders.options import ShapeSliderOptions
     from facepipe.processors.sliders.set_sliders import SetSliders, SetSlidersReport
-    from facepipe.processors.sliders.shape_options import ShapeSliderOptions
     from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport
     from facepipe.processors.sliders.slider_table import Drive, SliderRule, SliderTable
     from facepipe.processors.sliders.sliders_action import SlidersOfFace

@@ -18,9 +18,9 @@ from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.fit_bones.residual import Residual, corrective
 from facepipe.processors.sliders.author_sliders import fitting_network, sliders_beyond
+from facepipe.processors.sliders.options import ShapeSliderOptions
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose, fit_poses
 from facepipe.processors.sliders.shape_names import ShapeSlider, parse_pairs, shape_sliders
-from facepipe.processors.sliders.shape_options import ShapeSliderOptions
 from facepipe.processors.sliders.shape_report import MadeSlider, ShapeSlidersReport, by_group, end_report, reach_of
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import with_entries, with_mutual_mirrors

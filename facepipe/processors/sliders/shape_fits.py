@@ -13,8 +13,8 @@ from facepipe.processors.fit_bones.bone_fit import BoneFit
 from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.fit_bones.variables import Symmetry
 from facepipe.processors.sliders.effects import channel_effects
+from facepipe.processors.sliders.options import ShapeSliderOptions
 from facepipe.processors.sliders.shape_names import ShapeSlider
-from facepipe.processors.sliders.shape_options import ShapeSliderOptions
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 
 _TOGETHER = 32  # poses at a time

@@ -36,7 +36,7 @@ from facepipe.core.errors import InputError
 from facepipe.declare import named_numbers, option, source, values_of
 from facepipe.kinds import Job, StageAction, action
 from facepipe.processors.fit_bones.options import LIMIT_RULES, read_rules
-from facepipe.processors.sliders.shape_options import ShapeSliderOptions
+from facepipe.processors.sliders.options import ShapeSliderOptions
 
 if TYPE_CHECKING:
     from facepipe.core.reports import Report
