@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import importlib
 import platform
 import re
 import subprocess
 import sys
 import tempfile
 import tomllib
+import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import PackageNotFoundError, entry_points, requires
 from pathlib import Path
 from typing import NamedTuple
 
+from facepipe import registry
 from facepipe.core import __version__
+from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.core.reports import ExportReport
 from facepipe.declare import option
 
-from .own_wheel import write_own_wheel
-from .plain_zip import write_zip
+_BLENDERS_OWN = ("usd-core", "numpy")
+_TAGS = {
+    "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 26, 24, 17)] + ["manylinux2014_x86_64"],
+    "macos-arm64": [f"macosx_{major}_0_arm64" for major in (14, 13, 12, 11)],
+    "windows-x64": ["win_amd64"],
+}
+_THIS = {"Darwin": "macos-arm64", "Windows": "windows-x64"}.get(platform.system(), "linux-x64")
+_MANIFEST = "blender_manifest.toml"
+_PACKAGES = ("facepipe", "facepipe_schemas", "facepipe_gltf", "facepipe_onnx")
+_WHEEL = "Wheel-Version: 1.0\nGenerator: facepipe\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 
 
 class _Host(NamedTuple):
@@ -35,14 +50,6 @@ _HOSTS = {
     "5.0": _Host("3.11", "1.26.4", "4.2.0", "5.1.0"),
     "5.2": _Host("3.13", "2.3.5", "5.1.0", "5.3.0"),
 }
-_BLENDERS_OWN = ("usd-core", "numpy")
-_TAGS = {
-    "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (28, 27, 26, 24, 17)] + ["manylinux2014_x86_64"],
-    "macos-arm64": [f"macosx_{major}_0_arm64" for major in (14, 13, 12, 11)],
-    "windows-x64": ["win_amd64"],
-}
-_THIS = {"Darwin": "macos-arm64", "Windows": "windows-x64"}.get(platform.system(), "linux-x64")
-_MANIFEST = "blender_manifest.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +76,7 @@ def build(path: Path, options: Options) -> ExportReport:
         manifest = _manifest((source / _MANIFEST).read_text(encoding="utf-8"), names, options)
         files = {_MANIFEST: manifest.encode(), **files}
         files |= {f"wheels/{name}": (wheels / name).read_bytes() for name in names}
-    write_zip(path, files)
+    _write_zip(path, files)
     return ExportReport(path=path, files=(path,), counts={"wheels": len(names)}, bytes=path.stat().st_size)
 
 
@@ -99,8 +106,8 @@ def _download(folder: Path, options: Options) -> None:
         words += ["--no-index", "--find-links", str(options.wheels)]
     done = subprocess.run([*words, f"numpy=={host.numpy}", *_libraries()], capture_output=True, text=True)
     if done.returncode:
-        told = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
-        reason = (told or done.stderr.splitlines() or ["no reason given"])[-1].removeprefix("ERROR: ")
+        errors = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
+        reason = (errors or done.stderr.splitlines() or ["no reason given"])[-1].removeprefix("ERROR: ")
         source = "the network" if options.wheels is None else str(options.wheels)
         raise InputError(
             f"wheels for {options.platform}", f"pip can't get them ({reason}), expected them from {source}"
@@ -122,3 +129,51 @@ def _libraries() -> list[str]:
 def _is_blenders(name: str) -> bool:
     """Whether a requirement or wheel is of a library that Blender brings."""
     return re.split(r"[^A-Za-z0-9_-]|-\d", name.lower().replace("_", "-"))[0] in _BLENDERS_OWN
+
+
+def write_own_wheel(folder: Path) -> Path:
+    """Write the wheel into a folder; its path.
+
+    :raises InputError: the folder can't be written
+    """
+    files: dict[str, bytes] = {}
+    for package in _PACKAGES:
+        root = Path(str(importlib.import_module(package).__file__)).parent
+        for file in sorted(one for one in root.rglob("*") if one.is_file() and "__pycache__" not in one.parts):
+            files[f"{package}/{file.relative_to(root).as_posix()}"] = file.read_bytes()
+    info = f"facepipe-{__version__}.dist-info"
+    files[f"{info}/METADATA"] = f"Metadata-Version: 2.1\nName: facepipe\nVersion: {__version__}\n".encode()
+    files[f"{info}/WHEEL"] = _WHEEL.encode()
+    files[f"{info}/entry_points.txt"] = _entry_points().encode()
+    rows = [f"{name},sha256={_digest(data)},{len(data)}" for name, data in files.items()]
+    files[f"{info}/RECORD"] = "\n".join([*rows, f"{info}/RECORD,,", ""]).encode()
+    path = folder / f"facepipe-{__version__}-py3-none-any.whl"
+    _write_zip(path, files)
+    return path
+
+
+def _entry_points() -> str:
+    """The exporters and importers that are in the wheel."""
+    lines = []
+    for group in (registry.EXPORTERS, registry.IMPORTERS):
+        found = sorted({(one.name, one.value) for one in entry_points(group=group)})
+        own = [f"{name} = {value}" for name, value in found if re.split(r"[.:]", value)[0] in _PACKAGES]
+        lines += [f"[{group}]", *own, ""]
+    return "\n".join(lines)
+
+
+def _digest(data: bytes) -> str:
+    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
+
+
+def _write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write files by name, whole or not at all.
+
+    :raises InputError: the folder can't be written
+    """
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            packed = name.endswith(".whl")  # compressed already
+            archive.writestr(entry, data, zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED)

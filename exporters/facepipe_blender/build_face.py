@@ -9,17 +9,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.hosting.edited_face import edited_face, made_face
 from facepipe.hosting.host_face import recipe_from
-from facepipe.parts import FaceParts, Material, Mesh
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Material, Mesh
 
+from .armature import joint_paths, read_skeleton, skeleton_at_rest
 from .face_objects import FaceObjects
-from .placement import between_stages, inverse, moved_face, moved_mesh, placed_face, snapped
-from .read_armature import joint_paths, read_skeleton
 from .read_mesh import read_mesh
 from .record import MESH, Kept, kept_in
 from .stage_view import StageView
+
+_NEAR = 5e-6  # of a matrix: what float32 angles and scales make of none
+_UP = {"Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "Z": np.eye(3)}  # from Z up
 
 
 class Built(NamedTuple):
@@ -43,14 +46,14 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     size = max((float(np.abs(mesh.points).max(initial=0.0)) for mesh in made.meshes), default=1.0)
     place = view.matrix(face.first)
     if kept is None:
-        return Built(moved_face(made_face(made), snapped(place, np.eye(4), size)), tuple(warnings))
+        return Built(_moved_face(made_face(made), _snapped(place, np.eye(4), size)), tuple(warnings))
     edited = edited_face(kept.parts, made, kept.bones)
     before = kept.parts
     if own_units:
-        place = between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
+        place = _between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
     home = _home(before, face)
-    moved = snapped(place, home, size) @ np.linalg.inv(home)
-    parts = placed_face(edited.parts, moved)
+    moved = _snapped(place, home, size) @ np.linalg.inv(home)
+    parts = _placed_face(edited.parts, moved)
     if not own_units:
         parts = replace(parts, meters_per_unit=view.unit, up_axis=made.up_axis)
     parts = replace(parts, recipe=recipe_from(parts.recipe, Path(kept.file).parent, view.folder))
@@ -69,7 +72,7 @@ def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
     joints = {bone: place[path] for bone, path in joint_paths(face.armature).items()} if face.armature else {}
     names = _mesh_names(face.meshes, kept)
-    first = inverse(view.matrix(face.first), face.first.name)
+    first = _inverse(view.matrix(face.first), face.first.name)
     meshes = []
     for obj, name in zip(face.meshes, names, strict=True):
         mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)
@@ -107,8 +110,8 @@ def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None, home: FloatA
     size = float(np.abs(mesh.points).max(initial=1.0))
     if kept is not None and mesh.name in kept.places:
         then = kept.places[mesh.name]
-        return moved_mesh(mesh, np.linalg.inv(then) @ snapped(place, then, size))
-    moved = moved_mesh(mesh, snapped(place, np.eye(4), size))
+        return _moved_mesh(mesh, np.linalg.inv(then) @ _snapped(place, then, size))
+    moved = _moved_mesh(mesh, _snapped(place, np.eye(4), size))
     if home is None:
         return moved
     skin = None if moved.skin is None else replace(moved.skin, geom_bind_transform=home)
@@ -128,3 +131,97 @@ def _with_materials(parts: FaceParts, view: StageView, warnings: list[str]) -> F
 
     meshes = tuple(own(mesh) for mesh in parts.meshes)
     return replace(parts, meshes=meshes, materials=tuple(Material(name=name) for name in names))
+
+
+def _snapped(matrix: FloatArray, to: FloatArray, size: float) -> FloatArray:
+    """`to` where the matrix (4, 4) is the same in the precision of Blender; the matrix itself otherwise.
+
+    :param size: of what it moves
+    """
+    scale = float(np.abs(to[:3, :3]).max())
+    off = np.abs(matrix - to) <= np.array([[_NEAR * scale] * 3 + [_NEAR * max(size * scale, 1e-6)]])
+    return to if off.all() else matrix
+
+
+def _between_stages(unit: float, up: str, to_unit: float, to_up: str) -> FloatArray:
+    """(4, 4) matrix from world coordinates of one stage to those of another.
+
+    :param unit: metres in a unit
+    :param up: Y or Z
+    """
+    result = np.eye(4)
+    result[:3, :3] = _UP[to_up] @ _UP[up].T * (unit / to_unit)
+    return result
+
+
+def _inverse(matrix: FloatArray, where: str) -> FloatArray:
+    """The inverse (4, 4) of the place of an object.
+
+    :raises InputError: a place that flattens
+    """
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        raise InputError(where, "is scaled by 0, expected scales above 0")
+    return np.linalg.inv(matrix)
+
+
+def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
+    """The mesh with points, normals and shapes moved by an affine (4, 4) matrix.
+
+    :raises InputError: a matrix that mirrors or flattens
+    """
+    if np.array_equal(matrix, np.eye(4)):
+        return mesh
+    linear = matrix[:3, :3]
+    if np.linalg.det(linear) <= 0:
+        raise InputError(mesh.name, "its object mirrors or flattens it, expected scales above 0 (apply the scale)")
+    turn = np.linalg.inv(linear)
+
+    def offsets(values: FloatArray) -> FloatArray:
+        return (np.asarray(values, np.float64) @ linear.T).astype(np.float32)
+
+    def shape(one: Blendshape) -> Blendshape:
+        between: list[Inbetween] = [replace(each, offsets=offsets(each.offsets)) for each in one.inbetweens]
+        return replace(one, offsets=offsets(one.offsets), inbetweens=tuple(between))
+
+    normals = None
+    if mesh.normals is not None:
+        turned = np.asarray(mesh.normals, np.float64) @ turn
+        normals = (turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)).astype(np.float32)
+    points = np.asarray(mesh.points, np.float64) @ linear.T + matrix[:3, 3]
+    return replace(
+        mesh,
+        points=points.astype(np.float32),
+        normals=normals,
+        blendshapes=tuple(shape(one) for one in mesh.blendshapes),
+    )
+
+
+def _moved_face(parts: FaceParts, matrix: FloatArray) -> FaceParts:
+    """A face at rest moved by (4, 4): meshes and bones, which keep size 1.
+
+    :raises InputError: a matrix that mirrors, flattens or stretches
+    """
+    if np.array_equal(matrix, np.eye(4)):
+        return parts
+    scales = np.linalg.norm(matrix[:3, :3], axis=0)
+    if parts.skeleton.joints and np.ptp(scales) > 1e-4 * scales.max():
+        x, y, z = scales
+        raise InputError(parts.skeleton.name, f"scaled by {x:.4g}, {y:.4g}, {z:.4g}, expected one scale (apply it)")
+    bones = matrix @ parts.skeleton.bind_transforms
+    bones[:, :3, :3] /= scales.mean()
+    return replace(
+        parts,
+        meshes=tuple(_moved_mesh(mesh, matrix) for mesh in parts.meshes),
+        skeleton=skeleton_at_rest(parts.skeleton.name, parts.skeleton.joints, bones).called(parts.skeleton.names),
+    )
+
+
+def _placed_face(parts: FaceParts, matrix: FloatArray) -> FaceParts:
+    """A face that stands elsewhere: only the transforms of its meshes and its skeleton change."""
+    if np.array_equal(matrix, np.eye(4)):
+        return parts
+    return replace(
+        parts,
+        meshes=tuple(replace(mesh, transform=matrix @ mesh.transform) for mesh in parts.meshes),
+        skeleton=replace(parts.skeleton, transform=matrix @ parts.skeleton.transform),
+    )

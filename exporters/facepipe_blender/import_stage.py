@@ -15,7 +15,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.hosting.host_face import Face, faces_on, neural_rig_of
 from facepipe.parts import Mesh
 
-from .read_armature import bone_matrices
+from .armature import bone_matrices
 from .record import MESH, RECORD, Kept, keep, record_of
 from .write_mesh import write_mesh
 

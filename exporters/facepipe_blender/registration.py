@@ -8,12 +8,10 @@ import bpy
 
 from facepipe.hosting.host_face import register_schemas
 
-from .hook import FaceHook
-from .messages import FACEPIPE_OT_tell
-from .operators import FACEPIPE_OT_blend, FACEPIPE_OT_export
-from .panel import FACEPIPE_PT_face
+from .hook import FaceHook, FACEPIPE_OT_message
+from .panel import FACEPIPE_OT_blend, FACEPIPE_OT_export, FACEPIPE_PT_face
 
-CLASSES = (FACEPIPE_OT_tell, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_face, FaceHook)
+CLASSES = (FACEPIPE_OT_message, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_face, FaceHook)
 
 
 def register_all() -> None:

@@ -58,15 +58,15 @@ class StageView:
 
 def _by_name(prims: Any, label: str) -> dict[str, Usd.Prim]:
     """Prims by what Blender says that they are called in it; those of which it says nothing by their own name."""
-    told: dict[str, Usd.Prim] = {}
-    untold: dict[str, Usd.Prim] = {}
+    labelled: dict[str, Usd.Prim] = {}
+    unlabelled: dict[str, Usd.Prim] = {}
     for prim in prims:
         names = [one for one in prim.GetAuthoredPropertyNames() if one == label or one.endswith(f":{label}")]
         if names:
-            told.setdefault(str(prim.GetAttribute(names[0]).Get()), prim)
+            labelled.setdefault(str(prim.GetAttribute(names[0]).Get()), prim)
         else:
-            untold.setdefault(str(prim.GetName()), prim)
-    return untold | told
+            unlabelled.setdefault(str(prim.GetName()), prim)
+    return unlabelled | labelled
 
 
 def _plain(name: str) -> str:

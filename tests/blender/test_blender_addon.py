@@ -8,8 +8,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from facepipe_blender.addon import Options, build
-from facepipe_blender.own_wheel import write_own_wheel
+from facepipe_blender.addon import Options, build, write_own_wheel
 
 from facepipe.core.errors import InputError
 

@@ -14,11 +14,11 @@ from facepipe.hosting.host_face import Face, faces_on
 
 pytestmark = [pytest.mark.slow, needs_blender]
 
-Told = tuple[Path, dict[str, np.ndarray], str]
+Scenes = tuple[Path, dict[str, np.ndarray], str]
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Scenes:
     """Folder of the files, what Blender shows, and what it says."""
     folder = tmp_path_factory.mktemp("scenes")
     return folder, *blender("scenes.py", folder, answer=tmp_path_factory.mktemp("answer") / "a.npz")
@@ -36,8 +36,8 @@ def off(face: Face, shown: np.ndarray, weights: dict[str, float]) -> float:
     return float(np.abs(points - shown).max())
 
 
-def test_several_faces_on_one_stage(told: Told) -> None:
-    folder, shown, _ = told
+def test_several_faces_on_one_stage(scenes: Scenes) -> None:
+    folder, shown, _ = scenes
     found = faces(folder, "several")
     assert [face.prim.GetName() for face in found] == ["RigB", "RigA", "Loose"]  # the active object's first
     for face, name in zip(found, ("HeadB", "HeadA", "Loose"), strict=True):
@@ -46,8 +46,8 @@ def test_several_faces_on_one_stage(told: Told) -> None:
     assert [face.skeleton.joints for face in found] == [("root",), ("root",), ()]
 
 
-def test_edit_mode_exports_what_is_being_edited(told: Told) -> None:
-    folder, shown, _ = told
+def test_edit_mode_exports_what_is_being_edited(scenes: Scenes) -> None:
+    folder, shown, _ = scenes
     (face,) = faces(folder, "mesh_in_edit_mode")
     wanted = shown["mesh_in_edit_mode Head"]
     assert len(wanted) == 143
@@ -59,15 +59,15 @@ def test_edit_mode_exports_what_is_being_edited(told: Told) -> None:
     assert face.skeleton.joints == ("root", "extra")
 
 
-def test_keys_relative_to_others_muted_keys_and_stretched_objects(told: Told) -> None:
-    folder, shown, _ = told
+def test_keys_relative_to_others_muted_keys_and_stretched_objects(scenes: Scenes) -> None:
+    folder, shown, _ = scenes
     (face,) = faces(folder, "relative_keys")
     assert [shape.name for shape in face.meshes[0].blendshapes] == ["smile", "wide"]
     assert off(face, shown["relative_keys Head"], {"wide": 0.5}) < 1e-5
 
 
-def test_modifiers_are_applied_to_each_shape(told: Told) -> None:
-    folder, shown, _ = told
+def test_modifiers_are_applied_to_each_shape(scenes: Scenes) -> None:
+    folder, shown, _ = scenes
     (face,) = faces(folder, "modifiers")
     (mesh,) = face.meshes
     assert len(mesh.points) == len(shown["modifiers Head"]) > 500
@@ -79,8 +79,8 @@ def test_modifiers_are_applied_to_each_shape(told: Told) -> None:
     assert not [one for one in validate(folder / "modifiers.usda") if one.severity == "error"]
 
 
-def test_what_is_left_out_is_said(told: Told) -> None:
-    folder, _, said = told
+def test_what_is_left_out_is_said(scenes: Scenes) -> None:
+    folder, _, said = scenes
     assert "Eye: hidden or not chosen, left out of the face of Rig" in said
     assert [mesh.name for mesh in faces(folder, "hidden_mesh")[0].meshes] == ["Head"]
     assert "Rig: hidden or not chosen, without it Head is exported as no face" in said

@@ -18,7 +18,7 @@ from typing import Any
 import live_link
 import numpy as np
 import scan_domes
-from facepipe_blender.own_wheel import write_own_wheel
+from facepipe_blender.addon import write_own_wheel
 from import_data import SHARED
 from network_faces import network, networked
 from photographed_face import write_photos

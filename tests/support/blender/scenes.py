@@ -36,7 +36,7 @@ def rig(name: str, mesh: Any, x: float = 0.0) -> Any:
 
 
 def export(name: str) -> None:
-    """Write the scene as NAME.usda, tell what Blender shows, and begin anew."""
+    """Write the scene as NAME.usda, note what Blender shows, and begin anew."""
     bpy.ops.wm.usd_export(filepath=str(folder / f"{name}.usda"))
     if bpy.context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")

@@ -13,7 +13,7 @@ import facepipe_blender
 facepipe_blender.register()
 bpy.ops.wm.read_factory_settings(use_empty=True)
 
-import numpy as np  # noqa: E402  (Blender's own, once it has told where that is)
+import numpy as np  # noqa: E402  (Blender's own, once it has shown where that is)
 from mathutils import Matrix, Quaternion, Vector  # noqa: E402, F401
 
 ARGUMENTS: list[Any] = [json.loads(one) for one in sys.argv[1:]]
