@@ -48,7 +48,7 @@ class _EncodedFace(HeldFace):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Asked:
+class _Request:
     """What is to be written of a face, and how."""
 
     format: Any  # an instance of the exporter's Options
@@ -99,7 +99,7 @@ def export(
     source = None if not isinstance(face, str | os.PathLike) else Path(face)
     for one in outputs(target):
         check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
-    request = _asked(module.Options, rename, rig, distil, lod, options)
+    request = _request(module.Options, rename, rig, distil, lod, options)
     with watch("export", 3 if distil else 2) as bar:
         whole: Any = face if source is None else _opened(source)
         whole = whole.at_level(lod) if lod else whole
@@ -124,9 +124,9 @@ def _opened(path: Path) -> Face:
     return read_face(path)
 
 
-def _asked(
+def _request(
     kind: Any, rename: str | None, neural: Path | None, distil: bool, lod: int, options: Mapping[str, Any]
-) -> _Asked:
+) -> _Request:
     """:raises InputError: options that are unknown, out of range, or don't go together"""
     known = {field.name for field in dataclasses.fields(kind)}
     attach = {field.name for field in dataclasses.fields(AttachOptions)}
@@ -147,7 +147,7 @@ def _asked(
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
     if neural is not None and hasattr(form, "sliders") and not form.encoder:
         form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
-    return _Asked(
+    return _Request(
         format=form,
         rename=None if rename is None else _rename(rename),
         neural=neural,
@@ -167,7 +167,7 @@ def _distil_options(options: Mapping[str, Any]) -> DistilOptions:
     return DistilOptions(**found)
 
 
-def _made(face: Face, request: _Asked) -> _Made:
+def _made(face: Face, request: _Request) -> _Made:
     """The face with what was asked for.
 
     :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide

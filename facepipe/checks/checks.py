@@ -11,12 +11,11 @@ import numpy as np
 from pxr import Usd
 
 from facepipe.checks import control_checks as control
+from facepipe.checks import deformation_checks as deformation
 from facepipe.checks import layout_checks as layout
 from facepipe.checks import photo_checks as photos
 from facepipe.checks import point_checks as points
-from facepipe.checks import shape_checks as shapes
 from facepipe.checks import skeleton_checks as skeleton
-from facepipe.checks import skin_checks as skin
 from facepipe.checks.views import FaceView, Problem
 from facepipe.core.reports import Finding
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
@@ -60,14 +59,14 @@ CHECKS: tuple[Check, ...] = (
     Check("MeshTopology", points.topology),
     Check("PrimvarCount", points.primvar_count),
     Check("NormalCount", points.normal_count),
-    Check("SkinElementSize", skin.element_size),
-    Check("SkinInfluenceCount", skin.influence_count),
-    Check("SkinJointIndices", skin.joint_indices),
-    Check("SkinWeightsSum", skin.weights_sum),
-    Check("SkinWeightsNegative", skin.weights_negative),
-    Check("SkinMeshJoints", skin.mesh_joints),
-    Check("GeomBindTransformAuthored", skin.geom_bind_authored, "warning"),
-    Check("GeomBindTransformSingular", skin.geom_bind_invertible),
+    Check("SkinElementSize", deformation.element_size),
+    Check("SkinInfluenceCount", deformation.influence_count),
+    Check("SkinJointIndices", deformation.joint_indices),
+    Check("SkinWeightsSum", deformation.weights_sum),
+    Check("SkinWeightsNegative", deformation.weights_negative),
+    Check("SkinMeshJoints", deformation.mesh_joints),
+    Check("GeomBindTransformAuthored", deformation.geom_bind_authored, "warning"),
+    Check("GeomBindTransformSingular", deformation.geom_bind_invertible),
     Check("JointTransformCount", skeleton.transform_count),
     Check("JointOrder", skeleton.joint_order),
     Check("JointNames", skeleton.joint_names),
@@ -79,14 +78,14 @@ CHECKS: tuple[Check, ...] = (
     Check("AnimationTransforms", skeleton.animation_transforms),
     Check("AnimationNames", skeleton.animation_names, "warning"),
     Check("AnimationRotations", skeleton.rotations_unit, "warning"),
-    Check("BlendshapeTargetCount", shapes.target_count),
-    Check("BlendshapeTargetDangling", shapes.target_dangling),
-    Check("BlendshapeNames", shapes.names),
-    Check("BlendshapePointIndices", shapes.point_indices),
-    Check("BlendshapePointTwice", shapes.point_indices_twice),
-    Check("BlendshapePointsUnsorted", shapes.point_indices_sorted, "warning"),
-    Check("BlendshapeOffsetCount", shapes.offset_count),
-    Check("InbetweenWeight", shapes.inbetween_weight),
+    Check("BlendshapeTargetCount", deformation.target_count),
+    Check("BlendshapeTargetDangling", deformation.target_dangling),
+    Check("BlendshapeNames", deformation.shape_names),
+    Check("BlendshapePointIndices", deformation.point_indices),
+    Check("BlendshapePointTwice", deformation.point_indices_twice),
+    Check("BlendshapePointsUnsorted", deformation.point_indices_sorted, "warning"),
+    Check("BlendshapeOffsetCount", deformation.offset_count),
+    Check("InbetweenWeight", deformation.inbetween_weight),
     Check("RegionCount", points.region_count),
     Check("RegionRange", points.region_range),
     Check("RegionSum", points.region_sum),

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd
 
-from facepipe.checks.skin_checks import is_singular
+from facepipe.checks.deformation_checks import is_singular
 from facepipe.checks.views import FaceView, Problem, SkeletonView, array, at, numbers, some, times, value, words
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray

@@ -7,12 +7,14 @@ import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 MOST_PIXELS = 128_000_000  # a little more than a phone of 108 megapixels makes
 FREE_PIXELS, PER_BYTE = 1 << 24, 16  # of any file: 4096 x 4096; and for each of its bytes
 _MOST_PARTS = 1000  # chunks of a PNG beside those of its pixels, segments of a JPEG, its scans: each costs time
+_MOST_PNG = 1 << 28  # bytes of a picture that is read as it is
 _BAND = 1 << 20  # pixels converted at once
 _HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
@@ -115,6 +118,23 @@ def pixels(image: Image, mode: str, where: object, factor: int = 1) -> npt.NDArr
             band = image.crop(box).convert(mode)
             result[first : first + rows] = np.asarray(band.reduce(factor) if factor > 1 else band)
     return result
+
+
+def read_png(path: Path) -> npt.NDArray[np.uint8]:
+    """(h, w, 3|4) pixels of a PNG of any kind, top row first; palettes and greys as colours, 16 bits as their upper 8.
+
+    Values are taken as they are: colour profiles and gamma are ignored.
+
+    :raises InputError: no PNG that can be read, or one too large
+    """
+    image = open_image(read_bytes(path, _MOST_PNG), path, ["PNG"], expected="a PNG")
+    with decoding(path):
+        image.load()
+    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip
+        grey = (np.asarray(image) >> 8).clip(0, 255).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=2)
+    clear = "A" in image.getbands() or "transparency" in image.info
+    return pixels(image, "RGBA" if clear else "RGB", path)
 
 
 def _too_many(data: bytes) -> Iterator[str]:

@@ -72,7 +72,7 @@ class Child:
             if until is not None and time.monotonic() > until:
                 self.end()
                 raise ChildLostError(request["task"], f"took more than {seconds:g} seconds")
-            used = None if memory_mb is None else memory_of(process.pid)
+            used = None if memory_mb is None else _memory_of(process.pid)
             if used is not None and memory_mb is not None and used > memory_mb:
                 self.end()
                 raise ChildLostError(request["task"], f"took {used:.0f} MB, expected at most {memory_mb:g}")
@@ -114,7 +114,7 @@ def _pump(pipe: Any, answers: queue.SimpleQueue[bytes | None]) -> None:
     answers.put(None)
 
 
-def memory_of(pid: int) -> float | None:
+def _memory_of(pid: int) -> float | None:
     """The memory that a process has [MB]; None where it is gone.
 
     :raises InputError: psutil is not installed

@@ -56,7 +56,7 @@ class Contents:
 
 
 def _read(path: Path) -> Content:
-    files = sorted(stands_on(path))
+    files = sorted(_stands_on(path))
     before = {str(file): state_of(file) for file in files}
     content = digest(files)
     states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
@@ -65,7 +65,7 @@ def _read(path: Path) -> Content:
     return Content(content, states)
 
 
-def stands_on(path: Path) -> set[Path]:
+def _stands_on(path: Path) -> set[Path]:
     """A file with the layers, textures and buffers that it names; all files of a folder.
 
     :raises InputError: there is none, or it is damaged

@@ -13,8 +13,7 @@ from facepipe.core.threads import one_thread
 from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
 from facepipe.heads.controls import bone_sliders, identity_shapes, identity_sliders
 from facepipe.heads.expressions import TALK, animations, sliders
-from facepipe.heads.eye_fit import Shapes, fit_eyes
-from facepipe.heads.mouth_fit import fit_mouth
+from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import (

@@ -44,10 +44,10 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
         uv_sets=_uv_sets(kept, made),
         colors=kept.colors if _near(kept.colors, made.colors) else made.colors,
         blendshapes=tuple(
-            edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
+            _edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
             for blendshape in made.blendshapes
         ),
-        regions=kept.regions if same_regions(kept.regions, made.regions) else summed_to_one(made.regions),
+        regions=kept.regions if _same_regions(kept.regions, made.regions) else summed_to_one(made.regions),
         point_subsets=_subsets(kept.point_subsets, made.point_subsets),
         skin=_skin(kept.skin, made.skin, len(kept.points)),
         material=_material(kept, made),
@@ -59,7 +59,7 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
     return with_normal_offsets(result, again)
 
 
-def edited_shape(kept: Blendshape | None, made: Blendshape, count: int, step: float) -> Blendshape:
+def _edited_shape(kept: Blendshape | None, made: Blendshape, count: int, step: float) -> Blendshape:
     """The shape as it is now; `kept` itself where nothing in it moved by more than `step`."""
     if kept is None:
         return made
@@ -125,7 +125,7 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
     )
 
 
-def same_regions(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> bool:
+def _same_regions(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> bool:
     """Whether two sets of masks agree in names and, nearly, in values."""
     return one.keys() == other.keys() and all(_near(one[name], other[name]) for name in one)
 

@@ -71,7 +71,7 @@ def read_skeleton(data: MakeHumanData, points: FloatArray) -> Skeleton:
 
     :raises InputError: the points leave a bone without length or rotation plane
     """
-    world = rest_matrices(data, points)
+    world = _rest_matrices(data, points)
     parents = data["bone_parent"]
     local = world.copy()
     local[1:] = np.linalg.solve(world[np.maximum(parents[1:], 0)], world[1:])
@@ -89,20 +89,20 @@ def joint_paths(data: MakeHumanData) -> tuple[str, ...]:
     return tuple(paths)
 
 
-def joint_positions(data: MakeHumanData, end: str, points: FloatArray) -> FloatArray:
+def _joint_positions(data: MakeHumanData, end: str, points: FloatArray) -> FloatArray:
     """(B, 3) means of the vertices that define every bone's `end` (``head`` or ``tail``)."""
     offsets = data[f"bone_{end}_vertices_offset"].astype(np.int64)
     sums = np.add.reduceat(points[data[f"bone_{end}_vertices"]], offsets[:-1], axis=0)
     return np.asarray(sums / np.diff(offsets)[:, None])
 
 
-def rest_matrices(data: MakeHumanData, points: FloatArray) -> FloatArray:
+def _rest_matrices(data: MakeHumanData, points: FloatArray) -> FloatArray:
     """(B, 4, 4) world matrices: Y along the bone, Z the normal of its rotation plane made orthogonal to Y, at its head.
 
     The points of a rotation plane are joints, and move with them. Where one is no joint of the head (those of clavicles
     and arms), it stays where it is on the base mesh.
     """
-    heads, tails = (joint_positions(data, end, points) for end in ("head", "tail"))
+    heads, tails = (_joint_positions(data, end, points) for end in ("head", "tail"))
     plane = _plane_points(data, np.concatenate([heads, tails]))
     y = _unit(data, tails - heads, "length")
     normal = np.cross(plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 1])

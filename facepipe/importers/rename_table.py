@@ -66,10 +66,10 @@ def rename_of(given: str) -> Rename:
     if not Path(given).suffix:
         near = did_you_mean(given, CONVENTIONS) or f", expected one of {' '.join(CONVENTIONS)}"
         raise InputError(f"--rename {given}", f"no convention{near}")
-    return Rename(given=given, table=read_rename_table(Path(given)))
+    return Rename(given=given, table=_read_table(Path(given)))
 
 
-def read_rename_table(path: Path) -> dict[str, str]:
+def _read_table(path: Path) -> dict[str, str]:
     """Old name -> new one.
 
     :raises InputError: another suffix, no such table, a name that is empty or holds a NUL, an old name twice, or two

@@ -38,14 +38,14 @@ class AuthorRegions(MapSampling, StageAction["RegionsReport"]):
     picture: Path | None = beside("draw the regions on the face", ".png", "draw")
 
     def author(self, face: Face, job: Job) -> RegionsReport:
-        from facepipe.importers.region_image import read_region_image
+        from facepipe.core.images import read_png
         from facepipe.processors.region_legend import read_legend
         from facepipe.processors.regions import SetRegions
         from facepipe.stage.skeleton import author_recipe
 
         recipe = job.recipe()
         set_regions = SetRegions(
-            image=read_region_image(self.map),
+            image=read_png(self.map),
             legend=read_legend(self.legend),
             mesh=self.mesh,
             uv_set=self.uv_set,

@@ -62,7 +62,7 @@ def put_value(prim: Usd.Prim, name: str, value: Any) -> None:
     put(prim.GetAttribute(name) if value is None else schema_attribute(prim, name), value)
 
 
-def is_reserved(schema: str, instance: str) -> bool:
+def _is_reserved(schema: str, instance: str) -> bool:
     """Whether no instance of a multiple-apply schema can have a name, since an attribute of the schema has it."""
     last = instance.rpartition(":")[2]
     return any(
@@ -100,5 +100,5 @@ def check_property_name(where: object, kind: str, name: str, schema: str | None 
     """
     if not Sdf.Path.IsValidNamespacedIdentifier(name) or name.endswith(_RESERVED_SUFFIX):
         raise InputError(where, f"{kind} '{name}', expected letters, digits, underscores and no digit first")
-    if schema and is_reserved(schema, name):
+    if schema and _is_reserved(schema, name):
         raise InputError(where, f"{kind} '{name}' is the name of a property of {schema}, expected another")

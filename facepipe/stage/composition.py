@@ -15,8 +15,7 @@ from pxr import Ar, Pcp, Sdf
 
 from facepipe.core.errors import InputError
 from facepipe.stage.guard import USD_ERRORS
-from facepipe.stage.layer_files import MOST_LEVELS, open_layer
-from facepipe.stage.layer_table import LayerTable
+from facepipe.stage.layer_files import MOST_LEVELS, LayerTable, open_layer
 
 MOST_COMPOSED = 250_000  # opinions that arcs add, beyond two a written prim; each costs USD some 10 us and 1 kB
 MOST_LAYERS = 4096  # of a stage

@@ -12,9 +12,9 @@ from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads import make
 from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import arrays, asset
-from facepipe.heads.cards import cards, mesh
-from facepipe.heads.eye_fit import fit_eyes
+from facepipe.heads.part_fits import fit_eyes
 from facepipe.heads.people import draw
+from facepipe.heads.surfaces import card_mesh, cards
 from facepipe.parts import Mesh
 from facepipe.stage import Face
 
@@ -81,7 +81,7 @@ def test_lashes_stay_out_of_the_skin_in_a_blink() -> None:
     held = cards("lashes")
     for seed in (0, 3):
         head = make_head(draw(seed).identity).meshes[0]
-        lashes = mesh("Lashes", held, head, "eyes")
+        lashes = card_mesh("Lashes", held, head, "eyes")
         closed = [moved(one, ("eyeBlinkLeft", "eyeBlinkRight")) for one in (lashes, head)]
         near = cKDTree(closed[1]).query(closed[0])[1]
         normals = point_normals(closed[1], point_triangles(head.face_vertex_counts, head.face_vertex_indices))[near]

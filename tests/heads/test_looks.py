@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from facepipe.core.errors import InputError
-from facepipe.heads import cards, skin
+from facepipe.heads import skin
 from facepipe.heads.assembly import make_head
 from facepipe.heads.people import IRIS, STYLES, Look
-from facepipe.heads.surfaces import dressed
+from facepipe.heads.surfaces import card_mesh, cards, dressed
 from facepipe.parts import FaceParts, TextureInput
 
 HAIR = [style for style, (_, picture) in STYLES.items() if picture]
@@ -96,7 +96,7 @@ def test_an_eye_is_clear_before_the_iris_and_white_around_it(head: FaceParts, ey
 
 @pytest.mark.parametrize("name", SETS)
 def test_cards_are_held_by_points_of_the_head(head: FaceParts, name: str) -> None:
-    held = cards.cards(name)
+    held = cards(name)
     np.testing.assert_allclose(held.shares.sum(axis=1), 1.0)
     assert held.shares.min() > -1e-9
     assert held.corners.max() < len(head.meshes[0].points)
@@ -107,9 +107,9 @@ def test_cards_are_held_by_points_of_the_head(head: FaceParts, name: str) -> Non
 
 @pytest.mark.parametrize("name", ["brows", "lashes"])
 def test_brows_and_lashes_are_on_the_skin_and_the_same_on_both_sides(head: FaceParts, name: str) -> None:
-    made = cards.mesh("Cards", cards.cards(name), head.meshes[0], "eyes")
-    roots = made.points.reshape(*cards.cards(name).grid, 3)[:, 0 if name == "lashes" else slice(None)]
-    assert np.abs(cards.cards(name).offsets.reshape(*cards.cards(name).grid, 3)[:, 0]).max() < 0.12
+    made = card_mesh("Cards", cards(name), head.meshes[0], "eyes")
+    roots = made.points.reshape(*cards(name).grid, 3)[:, 0 if name == "lashes" else slice(None)]
+    assert np.abs(cards(name).offsets.reshape(*cards(name).grid, 3)[:, 0]).max() < 0.12
     left, right = roots[roots[..., 0] > 0], roots[roots[..., 0] < 0] * [-1, 1, 1]
     assert len(left) == len(right)
     order = [np.lexsort(side.round(1).T) for side in (left, right)]
@@ -117,11 +117,11 @@ def test_brows_and_lashes_are_on_the_skin_and_the_same_on_both_sides(head: FaceP
 
 
 def test_lashes_come_down_with_the_lid(head: FaceParts) -> None:
-    made = cards.mesh("Lashes", cards.cards("lashes"), head.meshes[0], "eyes")
+    made = card_mesh("Lashes", cards("lashes"), head.meshes[0], "eyes")
     blink = next(shape for shape in made.blendshapes if shape.name == "eyeBlinkLeft")
     points = made.points.copy()
     points[blink.point_indices] += blink.offsets
-    before, after = (one.reshape(*cards.cards("lashes").grid, 3)[:3] for one in (made.points, points))  # left, upper
+    before, after = (one.reshape(*cards("lashes").grid, 3)[:3] for one in (made.points, points))  # left, upper
     upward = [(one[:, -1, 9] - one[:, 0, 9])[:, 1].mean() for one in (before, after)]
     assert upward[1] < upward[0] - 0.3
     assert (after - before)[..., 1].mean() < -0.5
@@ -132,8 +132,8 @@ def test_lashes_come_down_with_the_lid(head: FaceParts) -> None:
 def test_hair_follows_the_skull(head: FaceParts) -> None:
     wide = make_head(np.eye(100)[0] * 2.5).meshes[0]
     for style in HAIR:
-        held = cards.cards(style)
-        average, person = (cards.mesh("Hair", held, mesh, "forehead") for mesh in (head.meshes[0], wide))
+        held = cards(style)
+        average, person = (card_mesh("Hair", held, mesh, "forehead") for mesh in (head.meshes[0], wide))
         move = person.points - average.points
         np.testing.assert_allclose(move, held.carry(wide.points - head.meshes[0].points), atol=1e-9)
         assert average.skin is not None
@@ -171,7 +171,7 @@ def test_normals_of_the_relief_are_unit_and_face_outwards() -> None:
 def test_upper_and_lower_lashes_are_apart_in_their_picture() -> None:
     """Coarse levels of the picture mix eight of its rows and more: rows that no card shows are empty."""
     alpha = np.asarray(Image.open(io.BytesIO((files("facepipe.heads") / "data" / "lashes.png").read_bytes())))[..., 1]
-    v = cards.cards("lashes").uv[:, 1]
+    v = cards("lashes").uv[:, 1]
     shown = np.zeros(len(alpha), bool)
     for low, high in ((v[v < 0.5].min(), v[v < 0.5].max()), (v[v > 0.5].min(), v[v > 0.5].max())):
         shown[int((1 - high) * len(alpha)) : int((1 - low) * len(alpha)) + 1] = True
@@ -184,8 +184,8 @@ def test_upper_and_lower_lashes_are_apart_in_their_picture() -> None:
 
 @pytest.mark.parametrize("style", ["bob", "long"])
 def test_hair_that_hangs_ends_raggedly_and_has_normals_to_the_outside(head: FaceParts, style: str) -> None:
-    held = cards.cards(style)
-    made = cards.mesh("Hair", held, head.meshes[0], "forehead")
+    held = cards(style)
+    made = card_mesh("Hair", held, head.meshes[0], "forehead")
     points, normals = (np.asarray(one).reshape(*held.grid, 3) for one in (made.points, made.normals))
     ends = points[:, -1].mean(axis=1)
     assert 0.4 < ends[:, 1].std() < 3

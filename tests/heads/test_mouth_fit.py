@@ -8,7 +8,7 @@ import pytest
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import point_triangles
 from facepipe.heads.asset import asset
-from facepipe.heads.mouth_fit import fit_mouth
+from facepipe.heads.part_fits import fit_mouth
 from facepipe.heads.people import draw
 
 SKIN, INSIDE = 9409, slice(11248, 13294)  # points of the face, and of the mouth's inside

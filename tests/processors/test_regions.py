@@ -24,9 +24,9 @@ from region_painter import COLORS, legend_of, paint, save
 import facepipe
 from facepipe.checks import validate
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.images import read_png
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
-from facepipe.importers.region_image import read_region_image
 from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
 from facepipe.pictures.heatmap import NO_VALUE
@@ -488,7 +488,7 @@ def png(path: Path, mode: str) -> Path:
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "RGB;16", "L", "LA", "1", "I;16"])
 def test_every_kind_of_png_means_the_same(tmp_path: Path, mode: str) -> None:
-    image = read_region_image(png(tmp_path / "map.png", mode))
+    image = read_png(png(tmp_path / "map.png", mode))
     grey = mode in ("L", "LA", "1", "I;16")
     expected = [[0, 0, 0], [255, 255, 255]] if grey else [[255, 0, 0], [0, 255, 0]]
     assert image[0, :, :3].tolist() == expected
@@ -601,7 +601,7 @@ def test_damaged_maps_and_legends_read_or_say_why(
     folder = tmp_path_factory.mktemp("damaged")
     (folder / "map.png").write_bytes(data.draw(damaged(png_of(LEFT_RIGHT))))
     (folder / "legend.json").write_bytes(data.draw(damaged(json.dumps(legend_of(["a", "b"], outside="c")).encode())))
-    refused(lambda: read_region_image(folder / "map.png"), folder / "map.png")
+    refused(lambda: read_png(folder / "map.png"), folder / "map.png")
     refused(lambda: read_legend(folder / "legend.json"), folder / "legend.json")
 
 

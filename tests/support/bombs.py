@@ -84,10 +84,10 @@ def region_map(data: Callable[[], bytes]) -> Callable[[Path], Words]:
     """A map of regions, as the command line reads it."""
 
     def build(folder: Path) -> Words:
-        from facepipe.importers.region_image import read_region_image
+        from facepipe.core.images import read_png
 
         (folder / "map.png").write_bytes(data())
-        return lambda: read_region_image(folder / "map.png")
+        return lambda: read_png(folder / "map.png")
 
     return build
 

@@ -1,8 +1,10 @@
-"""Eyes of a person: round eyeballs where the lids want them, and lids that slide over them and meet in a blink.
+"""Eyes and mouth of a person, fitted to the skin: identity modes move skin and what is inside it each in their own way.
 
-Identity modes move lids and eyeballs each in their own way, and linear shapes of lids cut the eyeball of one person
-and leave that of another open. Rings of points go around each eye: 0 behind the margin, 1 to 4 the margin, then out
-over the lid (`samples/head/lids.py`).
+Eyes: round eyeballs where the lids want them, and lids that slide over them and meet in a blink. Linear shapes of lids
+cut the eyeball of one person and leave that of another open. Rings of points go around each eye: 0 behind the margin, 1
+to 4 the margin, then out over the lid (`samples/head/lids.py`).
+
+Mouth: its inside is kept behind the skin.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.balls import fit_ball
+from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.heads.asset import arrays, asset
 
 Shapes = Mapping[str, Mapping[float, FloatArray]]
@@ -35,6 +38,10 @@ _INSIDE = 3.0  # how much more it weighs that a lid is inside the eyeball than t
 _STEPS = 6  # of Gauss and Newton
 _STILL = 1e-6  # radians; an arc below that is straight
 _NEAREST = 3  # points of the eyeball that say how far it reaches in a direction
+_SKIN, _MOUTH = 9409, slice(11248, 13294)  # points of the face before these; points of the mouth's inside
+_LIPS = 0.15  # cm; what lies less deep belongs to the lips
+_DEPTH_KEPT = 0.5  # of its depth in the average head that a point keeps
+_SKIN_POINTS = 8  # points of the skin that it is kept behind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,3 +200,34 @@ def _eyes() -> tuple[_Eye, ...]:
             )
         )
     return tuple(eyes)
+
+
+def fit_mouth(points: FloatArray) -> FloatArray:
+    """The (n, 3) points of a head with the mouth's inside half as deep at least as it is in the average head."""
+    inside, skin, least = _pairs()
+    normals = point_normals(points[:_SKIN], _triangles())[skin]
+    depths = ((points[skin] - points[inside, None]) * normals).sum(axis=-1)
+    missing = np.maximum(least - depths, 0.0)
+    most = missing.argmax(axis=1)
+    rows = np.arange(len(inside))
+    fitted = points.copy()
+    fitted[inside] -= missing[rows, most, None] * normals[rows, most]
+    return fitted
+
+
+@cache
+def _pairs() -> tuple[IntArray, IntArray, FloatArray]:
+    """(k,) points of the mouth's inside, (k, 8) the points of the skin before them, and how deep they have to lie."""
+    points = asset().points
+    inside = np.arange(_MOUTH.start, _MOUTH.stop)
+    skin = cKDTree(points[:_SKIN]).query(points[inside], _SKIN_POINTS)[1]
+    normals = point_normals(points[:_SKIN], _triangles())[skin]
+    depths = ((points[skin] - points[inside, None]) * normals).sum(axis=-1)
+    deep = depths.min(axis=1) > _LIPS
+    return inside[deep], skin[deep], _DEPTH_KEPT * depths[deep]
+
+
+@cache
+def _triangles() -> IntArray:
+    triangles = point_triangles(asset().counts, asset().indices)
+    return triangles[(triangles < _SKIN).all(axis=1)]
