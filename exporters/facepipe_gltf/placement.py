@@ -152,7 +152,7 @@ def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 def _unless_near(lengths: FloatArray, expected: FloatArray) -> FloatArray:
-    """(k,) `expected` in place of lengths that float32 can't tell from it: normals of unit length keep their bits."""
+    """(k,) `expected` in place of lengths that are it in float32: normals of unit length keep their bits."""
     return np.where(np.abs(lengths - expected) <= _UNIT * expected, expected, lengths)
 
 

@@ -152,7 +152,7 @@ def _sculpt(rig: Rig, number: int) -> dict[str, Any]:
 
 
 def _slider_records(sliders: Sequence[Slider]) -> list[Json]:
-    """The sliders of the face; of very many channels and shapes only the graph tells."""
+    """The sliders of the face; very many channels and shapes are in the graph alone."""
     short = sum(len(one.channels) + len(one.shapes) for one in sliders) > _MOST_ENTRIES
     return [_slider_record(one) | (dict.fromkeys(_ENTRIES) if short else {}) for one in sliders]
 
@@ -249,7 +249,7 @@ def _with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Js
 
 
 def _marks(points: FloatArray) -> Json:
-    """Some points (n, 3) of a mesh with their numbers, evenly among them: they tell faces of one topology apart."""
+    """Some points (n, 3) of a mesh with their numbers, evenly among them: by these, faces of one topology differ."""
     chosen = np.unique(np.linspace(0, len(points) - 1, min(_MARKS, len(points))).astype(int))
     rounded = [[float(f"{value:.6g}") + 0.0 for value in points[number]] for number in chosen]
     return {"points": chosen.tolist(), "positions": rounded}

@@ -23,8 +23,8 @@ class Options:
     points: bool = option(False, "with --sliders: also output the points")
     weights: Literal["float32", "float16", "int8"] = option(
         "float32",
-        "with --sliders: how the file holds gains and network; the report tells by how much points are off "
-        "(and need the operator Cast)",
+        "with --sliders: how the file holds gains and network; the report gives the point error "
+        "(float16 and int8 need the operator Cast)",
     )
     inputs: Literal["coefficients", "matrices"] = option(
         "coefficients", "what moves the joints: 9 bone coefficients each, or local 4x4 joint transforms"

@@ -64,7 +64,7 @@ def build() -> None:
 
 
 def main() -> int:
-    """Build and tell; the exit code."""
+    """Build, and print the size; the exit code."""
     try:
         build()
     except RuntimeError as error:
@@ -97,8 +97,8 @@ def _run(command: Sequence[str]) -> None:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise RuntimeError(f"{Path(command[0]).name} {command[1]}: {error}") from error
     if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip())[-2000:]
-        raise RuntimeError(f"{Path(command[0]).name} {command[1]} failed:\n{said}")
+        output = (done.stderr.strip() or done.stdout.strip())[-2000:]
+        raise RuntimeError(f"{Path(command[0]).name} {command[1]} failed:\n{output}")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Any
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_regular
+from facepipe_web import build
 from facepipe_web.assets import given_assets, write_assets
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.options import Options
@@ -44,10 +45,8 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
     :raises InputError: no build, a port that is not free, or files that can't be shown
     :raises SchemaError, ExportError: a stage without a face, or one that a format can't hold
     """
-    from facepipe_web.built import page_files
-
     options.check()
-    files = page_files()
+    files = _page_files()
     with tempfile.TemporaryDirectory(prefix="facepipe-view-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         server = Server(options.port, files, {})
@@ -89,10 +88,22 @@ def _check_start(path: Path, start: bytes, what: str) -> None:
 
 
 def _write_content(folder: Path, server: Server, entries: Sequence[Json], blending: Blending | None) -> None:
-    """viewer.json, which tells the page what there is."""
+    """viewer.json, which lists for the page what there is."""
     content = {"faces": entries, "blend": None if blending is None else blending.entry}
     file = folder / "viewer.json"
     file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
     server.files["/viewer.json"] = file
     if blending is not None:
         server.actions["/blend"] = blending.answer
+
+
+def _page_files() -> dict[str, Path]:
+    """Path on the server -> file, of the page and all that it loads.
+
+    :raises InputError: nothing built, or from other sources
+    """
+    if not build.is_built():
+        what = "is older than its sources" if build.DIST.exists() else "is not built"
+        raise InputError("viewer", f"{what}, expected `python -m facepipe_web.build` before (needs node 20 and npm)")
+    files = {f"/{file.relative_to(build.DIST).as_posix()}": file for file in build.DIST.rglob("*") if file.is_file()}
+    return files | {"/": build.DIST / "index.html"}

@@ -17,14 +17,25 @@ examples:
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.parser import add_options
-from facepipe.cli.show import emit
+from facepipe.cli.show import emit, is_quiet, note
 from facepipe.core.errors import InputError
 from facepipe.farm.options import RunOptions
+
+if TYPE_CHECKING:
+    from facepipe.farm.run import Run
+
+_EVERY = 10.0  # seconds between two lines of a log
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -51,7 +62,6 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print what it came to."""
     from facepipe.cli import in_project
-    from facepipe.cli.batch_progress import shown
     from facepipe.cli.parser import options_from
     from facepipe.core.project import project_around
     from facepipe.core.trust import trust
@@ -68,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
         steps = [replace(one, words=tuple(said)) for one, said in zip(plan.steps, words, strict=True)]
         plan = replace(plan, steps=tuple(steps))
-    with shown() as on_task:
+    with _watched() as on_task:
         report = batch(
             plan,
             state,
@@ -89,3 +99,51 @@ def _plan_file(arguments: argparse.Namespace) -> Path:
     if arguments.output is not None:
         raise InputError("-o", "given with a plan, which says itself where results go")
     return Path(arguments.words[0])
+
+
+@contextlib.contextmanager
+def _watched() -> Iterator[Callable[[Run], Callable[..., object]]]:
+    """Watches a run: called with it, and then with each task that ends and its record."""
+    with contextlib.ExitStack() as ends:
+        yield lambda run: _bars(run, ends) if sys.stderr.isatty() and not is_quiet() else _lines(run)
+
+
+def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:
+    from tqdm import tqdm
+
+    steps = run.plan.steps
+    width = max(len(one.name) for one in steps)
+    counts = {one.name: 1 if one.once else len(run.plan.rows) for one in steps}
+    bars: dict[str, Any] = {
+        one.name: ends.enter_context(
+            tqdm(total=counts[one.name], desc=f"{one.name:{width}}", position=number, file=sys.stderr)
+        )
+        for number, one in enumerate(steps)
+    }
+    failed: Counter[str] = Counter()
+
+    def on_task(task: Any, record: dict[str, Any]) -> None:
+        name = task.step.name
+        if record["status"] in ("failed", "skipped"):
+            failed[name] += 1
+            bars[name].set_postfix_str(f"{failed[name]} failed", refresh=False)
+        bars[name].update()
+
+    return on_task
+
+
+def _lines(run: Run) -> Callable[..., object]:
+    last = time.monotonic()
+    total = len(run.plan.rows) * sum(not one.once for one in run.plan.steps) + sum(one.once for one in run.plan.steps)
+
+    def on_task(task: Any, record: dict[str, Any]) -> None:
+        nonlocal last
+        if record["status"] == "failed":
+            note(f"failed: {record['error']}")
+        done = len(run.records)
+        if time.monotonic() - last > _EVERY or done == total:
+            last = time.monotonic()
+            counts = ", ".join(f"{count} {status}" for status, count in sorted(run.counts.items()))
+            note(f"{done:,} of {total:,} tasks: {counts}")
+
+    return on_task

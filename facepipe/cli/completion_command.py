@@ -19,7 +19,7 @@ from facepipe.cli.parser import Parser
 from facepipe.core.errors import InputError
 
 
-class Flag(NamedTuple):
+class _Flag(NamedTuple):
     """A flag, or the first word that stands alone (no names)."""
 
     names: tuple[str, ...]
@@ -28,12 +28,12 @@ class Flag(NamedTuple):
     value: Literal["nothing", "word", "file"]  # what follows it; a word is no file
 
 
-class Line(NamedTuple):
+class _Line(NamedTuple):
     """A command, or an action of one, and what it takes."""
 
     verb: str
     summary: str
-    flags: tuple[Flag, ...]
+    flags: tuple[_Flag, ...]
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _lines() -> Iterator[Line]:
+def _lines() -> Iterator[_Line]:
     """Every command, and every action of those that have some; of plug-ins that can't be used only the names."""
     from facepipe.cli import command_module, commands_of
     from facepipe.cli.action_line import ActionGroup
@@ -58,14 +58,14 @@ def _lines() -> Iterator[Line]:
             module: Any = command_module(verb)
             module.configure(parser, ["--help"])
         except InputError:
-            yield Line(verb, summary, ())
+            yield _Line(verb, summary, ())
             continue
-        yield Line(verb, summary, _flags(parser))
+        yield _Line(verb, summary, _flags(parser))
         if isinstance(module, ActionGroup):
             yield from _actions(module)
 
 
-def _actions(group: Any) -> Iterator[Line]:
+def _actions(group: Any) -> Iterator[_Line]:
     from facepipe.actions import summaries
 
     for verb, summary in summaries(f"{group.name} ").items():
@@ -73,15 +73,15 @@ def _actions(group: Any) -> Iterator[Line]:
         try:
             group.configure(parser, [action])
         except InputError:
-            yield Line(verb, summary, ())
+            yield _Line(verb, summary, ())
             continue
         (actions,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
-        yield Line(verb, summary, _flags(actions.choices[action]))
+        yield _Line(verb, summary, _flags(actions.choices[action]))
 
 
-def _flags(parser: argparse.ArgumentParser) -> tuple[Flag, ...]:
+def _flags(parser: argparse.ArgumentParser) -> tuple[_Flag, ...]:
     shown = [one for one in parser._actions if one.help != argparse.SUPPRESS and (one.option_strings or one.choices)]
-    return tuple(Flag(tuple(one.option_strings), _sentence(one.help), _choices(one), _value(one)) for one in shown)
+    return tuple(_Flag(tuple(one.option_strings), _sentence(one.help), _choices(one), _value(one)) for one in shown)
 
 
 def _sentence(help: str | None) -> str:
@@ -98,29 +98,28 @@ def _value(action: argparse.Action) -> Literal["nothing", "word", "file"]:
     return "word" if getattr(action.type, "__name__", "") in ("int", "float") or action.choices else "file"
 
 
-def _case(lines: Iterable[Line], values: bool) -> str:
-    """Shell patterns with what follows: of `values` what goes after a flag, else the flags of a command."""
-    cases = []
+def _cases(lines: Iterable[_Line]) -> str:
+    """Shell code that sets `values`, what may follow the flag `before`, and `flags`, those of the command `verb`."""
+    values, flags = [], []
     for line in lines:
         last = line.verb.rpartition(" ")[2]
-        for flag in line.flags if values else ():
+        for flag in line.flags:
             words = " ".join(flag.choices) or ("-" if flag.value == "word" else "")
             if words:
                 names = "|".join(f'"{line.verb} {name}"' for name in flag.names or (last,))
-                cases.append(f'        {names}) values="{words}" ;;')
-        if not values:
-            names = " ".join(name for flag in line.flags for name in flag.names)
-            cases.append(f'        "{line.verb}") flags="{names}" ;;')
-    return "\n".join(cases)
+                values.append(f'        {names}) values="{words}" ;;')
+        names = " ".join(name for flag in line.flags for name in flag.names)
+        flags.append(f'        "{line.verb}") flags="{names}" ;;')
+    return "\n".join(['    case "$verb $before" in', *values, "    esac", '    case "$verb" in', *flags, "    esac"])
 
 
-def _groups(lines: Iterable[Line]) -> str:
+def _groups(lines: Iterable[_Line]) -> str:
     """A pattern of the commands that have actions, and of no action yet."""
     groups = dict.fromkeys(line.verb.split()[0] for line in lines if " " in line.verb)
     return "|".join(f"{name},*" for name in groups) or "-"
 
 
-def _bash(lines: list[Line]) -> str:
+def _bash(lines: list[_Line]) -> str:
     verbs = " ".join(line.verb for line in lines if " " not in line.verb)
     return f"""# facepipe in bash: eval "$(facepipe completion bash)"
 _facepipe() {{
@@ -139,12 +138,7 @@ _facepipe() {{
     fi
     [[ $before == "=" ]] && before="${{COMP_WORDS[COMP_CWORD-2]}}"
     [[ $word == "=" ]] && word=""
-    case "$verb $before" in
-{_case(lines, values=True)}
-    esac
-    case "$verb" in
-{_case(lines, values=False)}
-    esac
+{_cases(lines)}
     if [[ $word == -* ]]; then
         COMPREPLY=($(compgen -W "$flags" -- "$word"))
     elif [[ -n $values ]]; then
@@ -155,7 +149,7 @@ _facepipe() {{
 complete -o bashdefault -o default -F _facepipe facepipe"""
 
 
-def _zsh(lines: list[Line]) -> str:
+def _zsh(lines: list[_Line]) -> str:
     named = (f"{line.verb}:{line.summary.replace(':', ' ')}" for line in lines if " " not in line.verb)
     return f"""#compdef facepipe
 _facepipe() {{
@@ -177,12 +171,7 @@ _facepipe() {{
         before="${{word%%=*}}"
         compset -P '*='
     fi
-    case "$verb $before" in
-{_case(lines, values=True)}
-    esac
-    case "$verb" in
-{_case(lines, values=False)}
-    esac
+{_cases(lines)}
     if [[ $word == -* && $word != *=* ]]; then
         compadd -- ${{=flags}}
     elif [[ -n $values ]]; then
@@ -194,7 +183,7 @@ _facepipe() {{
 compdef _facepipe facepipe"""
 
 
-def _fish(lines: list[Line]) -> str:
+def _fish(lines: list[_Line]) -> str:
     rows = ["# facepipe in fish: facepipe completion fish > ~/.config/fish/completions/facepipe.fish"]
     rows += [f"complete -c facepipe -n __fish_use_subcommand -l {one}" for one in ("version", "verbose", "quiet")]
     for line in lines:

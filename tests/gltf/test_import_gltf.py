@@ -453,7 +453,7 @@ def test_primitives_become_one_mesh_with_material_faces(tmp_path: Path) -> None:
 # names, morph targets
 
 
-def test_names_are_kept_and_tell_meshes_apart(tmp_path: Path) -> None:
+def test_names_are_kept_and_differ_between_meshes(tmp_path: Path) -> None:
     builder = triangle()
     names = ["Kopf é", "头", "头", "1st", "", "Skeleton", "Kopf e"]
     builder.root["nodes"] = [{"mesh": 0, "name": name} for name in names]

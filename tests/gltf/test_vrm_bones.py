@@ -66,8 +66,8 @@ def test_bones_that_are_missing_are_named_and_nothing_is_written(
     assert [bone for bone in REQUIRED if bone in re.findall(r"\w+", line)] == [
         one for one in REQUIRED if one not in own
     ]
-    told = done(capsys, "export", tmp_path / "head.usda", "-o", out, "--stub-body", *terms, quiet=False)
-    added = next(line for line in told.splitlines() if "move no point" in line)
+    report = done(capsys, "export", tmp_path / "head.usda", "-o", out, "--stub-body", *terms, quiet=False)
+    added = next(line for line in report.splitlines() if "move no point" in line)
     assert all(bone in added for bone in REQUIRED if bone not in own)
     assert exit_code("validate", out) == 0
 

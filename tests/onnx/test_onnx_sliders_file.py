@@ -74,7 +74,7 @@ def test_same_face_same_bytes(tmp_path: Path) -> None:
     assert str(tmp_path).encode() not in (tmp_path / "a" / "s.onnx").read_bytes()
 
 
-def test_sidecar_is_the_metadata_and_tells_the_sliders(exported: Path) -> None:
+def test_sidecar_is_the_metadata_and_lists_the_sliders(exported: Path) -> None:
     beside = json.loads(exported.with_name("sliders.onnx.json").read_text())
     stored = {one.key: json.loads(one.value) for one in onnx.load(exported).metadata_props}
     assert stored == {f"facepipe.{key}": value for key, value in beside.items()}

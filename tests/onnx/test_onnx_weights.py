@@ -64,18 +64,18 @@ def errors(parts: FaceParts, graph: Deformer, rows: list[dict[str, float]]) -> t
 
 @pytest.mark.parametrize("name", FACES)
 @pytest.mark.parametrize(("weights", "share"), [("float16", 2e-3), ("int8", 3e-2)])
-def test_points_are_off_by_little_which_is_told(name: str, weights: Any, share: float, tmp_path: Path) -> None:
+def test_points_are_off_by_little_as_reported(name: str, weights: Any, share: float, tmp_path: Path) -> None:
     parts, path = FACES[name](), tmp_path / "packed.onnx"
     report = export_parts(parts, path, Options(sliders=True, points=True, pose="rest", weights=weights))
     assert validate(path) == ()
     graph, random = Deformer(path), np.random.default_rng(3)
     off, moved = errors(parts, graph, [random_values(parts, random) for _ in range(40)])
     assert 0.0 < off < share * moved
-    told = json.loads((tmp_path / "packed.onnx.json").read_text())["packed_weights"]
-    assert told == graph.metadata["packed_weights"]
-    assert (told["type"], told["error_mm"]) == (weights, report.error_mm)
-    assert off < 4.0 * told["error_mm"]
-    assert told["error_mm"] < share * moved
+    packed = json.loads((tmp_path / "packed.onnx.json").read_text())["packed_weights"]
+    assert packed == graph.metadata["packed_weights"]
+    assert (packed["type"], packed["error_mm"]) == (weights, report.error_mm)
+    assert off < 4.0 * packed["error_mm"]
+    assert packed["error_mm"] < share * moved
 
 
 @pytest.mark.parametrize("name", FACES)

@@ -97,7 +97,7 @@ class Hostile:
 
 
 def noise(size: int = 16) -> bytes:
-    """A PNG that is told by its pixels."""
+    """A PNG that its pixels identify."""
     data = io.BytesIO()
     Image.fromarray(np.random.default_rng(7).integers(0, 256, (size, size, 3), np.uint8)).save(data, "PNG")
     return data.getvalue()

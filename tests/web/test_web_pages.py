@@ -83,10 +83,10 @@ def test_a_payload(url: str, folder: Path, precision: str) -> None:
     parts = sample_with_sliders()
     clip = clip_of(parts, 3, precision)
     (folder / "clip.fpb").write_bytes(encode(clip).data)
-    told = (
+    shown = (
         'document.querySelector("section[aria-label=Payload] p").textContent.startsWith("clip.fpb: 3 frames, 0.08 s")'
     )
-    steps: list[Step] = [READY, POINTS, {"upload": ["#payload", str(folder / "clip.fpb")]}, until(told)]
+    steps: list[Step] = [READY, POINTS, {"upload": ["#payload", str(folder / "clip.fpb")]}, until(shown)]
     number = '.row[data-name="frame"] input[type="number"]'
     for frame in range(3):
         steps += [{"fill": [number, str(frame)]}, {"press": "Tab"}, DRAWN, POINTS]

@@ -121,7 +121,7 @@ def test_webgpu_where_there_is_one(url: str, flags: list[str], backend: str) -> 
 
 
 def test_values_set_at_once_end_at_the_last(url: str) -> None:
-    """Without waiting: the graph runs once at a time, and the face ends where it was told last."""
+    """Without waiting: the graph runs once at a time, and the face ends where it was sent last."""
     hurry = "const all = [0.1, 0.9, 0.4].map((value) => face.setSliders({ smile: value })); await Promise.all(all);"
     results, problems = browse(url, READY, run(hurry), POINTS, run("await face.setSliders({ smile: 0.4 })"), POINTS)
     assert problems == []

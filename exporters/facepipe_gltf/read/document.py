@@ -186,7 +186,7 @@ def open_document(source: Path) -> Document:
 
 
 def read_document(source: Path) -> Document:
-    """The container and JSON of a .glb or .gltf, told apart by content.
+    """The container and JSON of a .glb or .gltf; its content says which it is.
 
     :raises InputError: truncated, or no JSON object
     """

@@ -1,4 +1,4 @@
-// Opens a page in headless Chromium and does what it is told, one step after another; prints what steps give, as JSON.
+// Opens a page in headless Chromium and takes the steps that it is given, one after another; prints what steps give, as JSON.
 // usage: node browse.mjs PLAYWRIGHT CHROMIUM < request
 // request: {"url", "flags": [...], "webgpu": folder of onnxruntime-web's build for it, "before": script run before the page's own, "viewport": [width, height],
 //           "steps": [{"wait": selector} | {"click": selector} | {"press": key} | {"fill": [selector, text]} |

@@ -22,7 +22,7 @@ export interface SliderInfo {
   mirror: string | null;
 }
 
-/** What a GLB alone does not tell; the metadata of the graph does. */
+/** What a GLB alone does not hold, and the metadata of the graph does. */
 export interface JointFacts {
   paths: string[];
   /** 4 rows: units and axes of the stage -> glTF */
@@ -170,7 +170,7 @@ export class Face {
 
   private async checkPayload(payload: Payload): Promise<void> {
     if (!this.joints) throw new FaceError("payload", "this face has no joints");
-    if (!this.facts) throw new FaceError("payload", "a GLB alone does not tell its joints' paths, expected its ONNX too");
+    if (!this.facts) throw new FaceError("payload", "a GLB alone does not hold its joints' paths, expected its ONNX too");
     const hash = await jointsHash(this.facts.paths);
     if (payload.jointCount !== this.facts.paths.length || payload.jointsHash !== hash) {
       const own = `${this.facts.paths.length}, hash ${hash}`;

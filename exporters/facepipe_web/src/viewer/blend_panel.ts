@@ -38,7 +38,7 @@ export class BlendPanel {
     this.weights = structuredClone(entry.weights);
     const folds = ["default", ...entry.regions].map((region, number) => this.fold(region, number === 0));
     this.element = section("Blend", null, ...folds, this.command);
-    this.tell();
+    this.showCommand();
   }
 
   private fold(region: string, open: boolean): HTMLElement {
@@ -70,7 +70,7 @@ export class BlendPanel {
 
   /** New neutral points, as fast as the server gives them. */
   private async move(): Promise<void> {
-    this.tell();
+    this.showCommand();
     if (this.busy) {
       this.again = true;
       return;
@@ -116,7 +116,7 @@ export class BlendPanel {
     return null;
   }
 
-  private tell(): void {
+  private showCommand(): void {
     const words = Object.entries(this.weights)
       .filter(([region]) => !this.entry.locked[region])
       .map(([region, row]) => {

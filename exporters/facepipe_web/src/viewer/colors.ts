@@ -6,7 +6,7 @@ export const VIRIDIS = [
   [34, 168, 132], [68, 191, 112], [122, 209, 81], [189, 223, 38], [253, 231, 37],
 ];
 
-/** Okabe and Ito's colours without black, then some that colour-blind readers can tell from them. */
+/** Okabe and Ito's colours without black, then some that colour-blind readers see as others. */
 const PALETTE = [
   [230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0],
   [204, 121, 167], [119, 0, 34], [119, 255, 255], [68, 34, 136], [0, 0, 255], [119, 85, 102],

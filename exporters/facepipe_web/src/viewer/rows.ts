@@ -42,7 +42,7 @@ export class Row {
     return this.options.name;
   }
 
-  /** Show a value without telling anybody. */
+  /** Show a value, without a call of `change`. */
   show(value: number): void {
     this.range.value = String(value);
     this.number.value = String(Math.round(value * 1000) / 1000);

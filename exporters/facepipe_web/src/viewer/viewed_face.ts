@@ -1,4 +1,4 @@
-/** A face of the page: the runtime's face, and what the server tells beside it. */
+/** A face of the page: the runtime's face, and what the server gives beside it. */
 import { Face, loadFace } from "../runtime";
 import { Look } from "./look";
 
