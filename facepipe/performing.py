@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import tempfile
@@ -85,7 +84,7 @@ def _staged(
         known = {field.name for field in fields_of(module.Options)}
         options = {name: value for name, value in action.exported.items() if name in known}
         export = module.export(open_face(stage), out, module.Options(**options))
-        results["export"], warnings = json.loads(export.to_json()), (*warnings, *export.warnings)
+        results["export"], warnings = export.to_dict(), (*warnings, *export.warnings)
     return Performed(report=replace(report, warnings=warnings), beside=results)
 
 

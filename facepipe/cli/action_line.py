@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -129,7 +128,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
     done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
     warn(done.report.warnings)
-    result = {"path": str(out), **json.loads(done.report.to_json()), **done.beside}
+    result = {"path": str(out), **done.report.to_dict(), **done.beside}
     if isinstance(action, FileAction):
         result["bytes"] = out.stat().st_size
     result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]

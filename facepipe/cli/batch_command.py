@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import time
 from collections import Counter
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
             models=trust().models,
             on_task=on_task,
         )
-    emit(json.loads(report.to_json()), report.text(), as_json=arguments.json)
+    emit(report.to_dict(), report.text(), as_json=arguments.json)
     return 1 if report.missed else 0
 
 

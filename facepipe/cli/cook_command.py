@@ -25,7 +25,6 @@ examples:
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             emit(_ended(done, error), "", as_json=True)
         raise
-    result = {"good": report.good, **json.loads(report.to_json())}
+    result = {"good": report.good, **report.to_dict()}
     emit(result, "\n".join([*_findings(report), _summary(report)]), as_json=arguments.json)
     return 0 if report.good else 1
 
@@ -74,7 +73,7 @@ def _ended(done: list[NodeReport], error: FacepipeError) -> dict[str, Any]:
     from facepipe.cooking import CookReport
 
     report = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
-    return {**json.loads(report.to_json()), "good": False, "error": str(error)}
+    return {**report.to_dict(), "good": False, "error": str(error)}
 
 
 def _line(node: NodeReport) -> str:

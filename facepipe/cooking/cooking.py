@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -134,7 +133,7 @@ class _Run:
             seconds=time.perf_counter() - start,
             missed=missed,
             warnings=(*self._old(node), *report.warnings),
-            report=json.loads(report.to_json()),
+            report=report.to_dict(),
         )
 
     def _steady(self, node: Node, verb: str, key: Path) -> tuple[Report, bool]:

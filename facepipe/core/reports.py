@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 
-def unsaid() -> Any:
-    """A field of a report that pictures are drawn from; it is not in the JSON."""
-    return field(default=None, repr=False, compare=False, metadata={"said": False})
+def not_in_json() -> Any:
+    """A field of a report for what draws pictures or pages of it; it is not in the JSON."""
+    return field(default=None, repr=False, compare=False, metadata={"in_json": False})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,13 @@ class Report:
 
     def to_json(self) -> str:
         """The report as JSON, keys sorted."""
-        said = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.metadata.get("said", True)}
-        return json.dumps(said, default=_plain, sort_keys=True, indent=2)
+        fields = (field.name for field in dataclasses.fields(self) if field.metadata.get("in_json", True))
+        return json.dumps({name: getattr(self, name) for name in fields}, default=_plain, sort_keys=True, indent=2)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What `to_json` writes, as texts, numbers, lists and mappings."""
+        content: dict[str, Any] = json.loads(self.to_json())
+        return content
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,7 +107,7 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
     :raises InputError: they can't be written
     """
     tasks = [run.records[name] for name in sorted(run.records)]
-    content = {**json.loads(report.to_json()), "records": tasks}
+    content = {**report.to_dict(), "records": tasks}
     with together(state / "report.html"):
         write_bytes(state / "report.json", json.dumps(content, sort_keys=True, indent=1, default=str).encode())
         write_bytes(state / "report.html", _page(report, run, state))

@@ -90,7 +90,7 @@ def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], find
 
 def _text(report: DeliveryReport) -> str:
     """The report as JSON with file names alone and without times: the same face gives the same bytes."""
-    content = json.loads(report.to_json())
+    content = report.to_dict()
     content["files"] = [Path(one).name for one in content["files"]]
     for export in content["exports"]:
         del export["seconds"]

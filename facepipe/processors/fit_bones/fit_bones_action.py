@@ -122,7 +122,6 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
 
     def write_coefficients(self, face: Face, report: FitBonesReport, path: Path) -> dict[str, Any]:
         """Write the coefficients on the stage as a payload: one clip, one pose, or one pose a target."""
-        import json
 
         import numpy as np
 
@@ -140,8 +139,7 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
             meters_per_unit=face.meters_per_unit,
             precision=self.precision,
         )
-        written: dict[str, Any] = json.loads(write_payload(path, content, face.rig()).to_json())
-        return written
+        return write_payload(path, content, face.rig()).to_dict()
 
     def draw(self, face: Face, report: FitBonesReport, path: Path) -> None:
         """Draw the targets that are missed most, in the pose of their worst frame, on one scale."""

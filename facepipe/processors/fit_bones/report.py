@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.reports import Report, table, unsaid
+from facepipe.core.reports import Report, not_in_json, table
 from facepipe.rig import CHANNELS
 
 _SHOWN = 4  # names of a list
@@ -65,7 +65,7 @@ class FitBonesReport(Report):
     targets: Mapping[str, TargetReport]
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
-    fitted: Any = unsaid()  # the targets, of which pictures are drawn
+    fitted: Any = not_in_json()  # the targets, of which pictures are drawn
 
     @property
     def missed(self) -> tuple[str, ...]:

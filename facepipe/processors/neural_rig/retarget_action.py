@@ -5,7 +5,6 @@ example: facepipe neural-rig retarget head.fpnr anna.usda --frames anna_clip.usd
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,7 +48,7 @@ class Retarget(RetargetOptions, FileAction["RetargetReport"]):
         with job.watch("retarget", processor.calls) as bar:
             found = processor(rig, subject, frames.points, frames.values, bar.update)
         report = replace(found.report, between=frames.between)
-        save_neural_rig(found.rig, job.out, json.loads(report.to_json()))
+        save_neural_rig(found.rig, job.out, report.to_dict())
         return report
 
     def text(self, report: RetargetReport, out: Path) -> str:

@@ -13,7 +13,6 @@ examples:
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -92,7 +91,7 @@ class Train(
         encoded = self._encoded(motion, job, kept)
         report = replace(trained.report, encoder=encoded.report if encoded else None, curve=trained.curve)
         encoder = encoded.encoder if encoded else None
-        save_neural_rig(trained.rig, job.out, json.loads(report.to_json()), encoder)
+        save_neural_rig(trained.rig, job.out, report.to_dict(), encoder)
         if kept:
             when_placed(lambda: kept.unlink(missing_ok=True))
         return report

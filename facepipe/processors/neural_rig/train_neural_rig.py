@@ -11,7 +11,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, unsaid
+from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.checkpoint import Checkpoint
 from facepipe.processors.neural_rig.motion import Motion
@@ -49,7 +49,7 @@ class NeuralRigReport(Report):
     left_out: tuple[str, ...]  # controls that no frame moves
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
     encoder: EncoderReport | None = None  # of the encoder that was trained beside it
-    curve: Any = unsaid()  # that of `TrainedNeuralRig`, to be drawn
+    curve: Any = not_in_json()  # that of `TrainedNeuralRig`, to be drawn
 
     @property
     def straight(self) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.reports import Report, table, unsaid
+from facepipe.core.reports import Report, not_in_json, table
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped
@@ -87,7 +87,7 @@ class PhotoFitReport(Report):
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the neutral is beyond the face's limits
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
-    fitted: Fitted = unsaid()  # of the report of an action
+    fitted: Fitted = not_in_json()  # of the report of an action
 
     @property
     def missed(self) -> bool:

@@ -113,7 +113,7 @@ def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
         save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")
         write_landmarks(folder / f"{name}.landmarks.json", marks, photo)
     write_bytes(folder / "report.html", photo_page(sheet))
-    figures = json.loads(report.to_json())
+    figures = report.to_dict()
     del figures["seconds"]  # the same input gives the same bytes
     write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.reports import Report, table, unsaid
+from facepipe.core.reports import Report, not_in_json, table
 from facepipe.declare import option, source
 from facepipe.kinds import FileAction, Job, action
 from facepipe.photo_options import StartOptions
@@ -47,7 +47,7 @@ class TrainPhotoReport(Report):
     photos: int  # 0: renders alone
     held_out: Mapping[str, Any]  # pictures, and terms of the joint loss before and after, means over these
     training: str  # the command line, without the names of files
-    doubtful: bool = unsaid()  # whether the training itself warns
+    doubtful: bool = not_in_json()  # whether the training itself warns
 
 
 @action("train-photo", "train a network that guesses where a photo fit starts")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from facepipe.core.reports import Report, unsaid
+from facepipe.core.reports import Report, not_in_json
 from facepipe.processors.database import Quality, QualityLimits, misses
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
 from facepipe.processors.rebuild.refine_neutral import RefineReport
@@ -21,7 +21,7 @@ class Judged(Report):
     """A report held against limits."""
 
     missed: tuple[str, ...] = ()  # a line for each limit
-    picture: FaceOnScan | None = unsaid()
+    picture: FaceOnScan | None = not_in_json()
 
     @classmethod
     def from_report(cls: type[J], report: Report, warnings: tuple[str, ...], missed: tuple[str, ...], **more: Any) -> J:

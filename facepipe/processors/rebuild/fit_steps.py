@@ -28,7 +28,6 @@ from facepipe.processors.rebuild.step_results import (
     options_json,
     place_json,
     place_of,
-    plain,
     shape_arrays,
     shapes_of,
 )
@@ -59,7 +58,7 @@ class FitSteps:
             fit_neutral = FitNeutral(options=project.neutral_options)
             fit = fit_neutral(self._template, scan, marks, steps.database(), weights=project.neutral.weights)
             arrays = {"points": fit.points, "expression": fit.expression}
-            return arrays, {"report": plain(fit.report), "place": place_json(fit.place)}
+            return arrays, {"report": fit.report.to_dict(), "place": place_json(fit.place)}
 
         inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
@@ -97,7 +96,7 @@ class FitSteps:
             refine = RefineNeutral(options=refinement.options)
             expression = neutral.scan.expression
             result = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
-            return {"points": result.points}, {"report": plain(result.report)}
+            return {"points": result.points}, {"report": result.report.to_dict()}
 
         inputs = steps.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
         inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
@@ -137,7 +136,7 @@ class FitSteps:
             raw, marks = steps.read(scan)
             given = ExpressionScan(scan=raw, landmarks=marks, weights=weights)
             result = RegisterScans(options=options)(self._template, neutral, shapes, given)
-            content = {"report": plain(result.report), "place": place_json(result.place)}
+            content = {"report": result.report.to_dict(), "place": place_json(result.place)}
             return {"points": result.points, "matched": result.matched.astype(np.int32)}, content
 
         inputs = steps.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
@@ -166,7 +165,7 @@ class FitSteps:
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
             result = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
-            return shape_arrays(result.shapes), {"names": list(result.shapes), "report": plain(result.report)}
+            return shape_arrays(result.shapes), {"names": list(result.shapes), "report": result.report.to_dict()}
 
         inputs = {
             "template": steps.digest(self._project.template),
@@ -209,7 +208,7 @@ def _together_step(
             "moved_mean_mm": fit.moved_mean_mm,
             "weights": dict(zip(expressions, fit.weights, strict=True)),
         }
-        report = plain(fit.neutral.report)
+        report = fit.neutral.report.to_dict()
         report |= {"weights": _shown_weights(report["weights"], first.report["weights"]), "together": together}
         arrays = {"points": fit.neutral.points, "expression": fit.neutral.expression}
         return arrays, {"report": report, "place": place_json(fit.neutral.place)}

@@ -34,7 +34,6 @@ examples:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -121,7 +120,7 @@ class RebuildAction(StageAction["RebuildReport"]):
     def draw(self, face: Face, report: RebuildReport, path: Path) -> None:
         """The folder of the report, with what `--json` prints."""
         if report.pictures is not None and report.job is not None:
-            result = {"path": str(report.job.out), **json.loads(report.to_json()), "report": str(self.report)}
+            result = {"path": str(report.job.out), **report.to_dict(), "report": str(self.report)}
             with report.job.watch("report", report.pictures.count) as bar:
                 report.pictures.write(path, result, bar.update)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.markup import Markup, heading, ruled_table, tag
-from facepipe.core.reports import Report, table, unsaid
+from facepipe.core.reports import Report, not_in_json, table
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -96,8 +96,8 @@ class RebuildReport(Report):
     reused: tuple[str, ...] = ()  # steps whose results were there
     corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
     missed: tuple[str, ...] = ()  # a line for each limit
-    pictures: RebuildPictures | None = unsaid()
-    job: Job | None = unsaid()
+    pictures: RebuildPictures | None = not_in_json()
+    job: Job | None = not_in_json()
 
 
 def _refined_line(report: Mapping[str, Any]) -> str:

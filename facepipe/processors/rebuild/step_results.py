@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -50,8 +49,8 @@ class Kept:
             _check_place(content.get("place"))
         if self.report is not None:
             own = content.get("report")
-            plain = {key: one for key, one in own.items() if key not in _MORE} if isinstance(own, dict) else own
-            from_json(self.report, plain, ArrayReader(b""), "report")
+            known = {key: one for key, one in own.items() if key not in _MORE} if isinstance(own, dict) else own
+            from_json(self.report, known, ArrayReader(b""), "report")
 
 
 NEUTRAL = Kept(points=("points", "expression"), place=True, report=NeutralReport)
@@ -99,12 +98,6 @@ class FittedExpression(Fitted):
     """An expression, as corrected."""
 
     composite: Composite
-
-
-def plain(report: Report) -> dict[str, Any]:
-    """A report as JSON holds it."""
-    found: dict[str, Any] = json.loads(report.to_json())
-    return found
 
 
 def place_json(place: Similarity) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
-from facepipe.core.reports import Report, unsaid
+from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
@@ -54,7 +54,7 @@ class ScanLandmarksReport(Report):
     presence: float  # 0..1: how much it looks like a face, over all views
     spread: float  # median distance of a landmark's rays from it, over landmarks, share of the distance of the eyes
     searched: int  # views in which the face was searched
-    landmarks: Any = unsaid()  # the `FoundScanLandmarks`, of which pictures are drawn
+    landmarks: Any = not_in_json()  # the `FoundScanLandmarks`, of which pictures are drawn
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, unsaid
+from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.processors.scan_landmarks.find import found_sigmas
 from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera
@@ -56,7 +56,7 @@ class ScanPhotosReport(Report):
     landmarks: int = 0  # of 68
     markers: int = 0
     seconds: float = 0.0
-    used: Any = unsaid()  # the `Cameras` of the photos that were used
+    used: Any = not_in_json()  # the `Cameras` of the photos that were used
 
 
 def no_step(name: str, total: int) -> None:
