@@ -48,14 +48,14 @@ class AnimationWriter:
 
     def _joint_channels(self, result: Json, animation: Animation, times: FloatArray, joints: JointNodes) -> None:
         number = {joint: i for i, joint in enumerate(self.skeleton.joints)}
-        own = [i for i, joint in enumerate(animation.joints) if joint in number]
-        if len(own) < len(animation.joints):
+        rows = [i for i, joint in enumerate(animation.joints) if joint in number]
+        if len(rows) < len(animation.joints):
             missing = next(joint for joint in animation.joints if joint not in number)
             self.warnings.append(f"{animation.name}: joint '{missing}' is not in the skeleton")
-        if not own:
+        if not rows:
             return
-        used = np.array([number[animation.joints[i]] for i in own])
-        local = local_transforms(self.skeleton, animation, np.array(own))
+        used = np.array([number[animation.joints[i]] for i in rows])
+        local = local_transforms(self.skeleton, animation, np.array(rows))
         nodes = joints.offsets[used] @ self.space.local(local, self.skeleton.parents[used] < 0)
         trs = decompose(nodes)
         self._report_shear(animation, used, nodes, trs, joints)
@@ -97,9 +97,9 @@ class AnimationWriter:
         weights = np.asarray(animation.shape_weights, dtype=np.float64)
         keys = _key_times(times, weights, column, sculpts)
         values = np.zeros((len(keys), len(sculpts)))
-        for i, one in enumerate(sculpts):
-            if one.shape in column:
-                values[:, i] = _activation(one, np.interp(keys, times, weights[:, column[one.shape]]))
+        for i, sculpt in enumerate(sculpts):
+            if sculpt.shape in column:
+                values[:, i] = _activation(sculpt, np.interp(keys, times, weights[:, column[sculpt.shape]]))
         keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
         _channel(result, self.buffers, keys, keyed, values, node, "weights")
 
@@ -117,11 +117,11 @@ def _key_times(
 ) -> FloatArray:
     """`times`, and those between them where a shape passes an inbetween: activations bend there."""
     extra = [times]
-    for one in sculpts:
-        if one.is_inbetween and one.shape in column:
-            track = weights[:, column[one.shape]]
+    for sculpt in sculpts:
+        if sculpt.is_inbetween and sculpt.shape in column:
+            track = weights[:, column[sculpt.shape]]
             before, after = track[:-1], track[1:]
-            for knot, _ in one.knots[1:-1]:
+            for knot, _ in sculpt.knots[1:-1]:
                 crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
                 part = (knot - before[crossed]) / (after[crossed] - before[crossed])
                 extra.append(times[crossed] + part * np.diff(times)[crossed])

@@ -139,7 +139,7 @@ def _normals(
         return smooth, None
     at_corner = np.zeros(len(corners.normals), np.int64)
     at_corner[np.asarray(corners.normal_indices)] = corners.points
-    own = placement.normals(corners.normals, at_corner)
-    empty = ~own.any(axis=1)
-    own[empty] = smooth[at_corner[empty]]
-    return smooth, own
+    normals = placement.normals(corners.normals, at_corner)
+    empty = ~normals.any(axis=1)
+    normals[empty] = smooth[at_corner[empty]]
+    return smooth, normals

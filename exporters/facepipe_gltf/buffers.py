@@ -138,11 +138,11 @@ class Buffers:
         """One shared accessor of zeros per vertex count; a sparse one stores one, since not every loader takes none."""
         key = (count, extent is not None, rows.values.dtype.char)
         if key not in self._zeros:
-            one = np.zeros((count if self._dense else 1, *rows.values.shape[1:]), dtype=rows.values.dtype)
+            zeros = np.zeros((count if self._dense else 1, *rows.values.shape[1:]), dtype=rows.values.dtype)
             self._zeros[key] = (
-                self._add_dense(one, "vertex", rows.normalized, extent)
+                self._add_dense(zeros, "vertex", rows.normalized, extent)
                 if self._dense
-                else self._add_sparse(np.zeros(1, np.uint8), one, count, rows.normalized, extent)
+                else self._add_sparse(np.zeros(1, np.uint8), zeros, count, rows.normalized, extent)
             )
         return self._zeros[key]
 

@@ -163,11 +163,11 @@ class _Writer:
         from facepipe.rig.animation import resampled
 
         clips = []
-        for one in parts.animations:
-            clip, off = resampled(parts.skeleton, one, fps, parts.meters_per_unit * 1000)
+        for animation in parts.animations:
+            clip, off = resampled(parts.skeleton, animation, fps, parts.meters_per_unit * 1000)
             clips.append(clip)
             if off:
-                self.warnings.append(f"{one.name}: sampled at {fps:g} frames per second: off by at most {off}")
+                self.warnings.append(f"{animation.name}: sampled at {fps:g} frames per second: off by at most {off}")
         return replace(parts, animations=tuple(clips), frames_per_second=fps)
 
     def _animations(self, joints: JointNodes | None) -> list[Json]:
@@ -271,15 +271,15 @@ class _Writer:
 
 def _mesh_extras(baked: Baked) -> Json:
     mesh = baked.mesh
-    own: Json = {"pointCount": len(mesh.points)} | extras(baked.sculpts)
+    facepipe_extras: Json = {"pointCount": len(mesh.points)} | extras(baked.sculpts)
     if mesh.landmarks:
-        own["landmarks"] = {
-            scheme: {"points": np.asarray(one.indices).tolist(), "names": list(one.names)}
-            for scheme, one in mesh.landmarks.items()
+        facepipe_extras["landmarks"] = {
+            scheme: {"points": np.asarray(landmarks.indices).tolist(), "names": list(landmarks.names)}
+            for scheme, landmarks in mesh.landmarks.items()
         }
     if mesh.anchor is not None:
-        own["anchor"] = int(mesh.anchor)
-    result: Json = {"facepipe": own}
+        facepipe_extras["anchor"] = int(mesh.anchor)
+    result: Json = {"facepipe": facepipe_extras}
     if baked.sculpts:
         result["targetNames"] = [one.label for one in baked.sculpts]
     return result

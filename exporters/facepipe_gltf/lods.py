@@ -20,10 +20,10 @@ def lower_levels(face: HasParts) -> tuple[FaceParts, ...]:
 
     :raises InputError: it has none
     """
-    found = face.lower_levels() if isinstance(face, HasLevels) else ()
-    if not found:
+    levels = face.lower_levels() if isinstance(face, HasLevels) else ()
+    if not levels:
         raise InputError("--lods", "the face has no levels of detail, expected some that `facepipe lod` made")
-    return found
+    return levels
 
 
 def link_level(

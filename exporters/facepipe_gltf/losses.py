@@ -75,19 +75,19 @@ def _missing(own: Sequence[Slider] | Sequence[PhotoView], kept: Sequence[Slider]
 def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
     """Lines about skin weights that had to change to keep the `most` largest influences."""
     lines = []
-    for one in meshes:
-        if one.influences is None or one.mesh.skin is None:
+    for baked in meshes:
+        if baked.influences is None or baked.mesh.skin is None:
             continue
-        lost = one.influences.lost
+        lost = baked.influences.lost
         if lost.max(initial=0.0) > LOST:
             lines.append(
-                f"{one.mesh.name}: {int((lost > LOST).sum())} points have more than {most} influences; up to "
+                f"{baked.mesh.name}: {int((lost > LOST).sum())} points have more than {most} influences; up to "
                 f"{lost.max():.3f} of a point's weight moved to the ones kept"
             )
-        sums = np.asarray(one.mesh.skin.joint_weights, dtype=np.float64).sum(axis=1)
+        sums = np.asarray(baked.mesh.skin.joint_weights, dtype=np.float64).sum(axis=1)
         off = np.abs(sums - 1) > _UNNORMALISED
         if off.any():
-            lines.append(f"{one.mesh.name}: skin weights of {int(off.sum())} points did not sum to 1, renormalised")
+            lines.append(f"{baked.mesh.name}: skin weights of {int(off.sum())} points did not sum to 1, renormalised")
     return lines
 
 
@@ -105,19 +105,19 @@ def _loose_points(mesh: Mesh) -> int:
     return int((~used).sum())
 
 
-def _per_mesh(what: str, names: Mapping[str, Iterable[str]]) -> list[str]:
+def _per_mesh(kind: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     """One line for all meshes that have some."""
     owners = [mesh for mesh, own in names.items() if any(True for _ in own)]
     every = sorted({name for own in names.values() for name in own})
-    return [f"{line} on {meshes_said(owners)}" for line in _counted(what, f"{what}s", every)]
+    return [f"{line} on {meshes_said(owners)}" for line in _counted(kind, f"{kind}s", every)]
 
 
-def _counted(one: str, many: str, names: Sequence[str]) -> list[str]:
+def _counted(singular: str, plural: str, names: Sequence[str]) -> list[str]:
     """At most one line: how many, and the names of a few."""
     if not names:
         return []
     few = names if len(names) <= _LISTED else [names[0], "...", names[-1]]
-    return [f"{len(names)} {one if len(names) == 1 else many} ({', '.join(few)})"]
+    return [f"{len(names)} {singular if len(names) == 1 else plural} ({', '.join(few)})"]
 
 
 def meshes_said(names: Sequence[str]) -> str:
@@ -169,10 +169,10 @@ def _poses(animations: Sequence[Animation], skeleton: Skeleton) -> FloatArray | 
     number = {joint: i for i, joint in enumerate(skeleton.joints)}
     poses = []
     for animation in _joined(animations):
-        own = [i for i, joint in enumerate(animation.joints) if joint in number]
-        if own:
-            used = np.array([number[animation.joints[i]] for i in own])
-            keys = local_transforms(skeleton, animation, np.array(own))
+        rows = [i for i, joint in enumerate(animation.joints) if joint in number]
+        if rows:
+            used = np.array([number[animation.joints[i]] for i in rows])
+            keys = local_transforms(skeleton, animation, np.array(rows))
             every = np.empty((len(keys), *skeleton.rest_transforms.shape))
             every[:] = skeleton.rest_transforms
             every[:, used] = keys
@@ -184,11 +184,11 @@ def _joined(animations: Sequence[Animation]) -> list[Animation]:
     """Animations of bone coefficients for the same joints as one: faces have a pose for every shape."""
     groups: dict[tuple[str, ...], list[FloatArray]] = {}
     others = []
-    for one in animations:
-        if one.coefficients is None:
-            others.append(one)
+    for animation in animations:
+        if animation.coefficients is None:
+            others.append(animation)
         else:
-            groups.setdefault(one.joints, []).append(np.asarray(one.coefficients))
+            groups.setdefault(animation.joints, []).append(np.asarray(animation.coefficients))
     return others + [
         Animation(name="", joints=joints, coefficients=np.concatenate(keys)) for joints, keys in groups.items()
     ]

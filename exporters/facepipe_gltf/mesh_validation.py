@@ -118,12 +118,12 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
         if names is None and count:
             yield f"{where}/extras/targetNames", f"no names of {count} targets, expected one each"
         elif names is not None and (not isinstance(names, list) or len(names) != count):
-            found = len(names) if isinstance(names, list) else "no"
-            yield f"{where}/extras/targetNames", f"{found} names, expected {count}"
+            count_there = len(names) if isinstance(names, list) else "no"
+            yield f"{where}/extras/targetNames", f"{count_there} names, expected {count}"
         weights = mesh.get("weights")
         if weights is not None and (not isinstance(weights, list) or len(weights) != count):
-            found = len(weights) if isinstance(weights, list) else "no"
-            yield f"{where}/weights", f"{found} weights, expected {count}"
+            count_there = len(weights) if isinstance(weights, list) else "no"
+            yield f"{where}/weights", f"{count_there} weights, expected {count}"
 
 
 def asset(document: RawDocument) -> Iterator[Problem]:

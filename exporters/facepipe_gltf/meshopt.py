@@ -112,12 +112,12 @@ def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
     header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
     answer = _run(b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)]))
     at = 0
-    for one in streams:
+    for stream in streams:
         (length,) = struct.unpack_from("<I", answer, at)
-        data, again = answer[at + 4 : at + 4 + length], answer[at + 4 + length : at + 4 + length + len(one.data)]
-        at += 4 + length + len(one.data)
-        if again != one.data:
-            raise ExportError(_WHERE, f"{one.mode} are not the same when decoded again, expected no loss")
+        data, again = answer[at + 4 : at + 4 + length], answer[at + 4 + length : at + 4 + length + len(stream.data)]
+        at += 4 + length + len(stream.data)
+        if again != stream.data:
+            raise ExportError(_WHERE, f"{stream.mode} are not the same when decoded again, expected no loss")
         yield data
 
 

@@ -89,17 +89,17 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
     )
     return [main] + [
         Sculpt(
-            name=f"{shape.name}_{one.name}",
-            label=f"{shape.name}_{one.name}",
+            name=f"{shape.name}_{inbetween.name}",
+            label=f"{shape.name}_{inbetween.name}",
             shape=shape.name,
-            weight=one.weight,
-            knots=knots[one.weight],
+            weight=inbetween.weight,
+            knots=knots[inbetween.weight],
             is_inbetween=True,
             point_indices=shape.point_indices,
-            offsets=one.offsets,
-            normal_offsets=one.normal_offsets,
+            offsets=inbetween.offsets,
+            normal_offsets=inbetween.normal_offsets,
         )
-        for one in shape.inbetweens
+        for inbetween in shape.inbetweens
     ]
 
 
@@ -137,12 +137,12 @@ def blocks(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray)
     with_normals = any(one.normal_offsets is not None for one in sculpts)
     block: list[Sculpt] = []
     rows = 0
-    for one in sculpts:
-        if block and rows + len(one.point_indices) > _BLOCK:
+    for sculpt in sculpts:
+        if block and rows + len(sculpt.point_indices) > _BLOCK:
             yield _morphs(block, placement, normals, with_normals)
             block, rows = [], 0
-        block.append(one)
-        rows += len(one.point_indices)
+        block.append(sculpt)
+        rows += len(sculpt.point_indices)
     if block:
         yield _morphs(block, placement, normals, with_normals)
 

@@ -58,13 +58,13 @@ class _Field(NamedTuple):
 
 @cache
 def _fields(kind: Any) -> tuple[_Field, ...]:
-    found = []
+    described = []
     hints = get_type_hints(kind)
-    for one in fields(kind):
-        inner = next((part for part in _parts(hints[one.name]) if part.__module__ == kind.__module__), None)
-        empty: Any = one.default_factory if one.default_factory in (list, dict) else None
-        found.append(_Field(one.name, empty, inner))
-    return tuple(found)
+    for field in fields(kind):
+        inner = next((part for part in _parts(hints[field.name]) if part.__module__ == kind.__module__), None)
+        empty: Any = field.default_factory if field.default_factory in (list, dict) else None
+        described.append(_Field(field.name, empty, inner))
+    return tuple(described)
 
 
 def _parts(hint: Any) -> list[Any]:

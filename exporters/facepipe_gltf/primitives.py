@@ -121,8 +121,11 @@ class PrimitiveWriter:
         }
         if targets:
             primitive["targets"] = [
-                {name: self._buffers.add_morph(rows, count, bounds=name == "POSITION") for name, rows in one.items()}
-                for one in targets
+                {
+                    name: self._buffers.add_morph(rows, count, bounds=name == "POSITION")
+                    for name, rows in rows_by_attribute.items()
+                }
+                for rows_by_attribute in targets
             ]
         return primitive
 
@@ -182,13 +185,13 @@ class PrimitiveWriter:
             morphs = without_small(block, self._smallest)
             offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))
             normal_tables = self._normal_tables(morphs)
-            for own, vertices in zip(targets, primitives, strict=True):
+            for of_primitive, vertices in zip(targets, primitives, strict=True):
                 positions = rows_of(offsets, vertices)
                 if normal_tables:
                     pairs = zip(positions, _normal_rows(normal_tables, vertices), strict=True)
-                    own += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
+                    of_primitive += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
                 else:
-                    own += [{"POSITION": rows} for rows in positions]
+                    of_primitive += [{"POSITION": rows} for rows in positions]
         return targets
 
     def _normal_tables(self, morphs: Morphs) -> list[Table]:

@@ -47,21 +47,21 @@ class RawDocument:
 
     def item(self, name: str, index: object) -> Json | None:
         """One object of a top-level array; None where there is none of that index."""
-        found = self.json.get(name)
-        if not isinstance(found, list) or not is_index(index) or index >= len(found):
+        objects = self.json.get(name)
+        if not isinstance(objects, list) or not is_index(index) or index >= len(objects):
             return None
-        return found[index] if isinstance(found[index], dict) else {}
+        return objects[index] if isinstance(objects[index], dict) else {}
 
     def accessor(self, index: object) -> FloatArray:
         """(count, width) float64 values, integers as they are unless normalised.
 
         :raises InputError: it is not there, or asks for bytes that its buffer doesn't have
         """
-        found = self._accessors.get(str(index))
-        if found is None:
-            found = accessor(self._document, Value(index, self._document.root.trail))
-            self._accessors[str(index)] = found
-        return numbers(self._document, found)
+        checked = self._accessors.get(str(index))
+        if checked is None:
+            checked = accessor(self._document, Value(index, self._document.root.trail))
+            self._accessors[str(index)] = checked
+        return numbers(self._document, checked)
 
     def maybe(self, index: object) -> FloatArray | None:
         """The accessor, or None where it can't be read (which the check of accessors reports)."""
@@ -84,11 +84,11 @@ def children(node: Json) -> list[int]:
 
 def parents(document: RawDocument) -> dict[int, list[int]]:
     """Every node that is a child -> the nodes that name it."""
-    found: dict[int, list[int]] = {}
+    above: dict[int, list[int]] = {}
     for i, node in enumerate(document.items("nodes")):
         for child in children(node):
-            found.setdefault(child, []).append(i)
-    return found
+            above.setdefault(child, []).append(i)
+    return above
 
 
 def local_matrix(node: Json) -> FloatArray:

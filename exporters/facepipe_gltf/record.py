@@ -165,14 +165,14 @@ def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
 
 def _animation_husk(animation: Animation, joints: Collection[str], shapes: Collection[str]) -> Animation:
     """The animation of what is in the file."""
-    own = tuple(joint for joint in animation.joints if joint in joints)
+    moved = tuple(joint for joint in animation.joints if joint in joints)
     driven = tuple(shape for shape in animation.shapes if shape in shapes)
     held: dict[str, Any] = {
-        name: NONE if own and getattr(animation, name) is not None else None
+        name: NONE if moved and getattr(animation, name) is not None else None
         for name in ("translations", "rotations", "scales", "coefficients")
     }
     weights = NONE if driven and animation.shape_weights is not None else None
-    return replace(animation, joints=own, shapes=driven if weights is not None else (), shape_weights=weights, **held)
+    return replace(animation, joints=moved, shapes=driven if weights is not None else (), shape_weights=weights, **held)
 
 
 def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:

@@ -162,9 +162,9 @@ def material_groups(mesh: Mesh) -> tuple[list[str | None], IntArray]:
     """Materials of a mesh, its own first, and the number (faces,) among them that each face shows."""
     names = list(dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)]))
     number = np.zeros(len(mesh.face_vertex_counts), np.int64)
-    for one in mesh.material_faces:
-        faces = np.asarray(one.faces, dtype=np.int64)
+    for shown in mesh.material_faces:
+        faces = np.asarray(shown.faces, dtype=np.int64)
         if faces.size and not (faces.min() >= 0 and faces.max() < len(number)):
-            raise InputError(f"{mesh.name} -> {one.material}", f"faces outside 0..{len(number) - 1}")
-        number[faces] = names.index(one.material)
+            raise InputError(f"{mesh.name} -> {shown.material}", f"faces outside 0..{len(number) - 1}")
+        number[faces] = names.index(shown.material)
     return names, number

@@ -101,12 +101,12 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
     """
     above = parents(document)
     asset = document.json.get("asset")
-    own = isinstance(asset, dict) and str(asset.get("generator")).startswith("facepipe ")
+    by_facepipe = isinstance(asset, dict) and str(asset.get("generator")).startswith("facepipe ")
     for i, skin in enumerate(document.items("skins")):
         joints, matrices = joints_of(skin), _inverse_binds(document, skin)
         if min(joints, default=-1) < 0 or max(joints) >= len(document.items("nodes")):
             continue
-        if own and sorted(joints) != joints:
+        if by_facepipe and sorted(joints) != joints:
             late = next(a for a, b in zip(joints[1:], joints, strict=False) if a < b)
             yield f"/skins/{i}/joints", f"node {late} stands after a later one, expected the order they were written in"
         elif matrices is not None and len(matrices) == len(joints) and np.isfinite(matrices).all():

@@ -165,10 +165,10 @@ def merged(channels: Sequence[Channel], textures: Textures) -> Pixels | None:
         return None
     height, width = max((plane.shape for plane in present), key=lambda size: size[0] * size[1])
     planes = []
-    for one, found in zip(channels, loaded, strict=True):
+    for channel, loaded_plane in zip(channels, loaded, strict=True):
         white = np.full((height, width), 255, np.uint8)
-        plane = white if found is None else _resized(found, height, width)
-        planes.append(255 - plane if one.inverted else plane)
+        plane = white if loaded_plane is None else _resized(loaded_plane, height, width)
+        planes.append(255 - plane if channel.inverted else plane)
     return np.stack(planes, axis=-1)
 
 

@@ -56,12 +56,12 @@ def _check_khronos(path: Path) -> list[Finding]:
 def _findings(path: Path, issues: list[dict[str, Any]]) -> list[Finding]:
     """A finding per error and warning, and one per kind of note."""
     notes = Counter(issue["code"] for issue in issues if issue["severity"] == 2)
-    found = []
+    findings = []
     for issue in issues:
         times = notes.pop(issue["code"], 0) if issue["severity"] == 2 else 1
         if times and issue["severity"] < len(_SEVERITIES):
             message = " ".join(str(issue["message"]).split())
-            found.append(
+            findings.append(
                 Finding(
                     check=f"khronos:{issue['code']}",
                     severity=_SEVERITIES[issue["severity"]],
@@ -69,7 +69,7 @@ def _findings(path: Path, issues: list[dict[str, Any]]) -> list[Finding]:
                     message=f"{message} ({times} times)" if times > 1 else message,
                 )
             )
-    return found
+    return findings
 
 
 def _report(node: str, path: Path) -> Any:

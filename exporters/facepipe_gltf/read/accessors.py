@@ -77,28 +77,28 @@ def floats(document: Document, reference: Value, *types: str, count: int | None 
 
     :raises InputError: not `count` elements, non-finite values, or what `accessor` raises
     """
-    found = accessor(document, reference, *types)
-    _expect_count(found, reference, count)
-    document.budget.spend(found.count * found.components * 8, found.value)
-    if found.base is None:
-        result = np.zeros((found.count, found.components), np.float32)
+    checked = accessor(document, reference, *types)
+    _expect_count(checked, reference, count)
+    document.budget.spend(checked.count * checked.components * 8, checked.value)
+    if checked.base is None:
+        result = np.zeros((checked.count, checked.components), np.float32)
     else:
-        result = _to_floats(found, found.base)
-    if found.sparse is not None:
-        result[found.sparse[0]] = _to_floats(found, found.sparse[1])
+        result = _to_floats(checked, checked.base)
+    if checked.sparse is not None:
+        result[checked.sparse[0]] = _to_floats(checked, checked.sparse[1])
     return result
 
 
-def numbers(document: Document, found: Accessor) -> FloatArray:
+def numbers(document: Document, checked: Accessor) -> FloatArray:
     """(count, components) float64, integers normalised where the accessor says so, NaN and infinity as they are.
 
     :raises InputError: far more numbers than the file holds
     """
-    document.budget.check(found.count * found.components * 8, found.value)
-    result = np.zeros((found.count, found.components)) if found.base is None else found.base.astype(np.float64)
-    if found.sparse is not None:
-        result[found.sparse[0]] = found.sparse[1]
-    return _fractions(found, result)
+    document.budget.check(checked.count * checked.components * 8, checked.value)
+    result = np.zeros((checked.count, checked.components)) if checked.base is None else checked.base.astype(np.float64)
+    if checked.sparse is not None:
+        result[checked.sparse[0]] = checked.sparse[1]
+    return _fractions(checked, result)
 
 
 def integers(document: Document, reference: Value, kind: str, *, count: int | None = None) -> IntArray:
@@ -106,37 +106,37 @@ def integers(document: Document, reference: Value, kind: str, *, count: int | No
 
     :raises InputError: signed or float components, not `count` elements, or what `accessor` raises
     """
-    found = accessor(document, reference, kind)
-    _expect_count(found, reference, count)
-    if found.dtype.kind != "u":
-        raise found.value.error("signed or float components, expected unsigned integers")
-    document.budget.spend(found.count * found.components * 8, found.value)
-    shape = (found.count, found.components)
-    result: npt.NDArray[Any] = np.zeros(shape, found.dtype) if found.base is None else np.array(found.base)
-    if found.sparse is not None:
-        result[found.sparse[0]] = found.sparse[1]
+    checked = accessor(document, reference, kind)
+    _expect_count(checked, reference, count)
+    if checked.dtype.kind != "u":
+        raise checked.value.error("signed or float components, expected unsigned integers")
+    document.budget.spend(checked.count * checked.components * 8, checked.value)
+    shape = (checked.count, checked.components)
+    result: npt.NDArray[Any] = np.zeros(shape, checked.dtype) if checked.base is None else np.array(checked.base)
+    if checked.sparse is not None:
+        result[checked.sparse[0]] = checked.sparse[1]
     return result
 
 
 def deltas(document: Document, reference: Value, count: int) -> Deltas:
     """The non-zero rows of a VEC3 accessor of `count` elements; zeros behind sparse data are never allocated."""
-    found = accessor(document, reference, "VEC3")
-    _expect_count(found, reference, count)
-    if found.base is None and found.sparse is None:
+    checked = accessor(document, reference, "VEC3")
+    _expect_count(checked, reference, count)
+    if checked.base is None and checked.sparse is None:
         return Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
-    if found.base is None and found.sparse is not None:
-        indices, values = found.sparse[0], _to_floats(found, found.sparse[1])
+    if checked.base is None and checked.sparse is not None:
+        indices, values = checked.sparse[0], _to_floats(checked, checked.sparse[1])
     else:
         values = floats(document, reference, "VEC3")
         indices = np.arange(count)
     moved = np.any(values != 0.0, axis=1)
-    document.budget.spend(16 * int(np.count_nonzero(moved)), found.value)
+    document.budget.spend(16 * int(np.count_nonzero(moved)), checked.value)
     return Deltas(np.asarray(indices)[moved].astype(np.int64), values[moved])
 
 
-def _expect_count(found: Accessor, reference: Value, count: int | None) -> None:
-    if count is not None and found.count != count:
-        raise reference.error(f"{found.value.place} has {found.count} elements, expected {count}")
+def _expect_count(checked: Accessor, reference: Value, count: int | None) -> None:
+    if count is not None and checked.count != count:
+        raise reference.error(f"{checked.value.place} has {checked.count} elements, expected {count}")
 
 
 def _dtype(value: Value) -> np.dtype[np.generic]:
@@ -203,16 +203,16 @@ def _packed(document: Document, value: Value, count: int, components: int, dtype
     return _strided(document, value, reference, count, components, dtype, components * dtype.itemsize)
 
 
-def _to_floats(found: Accessor, raw: RawArray) -> FloatArray:
+def _to_floats(checked: Accessor, raw: RawArray) -> FloatArray:
     values = raw.astype(np.float32)
-    if found.dtype.kind == "f" and not np.isfinite(values).all():
-        raise found.value.error(f"non-finite value at element {int(np.argmin(np.isfinite(values).all(axis=1)))}")
-    return _fractions(found, values)
+    if checked.dtype.kind == "f" and not np.isfinite(values).all():
+        raise checked.value.error(f"non-finite value at element {int(np.argmin(np.isfinite(values).all(axis=1)))}")
+    return _fractions(checked, values)
 
 
-def _fractions(found: Accessor, values: FloatArray) -> FloatArray:
+def _fractions(checked: Accessor, values: FloatArray) -> FloatArray:
     """Integers as the fractions they stand for where they are normalised (section 3.11), in place."""
-    if found.normalized and found.dtype.kind != "f":
-        values /= values.dtype.type(np.iinfo(found.dtype).max)  # type: ignore[type-var]
+    if checked.normalized and checked.dtype.kind != "f":
+        values /= values.dtype.type(np.iinfo(checked.dtype).max)  # type: ignore[type-var]
         np.maximum(values, -1.0, out=values)
     return values

@@ -108,7 +108,7 @@ def _on_frames(animation: Animation, rate: float) -> Animation:
 
 def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]]) -> list[Channel]:
     samplers = value.require("samplers").items()
-    found: dict[tuple[int, str], Channel] = {}
+    channels: dict[tuple[int, str], Channel] = {}
     left_out = 0
     for channel in value.require("channels").items():
         target = channel.require("target")
@@ -118,17 +118,17 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         if not moves_joint and not (path == "weights" and index in shapes):
             left_out += 1
             continue
-        if (index, path) in found:
+        if (index, path) in channels:
             raise channel.error(f"a second channel for {path} of nodes[{index}]")
         reference = channel.require("sampler")
         number = reference.integer()
         if number >= len(samplers):
             raise reference.error(f"{number}, but there are {len(samplers)} samplers")
         kind, width = _PATHS[path] if path in _PATHS else ("SCALAR", len(shapes[index]))
-        found[index, path] = Channel(index, path, read_sampler(document, samplers[number], kind, width))
+        channels[index, path] = Channel(index, path, read_sampler(document, samplers[number], kind, width))
     if left_out:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
-    return list(found.values())
+    return list(channels.values())
 
 
 def _animation(
@@ -147,14 +147,14 @@ def _animation(
     document.budget.spend(8 * len(times) * width, value)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
-    own = given_name(value)
+    label = given_name(value)
     return _with_exact_scales(
         document,
         value,
         joints,
         Animation(
             name=name,
-            label=own if own != name else None,
+            label=label if label != name else None,
             times=times if len(times) > 1 else None,
             joints=tuple(joints.skeleton.joints[joint] for joint in moved),
             translations=None if motion is None else motion[0].astype(np.float32),
@@ -233,16 +233,16 @@ def _shape_motion(
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Shape names and weights (t, s). A shape's weight is the sum of its targets' activations times their weights:
     this undoes the activation curves of inbetweens, which are piecewise linear."""
-    found: dict[str, FloatArray] = {}
+    by_shape: dict[str, FloatArray] = {}
     for channel in channels:
         values = channel.at(times)
-        own: dict[str, FloatArray] = {}
+        of_channel: dict[str, FloatArray] = {}
         for role, column in zip(shapes[channel.node], values.T, strict=True):
-            own[role.shape] = own.get(role.shape, 0.0) + role.weight * column
-        for shape, weights in own.items():
-            if shape in found and np.abs(found[shape] - weights).max() > _ALIKE:
+            of_channel[role.shape] = of_channel.get(role.shape, 0.0) + role.weight * column
+        for shape, weights in of_channel.items():
+            if shape in by_shape and np.abs(by_shape[shape] - weights).max() > _ALIKE:
                 document.warn(value, f"the meshes move the shape {shape} differently: the first is kept")
-            found.setdefault(shape, weights)
-    if not found:
+            by_shape.setdefault(shape, weights)
+    if not by_shape:
         return (), None
-    return tuple(found), np.stack(list(found.values()), axis=1).astype(np.float32)
+    return tuple(by_shape), np.stack(list(by_shape.values()), axis=1).astype(np.float32)

@@ -80,7 +80,7 @@ class Assembly:
     joints: Joints
     materials: list[str]
     weld: bool
-    own: bool = False  # a file of ours: what places its meshes is in the record
+    recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
     _built: dict[tuple[int, int], tuple[Mesh, Geometry] | None] = field(default_factory=dict)
@@ -100,17 +100,17 @@ class Assembly:
         key = (mesh_index, skin)
         if key not in self._built:
             self._built[key] = self._build(mesh_index, skin)
-        found = self._built[key]
-        if found is None:
+        built = self._built[key]
+        if built is None:
             document.warn(value, "its mesh has no triangles: left out")
             return None
-        mesh, geometry = found
+        mesh, geometry = built
         if geometry.vertices.targets:
             count = len(geometry.vertices.targets)
             self.roles[node] = morphs.roles(document, geometry.value, count, self.shape_names)
             self._note_weights(value)
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
-        if self.own:
+        if self.recorded:
             return named
         if skin >= 0:
             return _placed(named, self.joints.skins[skin].geom_bind)
@@ -122,10 +122,10 @@ class Assembly:
         if geometry is None:
             return None
         slots = None if skin < 0 else self.joints.skins[skin].slots
-        mesh = meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.own)
+        mesh = meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.recorded)
         used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
         sides = [materials.is_double_sided(document, number) for number in used]
-        if len(set(sides)) > 1 and not self.own:
+        if len(set(sides)) > 1 and not self.recorded:
             document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
         return replace(mesh, double_sided=any(sides)), geometry
 
@@ -154,5 +154,5 @@ def _exact(mesh: Mesh) -> str | None:
 
 def _named(mesh: Mesh, name: str) -> Mesh:
     """The mesh called `name`; of its labels what differs from that stays."""
-    own, data = _exact(mesh), mesh.data_label
-    return replace(mesh, name=name, label=own if own != name else None, data_label=data if data != own else None)
+    exact, data = _exact(mesh), mesh.data_label
+    return replace(mesh, name=name, label=exact if exact != name else None, data_label=data if data != exact else None)

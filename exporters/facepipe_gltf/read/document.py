@@ -214,22 +214,22 @@ def _chunks(data: bytes, trail: str) -> tuple[bytes, bytes | None]:
         raise InputError(trail, f"GLB version {version}, expected 2")
     if length > len(data):
         raise InputError(trail, f"truncated: {len(data)} bytes, the header says {length}")
-    found: dict[int, bytes] = {}
+    chunks: dict[int, bytes] = {}
     offset = 12
     while offset + 8 <= length:
         size, kind = struct.unpack_from("<II", data, offset)
         if offset + 8 + size > length:
             raise InputError(trail, f"chunk at byte {offset} of {size} bytes ends beyond the file's {length}")
-        if not found and kind != _JSON_CHUNK:
+        if not chunks and kind != _JSON_CHUNK:
             raise InputError(trail, "the first chunk is not JSON")
         if kind in (_JSON_CHUNK, _BINARY_CHUNK):
-            if kind in found:
+            if kind in chunks:
                 raise InputError(trail, f"a second {'JSON' if kind == _JSON_CHUNK else 'BIN'} chunk at byte {offset}")
-            found[kind] = data[offset + 8 : offset + 8 + size]
+            chunks[kind] = data[offset + 8 : offset + 8 + size]
         offset += 8 + size
-    if _JSON_CHUNK not in found:
+    if _JSON_CHUNK not in chunks:
         raise InputError(trail, "no JSON chunk")
-    return found[_JSON_CHUNK], found.get(_BINARY_CHUNK)
+    return chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
 
 
 def _check_version(document: Document) -> None:

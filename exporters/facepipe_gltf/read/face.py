@@ -52,16 +52,16 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
     record = read_record(document) if options.weld else None
     if record is not None:
         try:
-            read = _read(document, source, options, own=True)
+            read = _read(document, source, options, recorded=True)
             if options.fps is not None:
                 record = resampled(record, read)
             face = filled(document, record, read)
-            _note_losses(document, own=True)
+            _note_losses(document, ours=True)
             return _with_recipe(face, document, source, options)
         except InputError as error:
             document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
     face = _read(document, source, options)
-    _note_losses(document, own=False)
+    _note_losses(document, ours=False)
     return face
 
 
@@ -72,12 +72,12 @@ def _with_recipe(face: FaceParts, document: Document, source: Path, options: Opt
     return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))
 
 
-def _read(document: Document, source: Path, options: Options, *, own: bool = False) -> FaceParts:
-    """:param own: leave meshes where the file has them, as our record does the rest"""
+def _read(document: Document, source: Path, options: Options, *, recorded: bool = False) -> FaceParts:
+    """:param recorded: leave meshes where the file has them, as our record does the rest"""
     nodes = read_nodes(document, options.scene)
     joints = read_joints(document, nodes)
     materials = material_names(document)  # the last stands for none
-    assembly = Assembly(document, nodes, joints, materials, options.weld, own)
+    assembly = Assembly(document, nodes, joints, materials, options.weld, recorded)
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
@@ -134,16 +134,16 @@ def _check_finite(document: Document, parts: FaceParts) -> None:
             raise InputError(f"{document.root.trail} -> {animation.name}", "values that are not finite")
 
 
-def _note_losses(document: Document, *, own: bool) -> None:
+def _note_losses(document: Document, *, ours: bool) -> None:
     """Warn of extras, tangents, cameras and the like that the document has.
 
-    :param own: facepipe wrote it, so that exports compute its tangents anew
+    :param ours: facepipe wrote it, so that exports compute its tangents anew
     """
     for kind in _KINDS:
         _note_extras(document, kind, document.entries(kind))
     primitives = [one for mesh in document.entries("meshes") for one in members(mesh.get("primitives"))]
     _note_extras(document, "primitives", primitives)
-    if not own:
+    if not ours:
         _note_tangents(document, primitives)
     cameras = len(document.entries("cameras"))
     if cameras:
@@ -162,9 +162,9 @@ def _note_extras(document: Document, kind: str, values: Sequence[Value]) -> None
     keys: dict[str, None] = {}
     owners = 0
     for value in values:
-        own = list(_extras(value))
-        owners += bool(own)
-        keys.update(dict.fromkeys(own))
+        unread = list(_extras(value))
+        owners += bool(unread)
+        keys.update(dict.fromkeys(unread))
     if owners:
         listed = ", ".join([*list(keys)[:_LISTED], *(["..."] if len(keys) > _LISTED else [])])
         what = kind if owners > 1 else kind.removesuffix("s") if kind != "meshes" else "mesh"

@@ -134,10 +134,10 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     ior = _extension(value, "KHR_materials_ior")
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
     coat = _extension(value, "KHR_materials_clearcoat") or empty
-    own = given_name(value)
+    label = given_name(value)
     return Material(
         name=name,
-        label=own if own != name else None,
+        label=label if label != name else None,
         diffuse_color=_color(textures, surface.get("baseColorTexture"), base),
         emissive_color=_emission(textures, value),
         metallic=_scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal),
@@ -242,14 +242,16 @@ def _factors(value: Value, key: str, count: int, default: float) -> tuple[float,
     return (default,) * count if factors is None else factors.numbers(count)
 
 
-def with_recorded_images(document: Document, own: Sequence[Material], read: Sequence[Material]) -> tuple[Material, ...]:
+def with_recorded_images(
+    document: Document, recorded: Sequence[Material], read: Sequence[Material]
+) -> tuple[Material, ...]:
     """Recorded materials of a file of ours with the file's images; one whose images it lacks is as it was read."""
     images = {
         image_digest(used.texture.data): used.texture.data for one in read for used in texture_inputs(one).values()
     }
     by_name = {one.name: one for one in read}
     result = []
-    for material in own:
+    for material in recorded:
         if all(used.texture.data in images for used in texture_inputs(material).values()):
             result.append(with_image_data(material, images.__getitem__))
             continue

@@ -24,7 +24,7 @@ def _landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, 
     listed = None if ours is None else ours.get("landmarks")
     if listed is None:
         return {}
-    found = {}
+    landmarks = {}
     for scheme in listed.member_names():
         try:
             entry = listed.require(scheme)
@@ -32,10 +32,10 @@ def _landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, 
             names = tuple(one.text() for one in entry.require("names").items())
             if names and len(names) != len(points):
                 raise entry.error(f"{len(names)} names, expected {len(points)}")
-            found[scheme] = Landmarks(indices=np.array(points, np.int32), names=names)
+            landmarks[scheme] = Landmarks(indices=np.array(points, np.int32), names=names)
         except (InputError, KeyError) as error:
             _warn(document, listed, error)
-    return found
+    return landmarks
 
 
 def _anchor(document: Document, geometry: Geometry, weld: Weld) -> int | None:
@@ -77,7 +77,7 @@ def build_mesh(
     weld: bool,
     slots: IntArray | None,
     materials: Sequence[str],
-    own: bool = False,
+    recorded: bool = False,
 ) -> Mesh:
     """A mesh, its name and transform still to be set.
 
@@ -85,14 +85,14 @@ def build_mesh(
     :param weld: merge vertices into points (`_FACEPIPE_POINT` decides where the file has it)
     :param slots: joint of the skeleton for every joint of the skin; None: no skin
     :param materials: names of all materials of the document
-    :param own: the file's record has landmarks and the like, and counts on its points
+    :param recorded: the file's record has landmarks and the like, and counts on its points
     :raises InputError: no triangles, or points other than the record's
     """
     vertices = geometry.vertices
-    welded = _numbered(geometry) if own else _weld(document, geometry, weld)
+    welded = _numbered(geometry) if recorded else _weld(document, geometry, weld)
     corners, kept = _faces(document, geometry, welded)
     points = welded.points[corners].ravel()
-    shown = _materials(document, geometry, materials, own)
+    shown = _materials(document, geometry, materials, recorded)
     bound = [shown[number] for number in np.unique(geometry.materials[kept]).tolist()]
     return Mesh(
         name="mesh",
@@ -104,8 +104,8 @@ def build_mesh(
         colors=_colors(document, geometry, welded),
         skin=None if slots is None else _skin(document, geometry, welded, slots),
         blendshapes=morphs.blendshapes(document, geometry, welded, names),
-        landmarks={} if own else _landmarks(document, geometry, welded),
-        anchor=None if own else _anchor(document, geometry, welded),
+        landmarks={} if recorded else _landmarks(document, geometry, welded),
+        anchor=None if recorded else _anchor(document, geometry, welded),
         material=bound[0] if len(bound) == 1 else None,
         material_faces=_material_faces(geometry.materials[kept], shown) if len(bound) > 1 else (),
     )
@@ -118,32 +118,32 @@ def uv_name(number: int) -> str:
 
 def _numbered(geometry: Geometry) -> Weld:
     numbers = geometry.vertices.point_numbers
-    found = None if numbers is None else welds.by_number(geometry, numbers)
-    if found is None:
+    welded = None if numbers is None else welds.by_number(geometry, numbers)
+    if welded is None:
         raise geometry.value.error("its _FACEPIPE_POINT is gone or joins vertices that lie apart")
-    return found
+    return welded
 
 
 def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:
     vertices = geometry.vertices
     numbers = vertices.point_numbers
     if numbers is not None and weld:
-        found = welds.by_number(geometry, numbers)
-        if found is not None:
-            missing = int(numbers.max()) + 1 - len(found.vertices)
+        welded = welds.by_number(geometry, numbers)
+        if welded is not None:
+            missing = int(numbers.max()) + 1 - len(welded.vertices)
             if missing:
                 document.warn(geometry.value, f"{missing} points are in no triangle: left out, numbers closed up")
-            return found
+            return welded
         document.warn(
             geometry.value, "_FACEPIPE_POINT joins vertices that lie apart: equal positions are welded instead"
         )
     if not weld:
         return welds.none(vertices)
-    found = welds.by_value(geometry)
-    unused = int(np.count_nonzero(found.points < 0))
+    welded = welds.by_value(geometry)
+    unused = int(np.count_nonzero(welded.points < 0))
     if unused:
         document.warn(geometry.value, f"{unused} vertices are in no triangle: left out")
-    return found
+    return welded
 
 
 def _faces(document: Document, geometry: Geometry, weld: Weld) -> tuple[IntArray, IntArray]:
@@ -213,11 +213,13 @@ def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -
     return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights[:, :used])
 
 
-def _materials(document: Document, geometry: Geometry, materials: Sequence[str], own: bool) -> Mapping[int, str | None]:
+def _materials(
+    document: Document, geometry: Geometry, materials: Sequence[str], recorded: bool
+) -> Mapping[int, str | None]:
     """The material by its number; -1 is glTF's default one, or none where display colours are to show."""
     result: dict[int, str | None] = dict(enumerate(materials[:-1]))
     result[-1] = materials[-1]
-    if geometry.vertices.colors is not None and not own:
+    if geometry.vertices.colors is not None and not recorded:
         result[-1] = None
         if (geometry.materials < 0).any():
             document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")

@@ -37,7 +37,7 @@ def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Ro
     originals = _target_names(document, mesh, count)
     folded = _inbetweens(document, mesh, originals)
     seen: Counter[str] = Counter()
-    found: dict[int, Role] = {}
+    by_number: dict[int, Role] = {}
     shapes: dict[str, str] = {}
     for number, original in enumerate(originals):
         if number in folded:
@@ -46,13 +46,13 @@ def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Ro
         shape = names.same(base, seen[base])
         seen[base] += 1
         shapes.setdefault(original, shape)
-        found[number] = Role(shape, label=original if original != shape else None)
+        by_number[number] = Role(shape, label=original if original != shape else None)
     inbetweens: dict[str, Names] = {}
     for number, (original, weight) in folded.items():
         stem = originals[number].removeprefix(f"{original}_")
-        own = inbetweens.setdefault(original, Names())
-        found[number] = Role(shapes[original], weight, own.new(identifier(stem, "inbetween")))
-    return tuple(found[number] for number in range(count))
+        inbetween_names = inbetweens.setdefault(original, Names())
+        by_number[number] = Role(shapes[original], weight, inbetween_names.new(identifier(stem, "inbetween")))
+    return tuple(by_number[number] for number in range(count))
 
 
 def blendshapes(document: Document, geometry: Geometry, weld: Weld, names: Names) -> tuple[Blendshape, ...]:
@@ -157,13 +157,13 @@ def _inbetweens(document: Document, mesh: Value, originals: list[str]) -> dict[i
     listed = ours.get("inbetweens") if ours is not None else None
     if listed is None:
         return {}
-    found: dict[int, tuple[str, float]] = {}
+    inbetweens: dict[int, tuple[str, float]] = {}
     for target in listed.member_names():
         entry = listed.require(target)
         shape, weight = entry.require("shape").text(), entry.require("weight").number()
         known = target in originals and shape in originals and target != shape and shape not in listed.member_names()
-        if not known or weight in (0.0, 1.0) or (shape, weight) in found.values():
+        if not known or weight in (0.0, 1.0) or (shape, weight) in inbetweens.values():
             document.warn(entry, "names no target and shape with a weight of their own: it stays a shape")
             continue
-        found[originals.index(target)] = (shape, weight)
-    return found
+        inbetweens[originals.index(target)] = (shape, weight)
+    return inbetweens

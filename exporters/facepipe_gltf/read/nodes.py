@@ -125,10 +125,10 @@ def _scene_roots(document: Document, scene: int | None, roots: list[int], parent
     if not scenes:
         return roots
     chosen = scene if scene is not None else (default.integer() if default is not None else 0)
-    found: dict[int, None] = {}
+    listed: dict[int, None] = {}
     for reference in members(scenes[chosen].get("nodes")):
         node = document.index("nodes", reference)
-        if parents[node] >= 0 or node in found:
+        if parents[node] >= 0 or node in listed:
             raise reference.error(f"nodes[{node}] is not a root or is listed twice")
-        found[node] = None
-    return list(found)
+        listed[node] = None
+    return list(listed)

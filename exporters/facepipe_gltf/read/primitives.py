@@ -96,12 +96,12 @@ def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
 
 
 def _uvs(document: Document, attributes: Value, count: int) -> dict[int, FloatArray]:
-    found = {}
+    uvs = {}
     for number in range(_MAX_SETS):
         reference = attributes.get(f"TEXCOORD_{number}")
         if reference is not None:
-            found[number] = accessors.floats(document, reference, "VEC2", count=count)
-    return found
+            uvs[number] = accessors.floats(document, reference, "VEC2", count=count)
+    return uvs
 
 
 def _colors(document: Document, primitive: Value, attributes: Value, count: int) -> FloatArray | None:

@@ -54,10 +54,10 @@ def read_record(document: Document) -> Record | None:
 
 def resampled(record: Record, read: FaceParts) -> Record:
     """The record with the key times of the animations that were read."""
-    own = record.face.animations
-    if len(own) != len(read.animations):
-        raise _misfit(f"{len(read.animations)} animations, expected {len(own)}")
-    clips = tuple(replace(one, times=other.times) for one, other in zip(own, read.animations, strict=True))
+    recorded = record.face.animations
+    if len(recorded) != len(read.animations):
+        raise _misfit(f"{len(read.animations)} animations, expected {len(recorded)}")
+    clips = tuple(replace(one, times=other.times) for one, other in zip(recorded, read.animations, strict=True))
     return replace(record, face=replace(record.face, animations=clips, frames_per_second=read.frames_per_second))
 
 
@@ -149,11 +149,11 @@ def _corners(husk: Mesh, record: MeshRecord, read: Mesh) -> tuple[IntArray, IntA
         raise _misfit(f"{len(triangles)} triangles of {husk.name}, expected {int((counts - 2).sum())}")
     of_triangle = triangulate(counts).faces
     groups = material_groups(husk)[1]
-    own = np.empty_like(triangles)
-    own[np.argsort(groups[of_triangle], kind="stable")] = triangles  # primitives are one a material
+    as_written = np.empty_like(triangles)
+    as_written[np.argsort(groups[of_triangle], kind="stable")] = triangles  # primitives are one a material
     first = np.concatenate([[True], of_triangle[1:] != of_triangle[:-1]])
-    pieces = np.where(first[:, None], own, -1)
-    pieces[~first, 2] = own[~first, 2]  # a fan: one more corner a triangle
+    pieces = np.where(first[:, None], as_written, -1)
+    pieces[~first, 2] = as_written[~first, 2]  # a fan: one more corner a triangle
     corners = pieces.ravel()
     return corners[corners >= 0], counts.astype(np.int32)
 
@@ -215,12 +215,14 @@ def _uv_sets(
     if len(husk.uv_sets) != len(read.uv_sets):
         raise _misfit(f"{len(read.uv_sets)} UV sets of {husk.name}, expected {len(husk.uv_sets)}")
     result = []
-    for own, found in zip(husk.uv_sets, read.uv_sets, strict=True):
-        if found.indices is not None:
-            result.append(UvSet(name=own.name, values=found.values, indices=found.indices[corners]))
+    for husk_set, read_set in zip(husk.uv_sets, read.uv_sets, strict=True):
+        if read_set.indices is not None:
+            result.append(UvSet(name=husk_set.name, values=read_set.values, indices=read_set.indices[corners]))
         else:
-            values = _spread(found.values, numbers, count)
-            result.append(UvSet(name=own.name, values=values, indices=None if own.indices is None else indices))
+            values = _spread(read_set.values, numbers, count)
+            result.append(
+                UvSet(name=husk_set.name, values=values, indices=None if husk_set.indices is None else indices)
+            )
     return tuple(result)
 
 
@@ -245,24 +247,24 @@ def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
 def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directions) -> tuple[Blendshape, ...]:
     normals = _point_normals(husk, read)
     result = []
-    for own, found in zip(husk.blendshapes, read.blendshapes, strict=True):
-        at = normals[found.point_indices] if normals is not None else np.zeros((len(found.point_indices), 3))
-        if len(own.inbetweens) != len(found.inbetweens):
-            raise _misfit(f"{len(found.inbetweens)} inbetweens of {own.name}, expected {len(own.inbetweens)}")
-        by_weight = dict(zip(np.argsort([one.weight for one in own.inbetweens]), found.inbetweens, strict=True))
+    for shape, read_shape in zip(husk.blendshapes, read.blendshapes, strict=True):
+        at = normals[read_shape.point_indices] if normals is not None else np.zeros((len(read_shape.point_indices), 3))
+        if len(shape.inbetweens) != len(read_shape.inbetweens):
+            raise _misfit(f"{len(read_shape.inbetweens)} inbetweens of {shape.name}, expected {len(shape.inbetweens)}")
+        by_weight = dict(zip(np.argsort([one.weight for one in shape.inbetweens]), read_shape.inbetweens, strict=True))
         result.append(
             replace(
-                own,
-                point_indices=numbers[found.point_indices].astype(np.int32),
-                offsets=directions.offsets(found.offsets),
-                normal_offsets=_turned_offsets(own, found, at, directions),
+                shape,
+                point_indices=numbers[read_shape.point_indices].astype(np.int32),
+                offsets=directions.offsets(read_shape.offsets),
+                normal_offsets=_turned_offsets(shape, read_shape, at, directions),
                 inbetweens=tuple(
                     replace(
                         one,
                         offsets=directions.offsets(by_weight[i].offsets),
                         normal_offsets=_turned_offsets(one, by_weight[i], at, directions),
                     )
-                    for i, one in enumerate(own.inbetweens)
+                    for i, one in enumerate(shape.inbetweens)
                 ),
             )
         )
@@ -270,11 +272,11 @@ def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directi
 
 
 def _turned_offsets(
-    own: Blendshape | Inbetween, found: Blendshape | Inbetween, normals: FloatArray, directions: _Directions
+    husk: Blendshape | Inbetween, read: Blendshape | Inbetween, normals: FloatArray, directions: _Directions
 ) -> FloatArray | None:
-    if own.normal_offsets is None or found.normal_offsets is None:
+    if husk.normal_offsets is None or read.normal_offsets is None:
         return None
-    return directions.normal_offsets(found.normal_offsets, normals)
+    return directions.normal_offsets(read.normal_offsets, normals)
 
 
 def _point_normals(husk: Mesh, read: Mesh) -> FloatArray | None:

@@ -45,12 +45,12 @@ def filled_animations(
     :param shapes: names of the record's shapes
     :raises InputError: other animations than the record's
     """
-    own = record.face.animations
-    if not len(own) == len(read.animations) == len(record.joints) == len(record.shapes):
-        raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(own)}")
+    recorded = record.face.animations
+    if not len(recorded) == len(read.animations) == len(record.joints) == len(record.shapes):
+        raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(recorded)}")
     return tuple(
         _animation(record, read.skeleton, *one, new_names, shapes)
-        for one in zip(own, read.animations, record.joints, record.shapes, strict=True)
+        for one in zip(recorded, read.animations, record.joints, record.shapes, strict=True)
     )
 
 
@@ -85,11 +85,11 @@ def _rows(husk: Animation, read: Animation) -> IntArray:
         return np.zeros(1, np.int64)
     times = np.asarray(husk.times, np.float64)
     times = times - min(float(times.min(initial=0.0)), 0.0)
-    found = np.zeros(1) if read.times is None else np.asarray(read.times, np.float64)
-    after = np.minimum(np.searchsorted(found, times), len(found) - 1)
+    read_times = np.zeros(1) if read.times is None else np.asarray(read.times, np.float64)
+    after = np.minimum(np.searchsorted(read_times, times), len(read_times) - 1)
     before = np.maximum(after - 1, 0)
-    rows = np.where(np.abs(found[before] - times) < np.abs(found[after] - times), before, after)
-    if np.abs(found[rows] - times).max(initial=0.0) > _NEAR:
+    rows = np.where(np.abs(read_times[before] - times) < np.abs(read_times[after] - times), before, after)
+    if np.abs(read_times[rows] - times).max(initial=0.0) > _NEAR:
         raise InputError(f"facepipe -> {husk.name}", "other key times than facepipe wrote")
     return rows
 
@@ -107,8 +107,8 @@ def _moved(
     record: Record, skeleton: Skeleton, husk: Animation, read: Animation, rows: IntArray, joints: IntArray
 ) -> Animation:
     """The animation with the joint transforms, coefficients or both that it had."""
-    own = record.face.skeleton
-    local = np.repeat(np.asarray(own.rest_transforms, np.float64)[None], len(rows), axis=0)
+    recorded = record.face.skeleton
+    local = np.repeat(np.asarray(recorded.rest_transforms, np.float64)[None], len(rows), axis=0)
     if read.joints:
         place = {joint: i for i, joint in enumerate(skeleton.joints)}
         used = np.array([place[joint] for joint in read.joints])
@@ -117,7 +117,7 @@ def _moved(
     local = local[:, joints]
     values: dict[str, FloatArray | None] = {}
     if husk.coefficients is not None:
-        rest = np.asarray(own.rest_transforms, np.float64)[joints]
+        rest = np.asarray(recorded.rest_transforms, np.float64)[joints]
         values["coefficients"] = _at_rest_where_near(matrix_coefficients(np.linalg.inv(rest) @ local), rest)
     trs = decompose(local)
     for name, value in zip(("translations", "rotations", "scales"), trs[:3], strict=True):

@@ -115,10 +115,10 @@ def sample_times(channels: Sequence[Channel], fps: float | None) -> FloatArray:
         first = min(channel.sampler.times[0] for channel in channels)
         last = max(channel.sampler.times[-1] for channel in channels)
         return whole_frames(first, last, fps)
-    found = [channel.sampler.times for channel in channels]
-    found += [_holds(channel.sampler) for channel in channels if channel.sampler.mode == "STEP"]
-    found += [_bends(channel) for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    times = np.concatenate(found)
+    times_of_all = [channel.sampler.times for channel in channels]
+    times_of_all += [_holds(channel.sampler) for channel in channels if channel.sampler.mode == "STEP"]
+    times_of_all += [_bends(channel) for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
+    times = np.concatenate(times_of_all)
     return times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
 
 
@@ -157,26 +157,26 @@ def _holds(sampler: Sampler) -> FloatArray:
 def _bends(channel: Channel) -> FloatArray:
     """Times between keys that make lines of each curve, more where it bends more."""
     start, end = channel.sampler.times[:-1], channel.sampler.times[1:]
-    found: list[FloatArray] = [np.zeros(0)]
+    added: list[FloatArray] = [np.zeros(0)]
     lines = 1
     while len(start) and lines < _MOST:
         bent = _deviation(channel, start, end, lines) > _TOLERANCE[channel.path]
         start, end, lines = start[bent], end[bent], 2 * lines
-        found.append((start[:, None] + (end - start)[:, None] * (np.arange(1, lines) / lines)).ravel())
-    return np.concatenate(found)
+        added.append((start[:, None] + (end - start)[:, None] * (np.arange(1, lines) / lines)).ravel())
+    return np.concatenate(added)
 
 
 def _deviation(channel: Channel, start: FloatArray, end: FloatArray, lines: int) -> FloatArray:
     """(k,) largest distance of a channel from `lines` straight lines between each `start` and `end` (k,)."""
     points = lines * _WITHIN
     step = max(1, _AT_ONCE // ((points + 1) * channel.sampler.keys.shape[1]))
-    found: list[FloatArray] = [np.zeros(0)]
+    distances: list[FloatArray] = [np.zeros(0)]
     for first in range(0, len(start), step):
         begin, span = start[first : first + step, None], (end - start)[first : first + step, None]
         times = begin + span * (np.arange(points + 1) / points)
         values = channel.at(times.ravel()).reshape(*times.shape, -1)
-        found.append(_from_lines(values, channel.path == "rotation"))
-    return np.concatenate(found)
+        distances.append(_from_lines(values, channel.path == "rotation"))
+    return np.concatenate(distances)
 
 
 def _from_lines(values: FloatArray, rotation: bool) -> FloatArray:

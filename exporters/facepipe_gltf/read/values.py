@@ -113,10 +113,10 @@ class Value:
         return self.data
 
     def _expected(self, kind: str) -> InputError:
-        found = _TYPE_NAMES.get(type(self.data)) or _short(self.data)
+        shown = _TYPE_NAMES.get(type(self.data)) or _short(self.data)
         if isinstance(self.data, str):
-            found = f"the text {quote(self.data)}"
-        return self.error(f"is {found}, expected {kind}")
+            shown = f"the text {quote(self.data)}"
+        return self.error(f"is {shown}, expected {kind}")
 
 
 def members(value: Value | None) -> Iterator[Value]:

@@ -75,10 +75,12 @@ def turned_to_front(parts: FaceParts, figure: Figure) -> tuple[FaceParts, int]:
 def moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
     """The whole face moved by a rigid `matrix` (4, 4) of glTF space."""
     world = space_of(parts).world
-    own = np.linalg.inv(world) @ matrix @ world
-    meshes = tuple(replace(mesh, transform=own @ mesh.transform) for mesh in parts.meshes)
+    in_stage = np.linalg.inv(world) @ matrix @ world
+    meshes = tuple(replace(mesh, transform=in_stage @ mesh.transform) for mesh in parts.meshes)
     return replace(
-        parts, meshes=meshes, skeleton=replace(parts.skeleton, transform=own @ np.asarray(parts.skeleton.transform))
+        parts,
+        meshes=meshes,
+        skeleton=replace(parts.skeleton, transform=in_stage @ np.asarray(parts.skeleton.transform)),
     )
 
 
@@ -110,11 +112,11 @@ def _moved_by(shape: str, meshes: tuple[Mesh, ...], points: list[FloatArray]) ->
     """(3,) the middle of the points that a shape moves, the farther the more."""
     rows: list[FloatArray] = [np.zeros((0, 3))]
     weights: list[FloatArray] = [np.zeros(0)]
-    for mesh, own in zip(meshes, points, strict=True):
-        for one in mesh.blendshapes:
-            if one.name == shape:
-                rows.append(own[np.asarray(one.point_indices)])
-                weights.append(np.linalg.norm(np.asarray(one.offsets, np.float64), axis=1))
+    for mesh, mesh_points in zip(meshes, points, strict=True):
+        for blendshape in mesh.blendshapes:
+            if blendshape.name == shape:
+                rows.append(mesh_points[np.asarray(blendshape.point_indices)])
+                weights.append(np.linalg.norm(np.asarray(blendshape.offsets, np.float64), axis=1))
     total = np.concatenate(weights)
     return np.average(np.concatenate(rows), axis=0, weights=total) if total.sum() else None
 
@@ -138,14 +140,14 @@ def add_body(tree: NodeTree, bones: dict[str, int], figure: Figure, roots: Seque
     :param figure: measures of the face where it stands now
     :param roots: nodes of the skeleton at the scene's root
     """
-    own = [bone for bone in TORSO if bone in bones]
+    own_torso = [bone for bone in TORSO if bone in bones]
     if "hips" not in bones:
         root = tree.add("root", np.zeros(3), None)
         legs = [tree.world(bones[f"{side}UpperLeg"])[:3, 3] for side in SIDES if f"{side}UpperLeg" in bones]
         bones["hips"] = tree.add("hips", np.mean(legs, axis=0) if len(legs) == 2 else _at(figure, _HIPS), root)
     if "spine" not in bones:
-        _add_spine(tree, bones, figure, own)
-    elif "hips" not in own:
+        _add_spine(tree, bones, figure, own_torso)
+    elif "hips" not in own_torso:
         tree.hang(tree.path(bones["spine"])[-1], bones["hips"])
     if "head" not in bones:
         bones["head"] = tree.add("head", _at(figure, _SKULL), bones["spine"])
@@ -156,10 +158,10 @@ def add_body(tree: NodeTree, bones: dict[str, int], figure: Figure, roots: Seque
         _add_arm(tree, bones, figure, side, sign)
 
 
-def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own: Sequence[str]) -> None:
+def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own_torso: Sequence[str]) -> None:
     """A spine above the hips, and what hangs there now above the spine."""
-    next_up = next((bone for bone in own if bone != "hips"), None)
-    if "hips" not in own:
+    next_up = next((bone for bone in own_torso if bone != "hips"), None)
+    if "hips" not in own_torso:
         bones["spine"] = tree.add("spine", _at(figure, _SPINE), bones["hips"])
         if next_up is not None:
             tree.hang(tree.path(bones[next_up])[-1], bones["spine"])

@@ -110,7 +110,7 @@ def bones_of(joints: Sequence[str]) -> dict[str, int]:
     One that knows neither three names nor the head is none; neither is a root the hips that no spine hangs below: rigs
     of heads have one too.
     """
-    found: dict[str, int] = {}
+    bones: dict[str, int] = {}
     numbers: dict[tuple[str, str], int] = {}
     for i, joint in enumerate(joints):
         numbers.setdefault(_reduced(joint), i)
@@ -118,9 +118,9 @@ def bones_of(joints: Sequence[str]) -> dict[str, int]:
         known = {bone: numbers[name] for bone, every in names.items() for name in every if name in numbers}
         if "spine" not in known and "hips" in known and _reduced(joints[known["hips"]])[1] == _ROOT:
             del known["hips"]
-        if len(known) > len(found) and (len(known) >= _FEWEST or "head" in known):
-            found = known
-    return found
+        if len(known) > len(bones) and (len(known) >= _FEWEST or "head" in known):
+            bones = known
+    return bones
 
 
 def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
@@ -128,7 +128,7 @@ def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
 
     :raises InputError: no such bone or joint, or one of them twice
     """
-    found: dict[str, int] = {}
+    given: dict[str, int] = {}
     for pair in filter(None, (one.strip() for one in text.split(","))):
         bone, equals, joint = (part.strip() for part in pair.partition("="))
         where = f"option bones -> {pair}"
@@ -144,10 +144,10 @@ def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
             raise InputError(where, f"no joint called '{joint}'{near}")
         if len(places) > 1:
             raise InputError(where, f"{len(places)} joints called '{joint}', expected a path")
-        if bone in found or places[0] in found.values():
+        if bone in given or places[0] in given.values():
             raise InputError(where, "a bone or joint twice, expected each once")
-        found[bone] = places[0]
-    return found
+        given[bone] = places[0]
+    return given
 
 
 @cache
@@ -205,10 +205,10 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
 def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
     """:raises InputError: a body below a head that no name gives: turning it would turn nothing"""
     if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
-        what = (
+        problem = (
             f"no joint is the head by its name, though {', '.join(own)} are there, expected head=JOINT in option bones"
         )
-        raise InputError(f"{parts.name} -> {parts.skeleton.name}", what)
+        raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
 
 
 def _path(joint: int, parents: IntArray) -> list[int]:

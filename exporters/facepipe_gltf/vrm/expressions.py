@@ -71,11 +71,11 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
     for target in _targets(nodes, meshes):
         targets.setdefault(target.shape, []).append(target)
     presets = table()["preset"]
-    own, arkit = match_shapes(presets, [*targets]), match_shapes(sorted(ARKIT_SHAPES), [*targets])
+    named, arkit = match_shapes(presets, [*targets]), match_shapes(sorted(ARKIT_SHAPES), [*targets])
     preset: Json = {}
     lost: list[str] = []
     for name, weights in presets.items():
-        sculpted = own.get(name, ())
+        sculpted = named.get(name, ())
         made = {} if sculpted else {one: weight for shape, weight in weights.items() for one in arkit.get(shape, ())}
         if sculpted or made or not weights:
             preset[name] = _expression(dict.fromkeys(sculpted, 1.0) | made, targets)
@@ -96,10 +96,10 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
 def _targets(nodes: Sequence[Json], meshes: Sequence[Json]) -> Iterator[Target]:
     for i, node in enumerate(nodes):
         extras = meshes[node["mesh"]].get("extras", {}) if "mesh" in node else {}
-        own = extras.get("facepipe", {})
+        ours = extras.get("facepipe", {})
         for index, name in enumerate(extras.get("targetNames", [])):
-            shape = own.get("inbetweens", {}).get(name, {}).get("shape", name)
-            yield Target(i, index, shape, own.get("curves", {}).get(name, _STRAIGHT))
+            shape = ours.get("inbetweens", {}).get(name, {}).get("shape", name)
+            yield Target(i, index, shape, ours.get("curves", {}).get(name, _STRAIGHT))
 
 
 def _expression(weights: Mapping[str, float], targets: Mapping[str, Sequence[Target]]) -> Json:
@@ -116,18 +116,20 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
     shapes = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
     there = match_shapes(sorted(ARKIT_SHAPES), shapes)
     lacking = [name for name in sorted(ARKIT_SHAPES) if name not in there]
-    found = match_shapes(lacking, [slider.name for slider in parts.sliders])
-    if not found:
+    sliders_by_shape = match_shapes(lacking, [slider.name for slider in parts.sliders])
+    if not sliders_by_shape:
         return parts, ()
     rig, space = build(parts), space_of(parts)
-    own = {slider.name: slider for slider in parts.sliders}
+    by_name = {slider.name: slider for slider in parts.sliders}
     rest = _points(parts, rig, {})
     still = _STILL * float(np.ptp(rest, axis=0).max())
     made: dict[str, list[Blendshape]] = {mesh.name: [] for mesh in parts.meshes}
     names, worst = [], 0.0
-    for name, sliders in found.items():
-        full = _points(parts, rig, {one: own[one].maximum for one in sliders}) - rest
-        half = _points(parts, rig, {one: (own[one].maximum + _authored(own[one])) / 2 for one in sliders}) - rest
+    for name, sliders in sliders_by_shape.items():
+        full = _points(parts, rig, {one: by_name[one].maximum for one in sliders}) - rest
+        half = (
+            _points(parts, rig, {one: (by_name[one].maximum + _authored(by_name[one])) / 2 for one in sliders}) - rest
+        )
         if np.abs(full).max() > still:
             names.append(name)
             worst = max(worst, float(np.linalg.norm(half - full / 2, axis=1).max()))

@@ -63,12 +63,12 @@ def meta_of(options: Options, name: str, attribution: str) -> Json:
 
 def problems(meta: Json) -> list[tuple[str, str]]:
     """What is wrong with a meta object: field and text."""
-    found = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
+    faults = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
     for field, value in meta.items():
         expected = _expected(field, value)
         if expected:
-            found.append((field, f"{json.dumps(value)[:60]}, expected {expected}"))
-    return found
+            faults.append((field, f"{json.dumps(value)[:60]}, expected {expected}"))
+    return faults
 
 
 def _expected(field: str, value: Any) -> str | None:
@@ -88,13 +88,13 @@ def _expected(field: str, value: Any) -> str | None:
 
 
 def _read(path: Path) -> Json:
-    found: Json = read_json_object(path, _LARGEST)
-    if "thumbnailImage" in found:
+    meta: Json = read_json_object(path, _LARGEST)
+    if "thumbnailImage" in meta:
         raise InputError(
             path, "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
         )
-    for field, value in found.items():
+    for field, value in meta.items():
         expected = _expected(field, value)
         if expected is not None:
             raise InputError(f"{path} -> {field}", f"{json.dumps(value)[:60]}, expected {expected}")
-    return found
+    return meta

@@ -60,12 +60,12 @@ def _bones(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """The required human bones are there, each a node of its own below the right one."""
     where = f"/extensions/{EXTENSION}/humanoid/humanBones"
     count = len(document.items("nodes"))
-    found = _human_bones(vrm)
+    bones = _human_bones(vrm)
     for bone in REQUIRED:
-        if bone not in found:
+        if bone not in bones:
             yield where, f"no {bone}, expected one"
     known: dict[str, int] = {}
-    for bone, node in found.items():
+    for bone, node in bones.items():
         if bone not in PARENTS:
             yield f"{where}/{bone}", "is no human bone of VRM 1.0"
         elif not is_index(node) or node >= count:
@@ -115,16 +115,16 @@ def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
 
 def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """Binds name morph targets that are there, presets are VRM's and other names are not."""
-    found = vrm.get("expressions")
-    found = found if isinstance(found, dict) else {}
+    expressions = vrm.get("expressions")
+    expressions = expressions if isinstance(expressions, dict) else {}
     presets = table()["preset"]
     for group in ("preset", "custom"):
-        named = found.get(group)
-        for name, one in (named if isinstance(named, dict) else {}).items():
+        named = expressions.get(group)
+        for name, expression in (named if isinstance(named, dict) else {}).items():
             where = f"/extensions/{EXTENSION}/expressions/{group}/{name}"
             if (name in presets) != (group == "preset"):
                 yield where, "is no preset of VRM 1.0" if group == "preset" else "has the name of a preset"
-            binds = one.get("morphTargetBinds", []) if isinstance(one, dict) else []
+            binds = expression.get("morphTargetBinds", []) if isinstance(expression, dict) else []
             for i, bind in enumerate(binds if isinstance(binds, list) else []):
                 yield from _bind(document, f"{where}/morphTargetBinds/{i}", bind)
 
@@ -145,17 +145,19 @@ def _bind(document: RawDocument, where: str, bind: Any) -> Iterator[Problem]:
 
 def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """What turns the eyes is there."""
-    found = vrm.get("lookAt")
-    if found is None:
+    look_at = vrm.get("lookAt")
+    if look_at is None:
         return
     where = f"/extensions/{EXTENSION}/lookAt"
-    found = found if isinstance(found, dict) else {}
-    if found.get("type") not in ("bone", "expression"):
-        yield f"{where}/type", f"{str(found.get('type'))[:40]}, expected bone or expression"
-    if found.get("type") == "bone" and not {"leftEye", "rightEye"} <= _human_bones(vrm).keys():
+    look_at = look_at if isinstance(look_at, dict) else {}
+    if look_at.get("type") not in ("bone", "expression"):
+        yield f"{where}/type", f"{str(look_at.get('type'))[:40]}, expected bone or expression"
+    if look_at.get("type") == "bone" and not {"leftEye", "rightEye"} <= _human_bones(vrm).keys():
         yield f"{where}/type", "bone without the human bones leftEye and rightEye, expected both"
     for name in _RANGES:
-        if name in found and not (isinstance(found[name], dict) and {"inputMaxValue", "outputScale"} <= {*found[name]}):
+        if name in look_at and not (
+            isinstance(look_at[name], dict) and {"inputMaxValue", "outputScale"} <= {*look_at[name]}
+        ):
             yield f"{where}/{name}", "expected inputMaxValue and outputScale"
 
 

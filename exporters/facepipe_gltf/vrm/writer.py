@@ -142,20 +142,20 @@ def _human_nodes(
 
 def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FaceParts, Figure, list[str]]:
     """The face as it looks along +Z and, above a body that is added, as high as a standing person's; what was done."""
-    said = []
+    changes = []
     placed, degrees = turned_to_front(parts, figure_of(parts, humanoid.bones))
     if degrees:
-        said.append(f"a turn by {degrees} degrees about the up axis: VRM's models look along +Z")
+        changes.append(f"a turn by {degrees} degrees about the up axis: VRM's models look along +Z")
     figure = figure_of(placed, humanoid.bones)
     if stub and not {"leftFoot", "rightFoot"} & {*humanoid.bones}:
         matrix = np.eye(4)
         matrix[:3, 3] = standing_place(figure, humanoid.bones.get("hips"))
         placed = moved(placed, matrix)
         figure = figure_of(placed, humanoid.bones)
-        said.append(
+        changes.append(
             f"{1000 * matrix[1, 3]:.0f} mm of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m"
         )
-    return placed, figure, said
+    return placed, figure, changes
 
 
 def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Literal["bone", "expression"] | None:
