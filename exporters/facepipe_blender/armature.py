@@ -60,8 +60,8 @@ def skeleton_at_rest(name: str, joints: tuple[str, ...], world: FloatArray) -> S
     """
     bare = Skeleton(joints=joints)
     rest = [
-        np.linalg.solve(world[parent], own) if parent >= 0 else own
-        for parent, own in zip(bare.parents, world, strict=True)
+        np.linalg.solve(world[parent], matrix) if parent >= 0 else matrix
+        for parent, matrix in zip(bare.parents, world, strict=True)
     ]
     return Skeleton(name=name, joints=joints, bind_transforms=world, rest_transforms=np.array(rest).reshape(-1, 4, 4))
 

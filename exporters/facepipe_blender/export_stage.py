@@ -50,7 +50,7 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
 
 def _on_stage(view: StageView, objects: Sequence[Any]) -> tuple[tuple[FaceObjects, ...], tuple[str, ...]]:
     """The faces that Blender wrote, and a line for each of their objects that it wrote not."""
-    found, warnings = [], []
+    faces, warnings = [], []
     for face in faces_among(objects):
         there = replace(face, meshes=tuple(mesh for mesh in face.meshes if view.prim(mesh) is not None))
         if not there.meshes or not there.is_face:
@@ -61,8 +61,8 @@ def _on_stage(view: StageView, objects: Sequence[Any]) -> tuple[tuple[FaceObject
             continue
         away = [mesh.name for mesh in face.meshes if mesh not in there.meshes]
         warnings += [f"{name}: hidden or not chosen, left out of the face of {face.first.name}" for name in away]
-        found.append(there)
-    return tuple(found), tuple(warnings)
+        faces.append(there)
+    return tuple(faces), tuple(warnings)
 
 
 def _remove(layer: Sdf.Layer, faces: set[Sdf.Path], others: set[Sdf.Path]) -> bool:

@@ -54,11 +54,11 @@ def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
             record = record_of(obj)
             armature = armature_of(obj) or kept.get(record)  # meshes without skin belong to their face too
             groups.setdefault((armature, record if armature is None else None), []).append(obj)
-    found = []
+    faces = []
     for (armature, record), meshes in groups.items():
-        for own in [meshes] if armature is not None or record is not None else [[one] for one in meshes]:
-            found.append(FaceObjects(armature=armature, meshes=tuple(own)))
-    return tuple(one for one in found if one.is_face)
+        for of_face in [meshes] if armature is not None or record is not None else [[one] for one in meshes]:
+            faces.append(FaceObjects(armature=armature, meshes=tuple(of_face)))
+    return tuple(one for one in faces if one.is_face)
 
 
 def face_of(obj: Any, objects: Iterable[Any]) -> FaceObjects:
@@ -97,8 +97,8 @@ def _has_shapes(obj: Any) -> bool:
 
 
 def _ancestors(obj: Any) -> list[Any]:
-    found = []
+    above = []
     while obj.parent is not None:
         obj = obj.parent
-        found.append(obj)
-    return found
+        above.append(obj)
+    return above

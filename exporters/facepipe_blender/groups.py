@@ -33,13 +33,13 @@ def read_groups(obj: Any, bones: set[str], helpers: set[str]) -> Groups:
     weight and serve no modifier or shape key.
     """
     weights = _weights(obj)
-    own = {name: values for name, values in weights.items() if name in bones}
+    of_bones = {name: values for name, values in weights.items() if name in bones}
     free = {name: values for name, values in weights.items() if name not in bones}
     marked = {name: values for name, values in free.items() if name.startswith(REGION)}
     chosen = marked or {name: values for name, values in free.items() if name not in helpers}
     regions = {name.removeprefix(REGION): values for name, values in chosen.items() if _names_region(name, values)}
     others = [name for name in free if name.removeprefix(REGION) not in regions and name not in helpers]
-    return Groups(own, regions, tuple(others))
+    return Groups(of_bones, regions, tuple(others))
 
 
 def write_regions(obj: Any, regions: dict[str, FloatArray]) -> None:
@@ -75,12 +75,12 @@ def _add(obj: Any, groups: Mapping[str, FloatArray]) -> None:
 
 def _weights(obj: Any) -> dict[str, FloatArray]:
     count = len(obj.data.vertices)
-    found = [np.zeros(count) for _ in obj.vertex_groups]
+    weights = [np.zeros(count) for _ in obj.vertex_groups]
     for index, vertex in enumerate(obj.data.vertices):
         for entry in vertex.groups:
-            if entry.group < len(found):
-                found[entry.group][index] = entry.weight
-    return {group.name: values for group, values in zip(obj.vertex_groups, found, strict=True)}
+            if entry.group < len(weights):
+                weights[entry.group][index] = entry.weight
+    return {group.name: values for group, values in zip(obj.vertex_groups, weights, strict=True)}
 
 
 def helper_groups(obj: Any) -> set[str]:

@@ -38,28 +38,28 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
     warnings: list[str] = []
     for face in faces_on(stage):
         parts = face.parts()  # read whole before anything changes
-        found = _objects(face, made)
-        if not found.meshes:
+        objects = _objects(face, made)
+        if not objects.meshes:
             continue
-        missing = [mesh.name for mesh in parts.meshes if mesh.name not in found.meshes]
+        missing = [mesh.name for mesh in parts.meshes if mesh.name not in objects.meshes]
         if missing:
             warnings.append(f"{face.where}: meshes {', '.join(missing[:3])} were not imported")
         for mesh in parts.meshes:
-            if mesh.name in found.meshes:
-                warnings += _write(found.meshes[mesh.name], mesh)
+            if mesh.name in objects.meshes:
+                warnings += _write(objects.meshes[mesh.name], mesh)
         file = Path(stage.GetRootLayer().realPath).as_posix() if stage.GetRootLayer().realPath else ""
         text = bpy.data.texts.new(f"facepipe {parts.name}")
         keep(
             Kept(
                 parts=parts,
-                bones=bone_matrices(found.armature),
-                places=_places(parts.meshes, found),
+                bones=bone_matrices(objects.armature),
+                places=_places(parts.meshes, objects),
                 file=file,
                 neural_rig=neural_rig_of(face),
             ),
             text,
         )
-        mark(found, text)
+        mark(objects, text)
     return tuple(warnings)
 
 
@@ -73,10 +73,10 @@ def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
     made: dict[str, list[Any]] = {}
     for prim in stage.Traverse():
         named = free.get(str(prim.GetName()), [])
-        own = [obj for obj in named for kind, schema in kinds if obj.type == kind and prim.IsA(schema)]
-        if own:
-            named.remove(own[0])
-            made[str(prim.GetPath())] = own[:1]
+        candidates = [obj for obj in named for kind, schema in kinds if obj.type == kind and prim.IsA(schema)]
+        if candidates:
+            named.remove(candidates[0])
+            made[str(prim.GetPath())] = candidates[:1]
     return made
 
 
@@ -113,12 +113,12 @@ def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> Found:
 
 def _object(ids: Sequence[Any], kind: str) -> Any:
     """The object of a kind among what Blender made of a prim, or that holds it."""
-    for one in ids:
-        if getattr(one, "type", None) == kind:
-            return one
-    for one in ids:
+    for made in ids:
+        if getattr(made, "type", None) == kind:
+            return made
+    for made in ids:
         for obj in bpy.data.objects:
-            if obj.data is not None and obj.data == one and obj.type == kind:
+            if obj.data is not None and obj.data == made and obj.type == kind:
                 return obj
     return None
 

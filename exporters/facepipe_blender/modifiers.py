@@ -21,17 +21,17 @@ def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
 
     :param warnings: gets a line for what is not applied
     """
-    own = [one for one in obj.modifiers if one.type != "ARMATURE" and (one.show_viewport or one.show_render)]
-    hidden = [one.name for one in own if not one.show_viewport]
+    modifiers = [one for one in obj.modifiers if one.type != "ARMATURE" and (one.show_viewport or one.show_render)]
+    hidden = [one.name for one in modifiers if not one.show_viewport]
     if hidden:
         warnings.append(f"{obj.name}: modifiers {_listed(hidden)} are not applied, the viewport doesn't show them")
-    if len(hidden) == len(own):
+    if len(hidden) == len(modifiers):
         yield obj
         return
     with contextlib.ExitStack() as after:
         made = _applied(obj, after) if threading.current_thread() is threading.main_thread() else None
         if made is None:
-            names = _listed([one.name for one in own if one.show_viewport])
+            names = _listed([one.name for one in modifiers if one.show_viewport])
             warnings.append(f"{obj.name}: modifiers {names} are not applied, {_reason()}")
         yield made or obj
 

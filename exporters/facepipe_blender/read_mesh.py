@@ -151,11 +151,11 @@ def _skin(obj: Any, bones: Mapping[str, FloatArray], joints: Mapping[str, int], 
 
 def _normals(data: Any, corners: IntArray) -> FloatArray:
     """Normals per point where those of its corners agree, else per corner."""
-    own: FloatArray = _values(data.corner_normals, "vector", np.float32, 3)
+    normals: FloatArray = _values(data.corner_normals, "vector", np.float32, 3)
     first = np.zeros((len(data.vertices), 3), dtype=np.float32)
-    first[corners[::-1]] = own[::-1]
-    if np.abs(first[corners] - own).max(initial=0.0) > _SMOOTH:
-        return own
+    first[corners[::-1]] = normals[::-1]
+    if np.abs(first[corners] - normals).max(initial=0.0) > _SMOOTH:
+        return normals
     loose = ~first.any(axis=1)
     first[loose] = (0.0, 0.0, 1.0)
     return first
@@ -176,9 +176,9 @@ def _colors(data: Any) -> FloatArray | None:
 def _subsets(data: Any) -> dict[str, IntArray]:
     layers = [one for one in data.attributes if one.name.startswith(SUBSET)]
     return {
-        one.name.removeprefix(SUBSET): np.flatnonzero(_values(one.data, "value", bool)).astype(np.int32)
-        for one in layers
-        if (one.domain, one.data_type) == ("POINT", "BOOLEAN")
+        layer.name.removeprefix(SUBSET): np.flatnonzero(_values(layer.data, "value", bool)).astype(np.int32)
+        for layer in layers
+        if (layer.domain, layer.data_type) == ("POINT", "BOOLEAN")
     }
 
 

@@ -45,10 +45,10 @@ class StageView:
             for primvar in UsdGeom.PrimvarsAPI(mesh).GetPrimvarsWithAuthoredValues()
             if str(primvar.GetTypeName()) in _UV_TYPES
         ]
-        found = {layer.name: _plain(layer.name) for layer in obj.data.uv_layers if _plain(layer.name) in there}
-        left = [layer.name for layer in obj.data.uv_layers if layer.name not in found]
-        free = [name for name in there if name not in found.values()]
-        return {**found, **dict(zip(left, free, strict=False))}
+        names = {layer.name: _plain(layer.name) for layer in obj.data.uv_layers if _plain(layer.name) in there}
+        left = [layer.name for layer in obj.data.uv_layers if layer.name not in names]
+        free = [name for name in there if name not in names.values()]
+        return {**names, **dict(zip(left, free, strict=False))}
 
     def material(self, name: str) -> Sdf.Path | None:
         """The path of the prim of a material."""

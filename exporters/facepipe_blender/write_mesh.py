@@ -51,9 +51,9 @@ def _write_shapes(obj: Any, mesh: Mesh) -> None:
     _set(basis, points)
     wanted = {shape.name: (shape, None) for shape in mesh.blendshapes}
     between = {
-        key_name(shape.name, one.weight, one.name): (shape, one)
+        key_name(shape.name, inbetween.weight, inbetween.name): (shape, inbetween)
         for shape in mesh.blendshapes
-        for one in shape.inbetweens
+        for inbetween in shape.inbetweens
     }
     gone = [one.name for one in keys.key_blocks if one != basis and one.name not in {*wanted, *between}]
     for name in gone:

@@ -118,8 +118,8 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
         face_vertex_indices=NONE,
         normals=normals,
         uv_sets=tuple(
-            UvSet(name=one.name, values=NONE, indices=None if one.indices is None else NONE.astype(np.int32))
-            for one in mesh.uv_sets
+            UvSet(name=uv_set.name, values=NONE, indices=None if uv_set.indices is None else NONE.astype(np.int32))
+            for uv_set in mesh.uv_sets
         ),
         colors=NONE if colored and mesh.colors is not None else _single(mesh.colors),
         regions={name: np.asarray(mask, np.float32) for name, mask in mesh.regions.items()},
@@ -151,11 +151,11 @@ def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
             normal_offsets=None if shape.normal_offsets is None else NONE,
             inbetweens=tuple(
                 replace(
-                    one,
+                    inbetween,
                     offsets=NONE,
-                    normal_offsets=None if one.normal_offsets is None else NONE,
+                    normal_offsets=None if inbetween.normal_offsets is None else NONE,
                 )
-                for one in shape.inbetweens
+                for inbetween in shape.inbetweens
             ),
         )
         for shape in baked.mesh.blendshapes

@@ -10,6 +10,7 @@ import numpy as np
 from facepipe.core import __version__
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts, Mesh, Slider, SliderNetwork
+from facepipe.records import Json
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.activation import curves
 from facepipe_onnx.graph import signature
@@ -26,7 +27,6 @@ _CONVENTIONS = {
     "order": "blendshapes first, then linear blend skinning",
     "weights": "0 neutral, 1 the sculpt; other weights extrapolate, inbetweens interpolate piecewise linearly",
 }
-Json = dict[str, Any]
 _MARKS = 64  # points of a mesh
 _MOST_ENTRIES = 8192
 _ENTRIES = ("channel_curves", "channels", "shape_curves", "shapes")
@@ -51,7 +51,7 @@ def describe(
     operators: list[str],
     sliders: Sequence[Slider] | None = None,
     network: SliderNetwork | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """The metadata of a graph.
 
     :param rig: the rig with the exported shapes only
@@ -66,7 +66,7 @@ def describe(
             "conventions": _CONVENTIONS,
             "format": DEFORMER.format,
             "inputs": [_input(name, shape, parts, rig) for name, shape in inputs.items()],
-            "outputs": [_output(name, shape, rig) for name, shape in outputs.items()],
+            "outputs": [_output(name, shape, parts, rig) for name, shape in outputs.items()],
             "sliders": _slider_records(parts.sliders),
         }
     inputs, outputs = slider_signature(rig, sliders, options)
@@ -79,15 +79,13 @@ def describe(
             *(_input(name, shape, parts, rig) for name, shape in others),
         ],
         "meshes": _with_targets(metadata["meshes"], parts, rig),
-        "outputs": [
-            _slider_output(name, shape, parts, rig) or _output(name, shape, rig) for name, shape in outputs.items()
-        ],
+        "outputs": [_output(name, shape, parts, rig) for name, shape in outputs.items()],
         "slider_network": None if network is None else _network_record(network),
         "sliders": _slider_records(sliders),
     }
 
 
-def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> dict[str, Any]:
+def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> Json:
     neutral = rig.evaluate()
     return {
         "face": {
@@ -117,13 +115,13 @@ def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> dict[str, Any]:
     }
 
 
-def _input(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> dict[str, Any]:
-    own: dict[str, Any] = {"name": name, "shape": list(shape), "type": "float32"}
+def _input(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Json:
+    value: Json = {"name": name, "shape": list(shape), "type": "float32"}
     if name == "weights":
-        return own | {"default": 0.0, "names": list(rig.shapes), "range": [0.0, 1.0]}
+        return value | {"default": 0.0, "names": list(rig.shapes), "range": [0.0, 1.0]}
     if name == "coefficients":
         limits = parts.bone_limits
-        return own | {
+        return value | {
             "channels": list(CHANNELS),
             "default": [0.0] * 6 + [1.0] * 3,
             "joints": list(rig.joints),
@@ -131,18 +129,32 @@ def _input(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> dic
             "units": _units(),
         }
     if name == "joint_transforms":
-        return own | {"default": _numbers(rig.rest), "joints": list(rig.joints), "space": "local to the parent joint"}
-    return own | {"default": _numbers(rig.parent_world), "space": "world matrix that root joints hang under"}
+        return value | {"default": _numbers(rig.rest), "joints": list(rig.joints), "space": "local to the parent joint"}
+    return value | {"default": _numbers(rig.parent_world), "space": "world matrix that root joints hang under"}
 
 
-def _output(name: str, shape: tuple[int, ...], rig: Rig) -> dict[str, Any]:
-    own: dict[str, Any] = {"name": name, "shape": list(shape), "type": "float32"}
+def _output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Json:
+    value: Json = {"name": name, "shape": list(shape), "type": "float32"}
     if name == "joint_matrices":
-        return own | {"joints": list(rig.joints), "space": "world"}
-    return own | {"space": "world", "units": "stage units" if name == "points" else "unit vectors, area-weighted"}
+        return value | {"joints": list(rig.joints), "space": "world"}
+    if name == "coefficients":
+        return value | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": _units()}
+    if name == "skinning_matrices":
+        world = _gltf_from_world(parts)
+        back = np.linalg.inv(world @ rig.parent_world)
+        return value | {
+            "gltf_from_world": _numbers(world),
+            "joints": list(rig.joints),
+            "skeleton_from_gltf": _numbers(back),
+            "space": "skeleton space at bind time -> world, stage units",
+        }
+    if name == "morph_weights":
+        targets = [{"name": target.name, "shape": rig.shapes[target.shape]} for target in rig.targets]
+        return value | {"targets": targets}
+    return value | {"space": "world", "units": "stage units" if name == "points" else "unit vectors, area-weighted"}
 
 
-def _sculpt(rig: Rig, number: int) -> dict[str, Any]:
+def _sculpt(rig: Rig, number: int) -> Json:
     target = rig.targets[number]
     return {
         "name": target.name,
@@ -207,26 +219,6 @@ def _slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) 
     }
 
 
-def _slider_output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Json | None:
-    """An output that only graphs of sliders have; None for the others."""
-    own: Json = {"name": name, "shape": list(shape), "type": "float32"}
-    if name == "coefficients":
-        return own | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": _units()}
-    if name == "skinning_matrices":
-        world = _gltf_from_world(parts)
-        back = np.linalg.inv(world @ rig.parent_world)
-        return own | {
-            "gltf_from_world": _numbers(world),
-            "joints": list(rig.joints),
-            "skeleton_from_gltf": _numbers(back),
-            "space": "skeleton space at bind time -> world, stage units",
-        }
-    if name == "morph_weights":
-        targets = [{"name": target.name, "shape": rig.shapes[target.shape]} for target in rig.targets]
-        return own | {"targets": targets}
-    return None
-
-
 def _units() -> list[str]:
     """Of the 9 bone coefficients of a joint."""
     return ["stage units"] * 3 + ["radians"] * 3 + ["factor of rest"] * 3
@@ -243,8 +235,8 @@ def _with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Js
     """The `meshes` with the numbers of their morph targets, and with marks of their neutral."""
     neutral = rig.evaluate() @ _gltf_from_world(parts)[:3, :3].T
     return [
-        own | {"marks": _marks(neutral[own["first"] :][: own["count"]]), "targets": _targets(mesh, rig)}
-        for own, mesh in zip(meshes, parts.meshes, strict=True)
+        entry | {"marks": _marks(neutral[entry["first"] :][: entry["count"]]), "targets": _targets(mesh, rig)}
+        for entry, mesh in zip(meshes, parts.meshes, strict=True)
     ]
 
 
@@ -258,13 +250,13 @@ def _marks(points: FloatArray) -> Json:
 def _targets(mesh: Mesh, rig: Rig) -> list[int]:
     """Numbers in `Rig.targets` of a mesh's shapes, each followed by its inbetweens."""
     numbered = {(rig.shapes[target.shape], target.name, target.curve): i for i, target in enumerate(rig.targets)}
-    found = []
+    targets = []
     for shape in mesh.blendshapes:
         by_weight = curves(tuple(one.weight for one in shape.inbetweens))
         sculpts = [(shape.name, 1.0), *((f"{shape.name}_{one.name}", one.weight) for one in shape.inbetweens)]
         keys = [(shape.name, name, by_weight[weight]) for name, weight in sculpts]
-        found += [numbered[key] for key in keys if key in numbered]
-    return found
+        targets += [numbered[key] for key in keys if key in numbered]
+    return targets
 
 
 def _numbers(values: Any) -> Any:

@@ -77,12 +77,14 @@ class _Norm:
 def _attention(nodes: Nodes, tokens: str, layer: EncoderLayer, heads: int) -> str:
     """[k, d] of tokens [k, d]."""
     width = len(layer.join)
-    own = width // heads
+    head_width = width // heads
     matrix, bias = np.array(layer.attend, np.float64), np.array(layer.attend_bias, np.float64)
-    matrix[:, :width] /= np.sqrt(own)  # what scores are divided by
-    bias[:width] /= np.sqrt(own)
+    matrix[:, :width] /= np.sqrt(head_width)  # what scores are divided by
+    bias[:width] /= np.sqrt(head_width)
     attended = _affine(nodes, tokens, "attend", matrix, bias)
-    pieces = [nodes.reshape(nodes.slice(attended, 1, i * width, (i + 1) * width), -1, heads, own) for i in range(3)]
+    pieces = [
+        nodes.reshape(nodes.slice(attended, 1, i * width, (i + 1) * width), -1, heads, head_width) for i in range(3)
+    ]
     queries, values = (nodes.add("Transpose", pieces[i], perm=[1, 0, 2]) for i in (0, 2))
     keys = nodes.add("Transpose", pieces[1], perm=[1, 2, 0])
     shares = nodes.add("Softmax", nodes.add("MatMul", queries, keys), axis=-1)
@@ -107,9 +109,9 @@ def _describe(
     :param operators: the operators of the graph, sorted
     :param meshes: name -> points, in the order of the face
     """
-    controls, first, found = encoder.controls, 0, []
+    controls, first, outputs = encoder.controls, 0, []
     for mesh, count in meshes.items():
-        found.append({"name": mesh, "first": first, "count": count})
+        outputs.append({"name": mesh, "first": first, "count": count})
         first += count
     return {
         "conventions": _CONVENTIONS,
@@ -126,7 +128,7 @@ def _describe(
                 "type": "float32",
             }
         ],
-        "meshes": found,
+        "meshes": outputs,
         "operators": operators,
         "outputs": [
             {

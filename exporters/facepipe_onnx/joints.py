@@ -107,12 +107,12 @@ def _level_nodes(nodes: Nodes, local: str, above: IntArray, starts: IntArray, ro
     """
     levels: list[str] = []
     for depth, (start, end) in enumerate(itertools.pairwise(starts)):
-        own = nodes.slice(local, 1, int(start), int(end))
+        level = nodes.slice(local, 1, int(start), int(end))
         if depth > 0:
-            own = nodes.add("MatMul", nodes.gather(levels[-1], 1, above[start:end] - starts[depth - 1]), own)
+            level = nodes.add("MatMul", nodes.gather(levels[-1], 1, above[start:end] - starts[depth - 1]), level)
         elif root is not None:
-            own = nodes.add("MatMul", root, own)
-        levels.append(own)
+            level = nodes.add("MatMul", root, level)
+        levels.append(level)
     return nodes.concat(levels, 1)
 
 

@@ -156,11 +156,14 @@ def _described(
     if len(shapes) != len(described) or shapes != {name: list(shape or ()) for name, shape in values.items()}:
         yield where, f"names and shapes are not those of the graph's {side}"
         return
-    for one in described:
+    for value in described:
         for key in ("names", "joints"):
-            names = one.get(key)
-            if names is not None and not _is_names(names, one["shape"]):
-                yield f"{where} -> {one['name']} -> {key}", f"expected distinct names, one for each of {one['shape']}"
+            names = value.get(key)
+            if names is not None and not _is_names(names, value["shape"]):
+                yield (
+                    f"{where} -> {value['name']} -> {key}",
+                    f"expected distinct names, one for each of {value['shape']}",
+                )
 
 
 def _is_names(names: Any, shape: list[int]) -> bool:

@@ -121,15 +121,15 @@ def rounded(matrix: FloatArray, samples: FloatArray, near: Callable[[FloatArray]
 
     :param near: a row -> the row rounded
     """
-    left, found = matrix.copy(), np.empty_like(matrix)
+    left, result = matrix.copy(), np.empty_like(matrix)
     products = _products(samples[1:] - samples[0])
     order = np.argsort(-np.diag(products), kind="stable")
     upper = np.linalg.cholesky(np.linalg.inv(products[np.ix_(order, order)])).T
     for number, row in enumerate(order):
-        found[row] = near(left[row])
-        missed = (left[row] - found[row]) / upper[number, number]
+        result[row] = near(left[row])
+        missed = (left[row] - result[row]) / upper[number, number]
         left[order[number + 1 :]] -= np.outer(upper[number, number + 1 :], missed)
-    return found
+    return result
 
 
 def packed_error(packed: Any, whole: Any, rig: Rig, sliders: Sequence[Slider], mm_per_unit: float) -> dict[str, Any]:
@@ -167,10 +167,10 @@ def _points(model: Any, rig: Rig, vectors: FloatArray) -> Iterator[FloatArray]:
     names = [name for name in ("coefficients", "morph_weights") if name in given]
     for vector in vectors:
         inputs["sliders"][:] = vector
-        found = dict(zip(names, session.run(names, inputs), strict=True))
+        outputs = dict(zip(names, session.run(names, inputs), strict=True))
         points, local = rig.points, rig.rest
-        if "morph_weights" in found:
-            points = points + (rig.deltas @ found["morph_weights"][0].astype(np.float64)).reshape(-1, 3)
-        if "coefficients" in found:
-            local = rig.local_transforms(found["coefficients"][0].astype(np.float64))
+        if "morph_weights" in outputs:
+            points = points + (rig.deltas @ outputs["morph_weights"][0].astype(np.float64)).reshape(-1, 3)
+        if "coefficients" in outputs:
+            local = rig.local_transforms(outputs["coefficients"][0].astype(np.float64))
         yield rig.skin(points, rig.skinning_matrices(local))

@@ -141,10 +141,10 @@ def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
     return labels
 
 
-def _fill(union: FloatArray, width: FloatArray, weight: FloatArray, alive: Mask, one: int) -> FloatArray:
-    """(p,) zeros in bytes that merging `one` with each other group brings; infinite where there is none."""
-    united = width + width[one] - union @ union[one]
-    fill = united * (weight + weight[one]) - width * weight - width[one] * weight[one]
+def _fill(union: FloatArray, width: FloatArray, weight: FloatArray, alive: Mask, group: int) -> FloatArray:
+    """(p,) zeros in bytes that merging `group` with each other group brings; infinite where there is none."""
+    united = width + width[group] - union @ union[group]
+    fill = united * (weight + weight[group]) - width * weight - width[group] * weight[group]
     fill[~alive] = np.inf
-    fill[one] = np.inf
+    fill[group] = np.inf
     return np.asarray(fill)

@@ -72,11 +72,11 @@ def problems(model: Any) -> Iterator[Problem]:
         (("OnnxSize", _sizes), ("OnnxMetadata", metadata_faults)),
     )
     for stage in stages:
-        found = [
+        of_stage = [
             Problem(name, _shown(where), _shown(message)) for name, check in stage for where, message in check(model)
         ]
-        yield from found
-        if found:
+        yield from of_stage
+        if of_stage:
             return
 
 
@@ -102,14 +102,14 @@ def _version(model: Any) -> Iterator[tuple[str, str]]:
 
 def _self_contained(model: Any) -> Iterator[tuple[str, str]]:
     graph = model.graph
-    for what, found in (
+    for field, entries in (
         ("functions", model.functions),
         ("training_info", model.training_info),
         ("sparse_initializer", graph.sparse_initializer),
         ("quantization_annotation", graph.quantization_annotation),
     ):
-        if len(found):
-            yield what, "present, expected none"
+        if len(entries):
+            yield field, "present, expected none"
     for tensor in graph.initializer:
         if problem := _tensor_problem(tensor):
             yield f"tensor {tensor.name}", problem
@@ -199,17 +199,17 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """
     file = Path(path)
     model = read(file)
-    found = list(problems(model))
-    if not found:
-        found = list(_sidecar_problems(file, model))
+    faults = list(problems(model))
+    if not faults:
+        faults = list(_sidecar_problems(file, model))
     return tuple(
         Finding(
-            check=f"facepipe:{one.check}",
-            severity="error" if one.check != "OnnxSidecarMissing" else "warning",
-            where=f"{file.name} -> {one.where}",
-            message=one.message,
+            check=f"facepipe:{problem.check}",
+            severity="error" if problem.check != "OnnxSidecarMissing" else "warning",
+            where=f"{file.name} -> {problem.where}",
+            message=problem.message,
         )
-        for one in found
+        for problem in faults
     )
 
 

@@ -118,28 +118,28 @@ class Deformer:
             raise InputError(where, f"no such input, expected one of {', '.join(self._inputs) or 'none'}")
         full: Array = self._defaults[name][0].astype(np.float64)
         number = {one: i for i, one in enumerate(names)}
-        for one, value in values.items():
-            if one not in number:
-                raise InputError(where, unknown(one, names, name.rstrip("s")))
+        for key, value in values.items():
+            if key not in number:
+                raise InputError(where, unknown(key, names, name.rstrip("s")))
             try:
-                full[number[one]] = np.asarray(value, dtype=np.float64).reshape(full.shape[1:])
+                full[number[key]] = np.asarray(value, dtype=np.float64).reshape(full.shape[1:])
             except (TypeError, ValueError) as error:
                 size = full[0].size
-                raise InputError(f"{where} -> {one}", f"expected {size} number{'s' if size > 1 else ''}") from error
+                raise InputError(f"{where} -> {key}", f"expected {size} number{'s' if size > 1 else ''}") from error
         return full
 
     def _default(self, name: str) -> Array:
         """What an input is unless given: the values set on the face, or its default; of its last axes, or all."""
-        one = self._inputs[name]
+        entry = self._inputs[name]
         try:
-            values = np.asarray(one["values"] if "values" in one else one["default"], dtype=np.float64)
+            values = np.asarray(entry["values"] if "values" in entry else entry["default"], dtype=np.float64)
             if not np.isfinite(values).all():
                 raise ValueError("not finite")
-            default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(one["shape"])), dtype=np.float32)
+            default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(entry["shape"])), dtype=np.float32)
             return default
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             where = f"{self.path} -> metadata {PREFIX}inputs -> {name}"
-            raise InputError(where, f"no default that fits shape {one['shape']}") from error
+            raise InputError(where, f"no default that fits shape {entry['shape']}") from error
 
     def _start(self, data: bytes, threads: int) -> Any:
         import onnxruntime

@@ -212,14 +212,16 @@ def _first_layer(
     Sliders of a single value have no ramp: they are part of the bias.
     """
     by_name = {one.name: (number, one) for number, one in enumerate(sliders)}
-    own = [by_name[name] for name in network.sliders]
-    lower = np.array([one.minimum for _, one in own])
-    reach = np.array([one.maximum for _, one in own]) - lower
+    inputs_of_network = [by_name[name] for name in network.sliders]
+    lower = np.array([one.minimum for _, one in inputs_of_network])
+    reach = np.array([one.maximum for _, one in inputs_of_network]) - lower
     keys = list(zip(ramps.sliders.tolist(), ramps.starts.tolist(), ramps.ends.tolist(), strict=True))
     weight, bias = (np.asarray(one[0], dtype=np.float64) for one in (network.weights, network.biases))
     if not reach.any():
         return np.zeros(1, dtype=np.int64), np.zeros((len(bias), 1)), bias + weight @ lower
-    inputs = [keys.index((number, one.minimum, one.maximum)) for number, one in own if one.minimum < one.maximum]
+    inputs = [
+        keys.index((number, one.minimum, one.maximum)) for number, one in inputs_of_network if one.minimum < one.maximum
+    ]
     return np.array(inputs), (weight * reach)[:, reach > 0], bias + weight @ lower
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe import registry
+from facepipe.records import Json
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
-
-Json = dict[str, Any]
 
 
 def write_assets(

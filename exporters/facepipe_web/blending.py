@@ -6,16 +6,16 @@ import json
 import shutil
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
+from facepipe.records import Json
 from facepipe_web.assets import axes_of, write_assets
 from facepipe_web.server import Answer, Server
 
 if TYPE_CHECKING:
     from facepipe.hosting.live_blend import LiveBlend
 
-Json = dict[str, Any]
 _KEPT = 2  # versions of the face that may still be on their way to the page
 
 

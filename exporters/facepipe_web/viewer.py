@@ -7,18 +7,16 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_regular
+from facepipe.records import Json
 from facepipe_web import build
 from facepipe_web.assets import given_assets, write_assets
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.options import Options
 from facepipe_web.server import Server
-
-Json = dict[str, Any]
 
 
 class Viewer:
@@ -76,15 +74,15 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
     return entry
 
 
-def _check_start(path: Path, start: bytes, what: str) -> None:
+def _check_start(path: Path, start: bytes, kind: str) -> None:
     check_regular(path)
     try:
         with path.open("rb") as file:
-            found = file.read(4)
+            head = file.read(4)
     except OSError as error:
-        raise InputError(path, f"can't be read ({error.strerror}), expected {what}") from None
-    if not found.startswith(start):
-        raise InputError(path, f"is not {what}")
+        raise InputError(path, f"can't be read ({error.strerror}), expected {kind}") from None
+    if not head.startswith(start):
+        raise InputError(path, f"is not {kind}")
 
 
 def _write_content(folder: Path, server: Server, entries: Sequence[Json], blending: Blending | None) -> None:

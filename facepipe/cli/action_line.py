@@ -75,26 +75,26 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
     """Add the arguments."""
     parser.intermixed = True
     add, fields = parser.add_argument, fields_of(kind)
-    for one in fields:
-        if one.role == "source" and one.name not in kind.own_flags:
-            add_field(parser, one)
+    for field in fields:
+        if field.role == "source" and field.name not in kind.own_flags:
+            add_field(parser, field)
     staged = issubclass(kind, StageAction)
     parser.set_defaults(edit=None, flatten=False)
     if not issubclass(kind, Inspector):
         _add_result(parser, kind)
-    if staged and any(one.several and one.stands_alone for one in fields):
+    if staged and any(field.several and field.stands_alone for field in fields):
         text = "with --edit: another file for source N of the recipe"
         add("--replace", action="append", default=[], metavar="N=FILE", help=text)
-    for one in fields:
-        if one.role == "beside":
-            add_field(parser, one)
+    for field in fields:
+        if field.role == "beside":
+            add_field(parser, field)
     add("--json", action="store_true", help="print the report as JSON")
     kept = " (in the recipe; with --edit they change it)" if staged else ""
     group = parser.add_argument_group(f"how it is done{kept}")
     kind.add_flags(group)
-    for one in fields:
-        if one.role == "option" and one.name not in kind.own_flags:
-            add_field(group, one)
+    for field in fields:
+        if field.role == "option" and field.name not in kind.own_flags:
+            add_field(group, field)
 
 
 def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
@@ -163,37 +163,39 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     instead = _replacements(getattr(arguments, "replace", ()))
     if instead and arguments.edit is None:
         raise InputError("--replace", "given without --edit, expected both or neither")
-    for one in fields:
-        if arguments.edit is not None and one.several and one.stands_alone and one.name in given:
+    for field in fields:
+        if arguments.edit is not None and field.several and field.stands_alone and field.name in given:
             what = "given with --edit, expected the sources of its recipe (--replace N=FILE takes another)"
-            raise InputError(given[one.name][0], what)
+            raise InputError(given[field.name][0], what)
     left, kept = set[str](), None
     if arguments.edit is not None and issubclass(kind, StageAction):
         left = set(kind.replaced(arguments))
         kept = read_kept(arguments.edit, kind, {*given, *left}, instead)
     values = {name: value for name, value in kept.values.items() if name not in left} if kept else {}
-    for one in fields:
-        if one.name in given:
-            value = one.parse(given[one.name]) if one.is_read and one.parse and given[one.name] else given[one.name]
-            values[one.name] = _joined(values.get(one.name), value)
+    for field in fields:
+        if field.name in given:
+            value = given[field.name]
+            if field.is_read and field.parse and value:
+                value = field.parse(value)
+            values[field.name] = _joined(values.get(field.name), value)
     values = kind.line_values(arguments, values)
-    for one in fields:
-        if one.needed and one.name not in values:
+    for field in fields:
+        if field.needed and field.name not in values:
             edit = " (or --edit RESULT)" if issubclass(kind, StageAction) else ""
-            raise InputError(one.shown, f"none given, expected {one.help.split(';')[0]}{edit}")
+            raise InputError(field.shown, f"none given, expected {field.help.split(';')[0]}{edit}")
     return kept, kind(**values)
 
 
 def _replacements(words: Sequence[str]) -> dict[int, Path]:
-    found: dict[int, Path] = {}
+    replacements: dict[int, Path] = {}
     for word in words:
         number, equals, path = word.partition("=")
         if not (equals and path and number.isascii() and number.isdecimal() and len(number) < 7):
             raise InputError(f"--replace {word}", "expected N=FILE, N the number of a source from 1")
-        if int(number) in found:
+        if int(number) in replacements:
             raise InputError(f"--replace {int(number)}=...", "given twice, expected it once")
-        found[int(number)] = Path(path)
-    return found
+        replacements[int(number)] = Path(path)
+    return replacements
 
 
 def _joined(old: Any, given: Any) -> Any:

@@ -176,10 +176,10 @@ def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.N
 
 
 def _run(module: Any, parsed: argparse.Namespace) -> Outcome:
-    with _spoken() as (said, _):
+    with _spoken() as (printed, _):
         code = int(module.run(parsed))
     try:
-        report: Mapping[str, Any] = json.loads(said.getvalue())
+        report: Mapping[str, Any] = json.loads(printed.getvalue())
     except ValueError:  # of a command without a report
         report = {}
     return Outcome(missed=code == 1, report=report if isinstance(report, dict) else {"report": report})

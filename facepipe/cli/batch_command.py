@@ -114,10 +114,10 @@ def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:
     width = max(len(one.name) for one in steps)
     counts = {one.name: 1 if one.once else len(run.plan.rows) for one in steps}
     bars: dict[str, Any] = {
-        one.name: ends.enter_context(
-            tqdm(total=counts[one.name], desc=f"{one.name:{width}}", position=number, file=sys.stderr)
+        step.name: ends.enter_context(
+            tqdm(total=counts[step.name], desc=f"{step.name:{width}}", position=number, file=sys.stderr)
         )
-        for number, one in enumerate(steps)
+        for number, step in enumerate(steps)
     }
     failed: Counter[str] = Counter()
 

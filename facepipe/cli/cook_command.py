@@ -87,9 +87,9 @@ def _line(node: NodeReport) -> str:
 
 def _findings(report: CookReport) -> list[str]:
     return [
-        f"{one.severity}: {one.check}: {one.where}: {one.message}"
-        for found in report.findings.values()
-        for one in found
+        f"{finding.severity}: {finding.check}: {finding.where}: {finding.message}"
+        for findings in report.findings.values()
+        for finding in findings
     ]
 
 

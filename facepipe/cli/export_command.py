@@ -117,7 +117,7 @@ def _distilled_text(report: DistilReport) -> list[str]:
     rows += [("shape weights", report.shape_weights, "")] if report.shape_weights else []
     rows += [("points", report.points_mm, "mm")] if report.points_mm else []
     lines += [
-        f"  {name}: mean {one.mean:.2g}, p95 {one.p95:.2g}, max {one.max:.2g} {unit}".rstrip()
-        for name, one, unit in rows
+        f"  {name}: mean {error.mean:.2g}, p95 {error.p95:.2g}, max {error.max:.2g} {unit}".rstrip()
+        for name, error, unit in rows
     ]
     return [*lines, f"  off so far over {report.vectors} random slider vectors that were not trained on"]

@@ -194,11 +194,11 @@ def options_from(arguments: argparse.Namespace, options: type) -> Any:
     return options(**{name: getattr(arguments, name) for name in names if hasattr(arguments, name)})
 
 
-def add_output(parser: argparse.ArgumentParser, what: str, *, positional: bool = False) -> None:
+def add_output(parser: argparse.ArgumentParser, help: str, *, positional: bool = False) -> None:
     """`-o OUT` and `--force`; with `positional` OUT may also stand alone."""
     if positional:
-        parser.add_argument("out", nargs="?", type=Path, metavar="OUT", help=what)
-    parser.add_argument("-o", "--output", type=Path, metavar="OUT", required=not positional, help=what)
+        parser.add_argument("out", nargs="?", type=Path, metavar="OUT", help=help)
+    parser.add_argument("-o", "--output", type=Path, metavar="OUT", required=not positional, help=help)
     parser.add_argument("--force", action="store_true", help="overwrite OUT where it exists")
 
 

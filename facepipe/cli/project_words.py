@@ -60,10 +60,10 @@ def _flags(project: Project, command: str, modules: Modules, words: Sequence[str
         if name not in known:
             near = did_you_mean(name, known) or f", expected some of {', '.join(sorted(known))}"
             raise InputError(where, f"'{name[:40]}' is no option that a project can choose{near}")
-        for one in value if isinstance(value, list) else [value]:
-            if not isinstance(one, str | int | float):
-                raise InputError(f"{where}.{name}", f"{str(one)[:40]}, expected a text, a number, or true or false")
-            flag = (f"--{name}" if one else f"--no-{name}") if isinstance(one, bool) else f"--{name}={one}"
+        for item in value if isinstance(value, list) else [value]:
+            if not isinstance(item, str | int | float):
+                raise InputError(f"{where}.{name}", f"{str(item)[:40]}, expected a text, a number, or true or false")
+            flag = (f"--{name}" if item else f"--no-{name}") if isinstance(item, bool) else f"--{name}={item}"
             if flag.partition("=")[0].removeprefix("--") in here:
                 yield flag
 
@@ -84,7 +84,7 @@ def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[s
 
 def _named(project: Project, words: list[str], folder: Path) -> list[str]:
     """The words with tables of names as their files."""
-    found = []
+    named = []
     for number, word in enumerate(words):
         flag, equals, value = word.partition("=")
         after = number > 0 and words[number - 1] == "--rename"
@@ -92,8 +92,8 @@ def _named(project: Project, words: list[str], folder: Path) -> list[str]:
         if name in project.names:
             file = _from(folder, project.names[name])
             word = f"--rename={file}" if equals and not after else file
-        found.append(word)
-    return found
+        named.append(word)
+    return named
 
 
 def _from(folder: Path, file: Path) -> str:

@@ -65,10 +65,12 @@ def _list(arguments: argparse.Namespace) -> int:
 
 def _rows(group: str, sliders: list[Slider]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [(group or "(no group)",)]
-    for one in sliders:
-        value = "" if one.value is None or one.value == one.default else f"= {one.value:g}"
-        span = f"{one.minimum:g} to {one.maximum:g}, {one.default:g}"
-        rows.append((f"  {one.name}", span, value, _driven(one), f"mirror {one.mirror}" if one.mirror else ""))
+    for slider in sliders:
+        value = "" if slider.value is None or slider.value == slider.default else f"= {slider.value:g}"
+        span = f"{slider.minimum:g} to {slider.maximum:g}, {slider.default:g}"
+        rows.append(
+            (f"  {slider.name}", span, value, _driven(slider), f"mirror {slider.mirror}" if slider.mirror else "")
+        )
     return rows
 
 

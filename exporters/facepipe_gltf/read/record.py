@@ -260,11 +260,11 @@ def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directi
                 normal_offsets=_turned_offsets(shape, read_shape, at, directions),
                 inbetweens=tuple(
                     replace(
-                        one,
+                        inbetween,
                         offsets=directions.offsets(by_weight[i].offsets),
-                        normal_offsets=_turned_offsets(one, by_weight[i], at, directions),
+                        normal_offsets=_turned_offsets(inbetween, by_weight[i], at, directions),
                     )
-                    for i, one in enumerate(shape.inbetweens)
+                    for i, inbetween in enumerate(shape.inbetweens)
                 ),
             )
         )

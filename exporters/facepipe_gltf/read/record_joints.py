@@ -49,8 +49,8 @@ def filled_animations(
     if not len(recorded) == len(read.animations) == len(record.joints) == len(record.shapes):
         raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(recorded)}")
     return tuple(
-        _animation(record, read.skeleton, *one, new_names, shapes)
-        for one in zip(recorded, read.animations, record.joints, record.shapes, strict=True)
+        _animation(record, read.skeleton, *of_animation, new_names, shapes)
+        for of_animation in zip(recorded, read.animations, record.joints, record.shapes, strict=True)
     )
 
 

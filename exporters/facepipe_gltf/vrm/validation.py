@@ -166,8 +166,8 @@ def _human_bones(vrm: Json) -> dict[str, Any]:
     humanoid = vrm.get("humanoid")
     bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
     return {
-        str(bone): one.get("node") if isinstance(one, dict) else None
-        for bone, one in (bones if isinstance(bones, dict) else {}).items()
+        str(bone): entry.get("node") if isinstance(entry, dict) else None
+        for bone, entry in (bones if isinstance(bones, dict) else {}).items()
     }
 
 
@@ -175,10 +175,10 @@ def _paths(document: RawDocument) -> Callable[[int], list[int]]:
     above = parents(document)
 
     def path(node: int) -> list[int]:
-        found = [node]
-        while found[-1] in above and above[found[-1]][0] not in found:
-            found.append(above[found[-1]][0])
-        return found
+        nodes = [node]
+        while nodes[-1] in above and above[nodes[-1]][0] not in nodes:
+            nodes.append(above[nodes[-1]][0])
+        return nodes
 
     return path
 
