@@ -1,4 +1,4 @@
-"""Prints the tables of bone fits and payloads in README.md, bones.md and skin.md: `python docs/bone_tables.py`.
+"""Prints the tables of bone fits and payloads in bones.md, skin.md and benchmarks.md: `python docs/bone_tables.py`.
 
 Needs ../shared/data (MakeHuman, CC0; ICT-FaceKit, MIT license) and about five minutes.
 Distances are over all points of a face, measured on the saved stages, in millimetres: mean / RMS / p95 / largest.
