@@ -246,12 +246,11 @@ def test_a_full_or_closed_disk_is_one_line(tmp_path: Path) -> None:
         "import resource, signal, sys\nfrom facepipe.cli import main\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))\n"
-        "print([main(['sample', out]) for out in sys.argv[1:]])\n"
+        "texels = {'a.usda': '0', 'a.usdc': '128', 'a.usdz': '128'}  # a side\n"
+        "print([main(['sample', out, '--textures', number]) for out, number in texels.items()])\n"
     )
-    outs = ("a.usda", "a.usdc", "a.usdz")
-    command = [sys.executable, "-c", program, *outs]
+    command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout == "[2, 2, 2]\n", done.stderr[-500:]
     assert [line.split(":")[0] for line in done.stderr.splitlines()] == ["facepipe"] * 3
-    assert not [out for out in outs if (tmp_path / out).exists()]
-    assert not list(tmp_path.glob(".*"))
+    assert not list(tmp_path.iterdir())

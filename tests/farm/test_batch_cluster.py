@@ -51,7 +51,7 @@ out = "game/{name}.glb"
 run = "export {child}"
 out = "rig/{name}.onnx"
 """
-SLOW = PLAN.replace("copy {face}", "slow 0.4 {face}")
+SLOW = PLAN.replace("copy {face}", "slow 0.2 {face}")
 
 
 @pytest.fixture
@@ -170,7 +170,9 @@ def test_a_worker_that_hangs_loses_nothing(show: Path, tmp_path: Path, monkeypat
     monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL", "3s")  # five minutes by default
     faces(show, 9)
     with farm_in(tmp_path / "farm", workers=2) as farm:
-        stop = threading.Timer(4.0, farm.workers[0].send_signal, [signal.SIGSTOP])
+        stop = threading.Thread(
+            target=lambda: (until(lambda: len(log(show)) > 3), farm.workers[0].send_signal(signal.SIGSTOP))
+        )
         stop.start()
         assert dict(run(show, SLOW, farm.address).counts) == {"made": 24}
         stop.join()
@@ -179,7 +181,8 @@ def test_a_worker_that_hangs_loses_nothing(show: Path, tmp_path: Path, monkeypat
 def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: Path, farm: Farm) -> None:
     faces(show, 9)
     farm.worker()
-    (show / "plan.toml").write_text(SLOW)
+    slow = SLOW.replace("0.2", "0.1")
+    (show / "plan.toml").write_text(slow)
     words = ["batch", str(show / "plan.toml"), "--state", str(show / "state"), "--thumbnails", "0"]
     process = subprocess.Popen([*FACEPIPE, *words, "--cluster", farm.address], stdout=-1, stderr=-1, text=True)
     until(lambda: len(log(show)) > 3)
@@ -188,7 +191,7 @@ def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: 
     assert (process.returncode, err) == (1, "")
     (line,) = [one for one in out.splitlines() if "gone" in one]
     left = int(re.fullmatch(r"failed: the cluster is gone: (\d+) tasks are left, run it again to do them", line)[1])
-    assert dict(run(show, SLOW, None).counts) == {"kept": 24 - left, "made": left}
+    assert dict(run(show, slow, None).counts) == {"kept": 24 - left, "made": left}
     again = [name for name, times in Counter(log(show)).items() if times > 1]
     assert len(again) <= 3  # what the worker had in hand, and answers on their way
 
@@ -211,9 +214,15 @@ def test_a_worker_of_another_version_is_refused(show: Path, farm: Farm) -> None:
 def test_a_worker_of_another_version_that_comes_later_gets_nothing(show: Path, farm: Farm) -> None:
     faces(show, 9)
     farm.worker()
-    later = threading.Timer(1.0, farm.worker, kwargs={"FARM_VERSION": "9.9"})
+    mark = show / "mark"  # the other is there and was asked: only now the first goes on
+
+    def come() -> None:
+        until((show / "waits").exists)
+        farm.worker(FARM_VERSION="9.9", FARM_MARK=str(mark))
+
+    later = threading.Thread(target=come)
     later.start()
-    report = run(show, SLOW.replace("0.4", "0.8"), farm.address, failures=0)
+    report = run(show, PLAN.replace("copy {face}", f"wait {mark} {{face}}"), farm.address, failures=0)
     later.join()
     assert dict(report.counts) == {"made": 24}, report.failures
     (line,) = report.warnings

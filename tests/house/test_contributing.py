@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
+import fresh_process
 import pytest
 from jsonschema import Draft202012Validator
 from pages import blocks
@@ -54,12 +52,9 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def python(root: Path, *words: object, folder: Path | None = None) -> str:
-    """Stdout of a process that finds the copy's package, and must end well."""
-    path = os.pathsep.join([str(root), *filter(None, [os.environ.get("PYTHONPATH")])])
-    command = [sys.executable, *map(str, words)]
-    environment = os.environ | {"PYTHONPATH": path}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder or root, env=environment)
+def python(root: Path, *words: object) -> str:
+    """Stdout of a process in the copy that finds the copy's package, and must end well."""
+    done = fresh_process.python(root, root, *words)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -78,18 +73,21 @@ def test_its_tests_pass_and_those_of_the_house(house: Path) -> None:
 
 
 def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path: Path) -> None:
-    def facepipe(*words: str) -> str:
-        return python(house, "-m", "facepipe", *words, folder=tmp_path)
-
-    for line in blocks(PAGE, "sh")[2].splitlines():
-        said = facepipe(*line.split()[1:])
-    assert "1 up to date" in said
-    facepipe("sample", "-o", "head.usda", "--seed", "1", "--force")
-    assert "soft.usda: scale-shapes: cooked" in facepipe("cook", "soft.usda")
-    assert re.search(r"^  scale-shapes +make blendshapes stronger or weaker$", facepipe("--help"), re.MULTILINE)
-    assert re.search(r"--shape NAME +blendshape to scale \(default all\)", facepipe("scale-shapes", "--help"))
-    words = ("scale-shapes", "head.usda", "--shape", "jawOpen", "--factor", "0.6", "-o", "same.usda", "--json")
-    assert json.loads(facepipe(*words)) == {"path": "same.usda", "shapes": ["jawOpen"], "warnings": []}
+    lines = [line.removeprefix("facepipe ") for line in blocks(PAGE, "sh")[2].splitlines()]
+    more = (
+        "sample -o head.usda --seed 1 --textures 0 --force",
+        "cook soft.usda",
+        "--help",
+        "scale-shapes --help",
+        "scale-shapes head.usda --shape jawOpen --factor 0.6 -o same.usda --json",
+    )
+    *_, kept, _, cook, help, options, same = ends = fresh_process.commands(tmp_path, house, *lines, *more)
+    assert [(end.returncode, end.stderr) for end in ends] == [(0, "")] * len(ends)
+    assert "1 up to date" in kept.stdout
+    assert "soft.usda: scale-shapes: cooked" in cook.stdout
+    assert re.search(r"^  scale-shapes +make blendshapes stronger or weaker$", help.stdout, re.MULTILINE)
+    assert re.search(r"--shape NAME +blendshape to scale \(default all\)", options.stdout)
+    assert json.loads(same.stdout) == {"path": "same.usda", "shapes": ["jawOpen"], "warnings": []}
 
     program = """if True:
         import json, facepipe
@@ -97,8 +95,10 @@ def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path:
         from facepipe.declare import schema_of
         facepipe.scale_shapes("head.usda", shapes=["jawOpen"], factor=0.6, out="python.usda")
         print(json.dumps(schema_of(find_action("scale-shapes"))))"""
-    schema = Draft202012Validator(json.loads(python(house, "-c", program, folder=tmp_path)))
+    made = fresh_process.python(tmp_path, house, "-c", program)
+    assert (made.returncode, made.stderr) == (0, "")
+    schema = Draft202012Validator(json.loads(made.stdout))
     assert schema.is_valid({"face": "head.usda", "shapes": ["jawOpen"], "factor": 0.6})
     assert not schema.is_valid({"face": "head.usda", "factor": 5})
-    made = {(tmp_path / name).read_bytes() for name in ("soft.usda", "same.usda", "python.usda")}
-    assert len(made) == 1
+    results = {(tmp_path / name).read_bytes() for name in ("soft.usda", "same.usda", "python.usda")}
+    assert len(results) == 1

@@ -70,7 +70,7 @@ def test_help_loads_nothing_of_others(words: tuple[str, ...]) -> None:
 
 def test_export_loads_what_it_needs(tmp_path: Path) -> None:
     head = tmp_path / "head.usda"
-    assert exit_code("sample", head) == 0
+    assert exit_code("sample", head, "--textures", "64") == 0
     modules = loaded("export", str(head), "-o", str(tmp_path / "head.glb"))
     assert {"pxr", "numpy"} <= {*modules}
     assert not {"torch", "onnx", "onnxruntime", "facepipe.learn", "facepipe.heads", "facepipe.cli.view"} & {*modules}

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
+import fresh_process
 import numpy as np
 import pytest
 from faces import tiny_face
+from fresh_process import End, commands
 from typed_plugins import EXPORTERS, IMPORTERS
 
 import facepipe
@@ -173,57 +172,51 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A command line in a process that finds the plug-in."""
-    return python(folder, "import sys; from facepipe.cli import main; sys.exit(main(sys.argv[1:]))", *words)
+def run(folder: Path, *lines: str) -> list[End]:
+    """Command lines in a process that finds the plug-in."""
+    return commands(folder, folder / "site", *lines)
 
 
-def python(folder: Path, program: str, *words: str) -> subprocess.CompletedProcess[str]:
+def python(folder: Path, program: str) -> End:
     """A program in a process that finds the plug-in."""
-    path = os.pathsep.join([str(folder / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.run(
-        [sys.executable, "-c", program, *words],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path},
-    )
+    return fresh_process.python(folder, folder / "site", "-c", program)
 
 
 def test_a_file_goes_through_the_importer_a_stage_and_the_exporter(folder: Path) -> None:
-    done = run(folder, "import", "xyz", "quad.xyz", "quad.usda", "--scale", "2")
-    assert (done.returncode, done.stderr) == (0, "facepipe: warning: xyz: has no joints\n")
+    imported, exported, checked = run(
+        folder,
+        "import xyz quad.xyz quad.usda --scale 2",
+        "export quad.usda -o head.xyz --decimals 2",
+        "validate head.xyz",
+    )
+    assert (imported.returncode, imported.stderr) == (0, "facepipe: warning: xyz: has no joints\n")
     (mesh,) = facepipe.open(folder / "quad.usda").parts().meshes
     np.testing.assert_array_equal(mesh.points, [[0, 0, 0], [2.5, 0, 0], [2.5, 4.125, 0], [0, 4, 1]])
 
-    done = run(folder, "export", "quad.usda", "-o", "head.xyz", "--decimals", "2")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("head.xyz: 74 bytes"), done.stdout
+    assert exported.returncode == 0, exported.stderr
+    assert exported.stdout.startswith("head.xyz: 74 bytes"), exported.stdout
     assert (folder / "head.xyz").read_text().splitlines()[1:4] == ["0.00 0.00 0.00", "2.50 0.00 0.00", "2.50 4.12 0.00"]
 
-    assert run(folder, "validate", "head.xyz").returncode == 0
+    assert checked.returncode == 0
     (folder / "head.xyz").write_text("1\nnan 0 0\n")
-    done = run(folder, "validate", "head.xyz")
+    (done,) = run(folder, "validate head.xyz")
     assert done.returncode == 1
     assert done.stdout.startswith("error: xyz:Finite: head.xyz:2: not finite\n")
 
 
 def test_help_lists_the_options_of_plug_ins(folder: Path) -> None:
-    done = run(folder, "import", "--help")
+    (done,) = run(folder, "import --help")
     assert "--scale" in done.stdout, done.stderr
     assert "--weld" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("suffix", "line"),
-    [
-        ("broken", "plug-in broken (xyz_plugin.nothing): can't be loaded: No module named 'xyz_plugin.nothing'"),
-        ("part", "plug-in part (xyz_plugin.read): has no export, expected Options, export, validate"),
-    ],
-)
-def test_a_plug_in_that_breaks_the_contract_is_refused_in_one_line(folder: Path, suffix: str, line: str) -> None:
-    done = run(folder, "export", "quad.usda", "-o", f"head.{suffix}")
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"facepipe: {line}\n")
+def test_a_plug_in_that_breaks_the_contract_is_refused_in_one_line(folder: Path) -> None:
+    expected = {
+        "broken": "plug-in broken (xyz_plugin.nothing): can't be loaded: No module named 'xyz_plugin.nothing'",
+        "part": "plug-in part (xyz_plugin.read): has no export, expected Options, export, validate",
+    }
+    ends = run(folder, *(f"export quad.usda -o head.{suffix}" for suffix in expected))
+    assert ends == [(2, "", f"facepipe: {line}\n") for line in expected.values()]
 
 
 def test_an_action_of_others_is_a_command_with_recipe_edit_and_cook(folder: Path) -> None:
@@ -236,27 +229,29 @@ def test_an_action_of_others_is_a_command_with_recipe_edit_and_cook(folder: Path
         np.testing.assert_allclose(moved, np.tile(moved[0], (POINTS, 1)), atol=1e-3)
         return [round(float(one), 3) for one in moved[0]]
 
-    help = run(folder, "lift", "--help").stdout
-    assert "Move a face up.\n\nexample: facepipe lift head.usda" in help
-    assert "--by-mm BY_MM    how far [mm] (default 10.0)" in re.sub(" {5,}", "    ", help)
-    done = run(folder, "lift", "face.usda", "--by-mm", "5", "-o", "up.usda")
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"up.usda: {POINTS} points lifted\n", "")
+    help, done, far = run(
+        folder,
+        "lift --help",
+        "lift face.usda --by-mm 5 -o up.usda",
+        "lift face.usda --by-mm 101 -o far.usda",
+    )
+    assert "Move a face up.\n\nexample: facepipe lift head.usda" in help.stdout
+    assert "--by-mm BY_MM    how far [mm] (default 10.0)" in re.sub(" {5,}", "    ", help.stdout)
+    assert done == (0, f"up.usda: {POINTS} points lifted\n", "")
     assert lifted() == [0, 5, 0]
-    done = run(folder, "lift", "face.usda", "--by-mm", "101", "-o", "far.usda")
-    line = "facepipe: option by_mm: is 101.0, expected a number from 0 to 100\n"
-    assert (done.returncode, done.stderr) == (2, line)
+    assert far == (2, "", "facepipe: option by_mm: is 101.0, expected a number from 0 to 100\n")
 
-    done = run(folder, "lift", "--edit", "up.usda", "--by-mm", "7", "--force", "--json")
+    (done,) = run(folder, "lift --edit up.usda --by-mm 7 --force --json")
     assert json.loads(done.stdout) == {"path": "up.usda", "points": POINTS, "warnings": []}, done.stderr
     assert lifted() == [0, 7, 0]
     made = (folder / "up.usda").read_bytes()
 
     save_parts(replace(tiny_face(), meters_per_unit=0.02), folder / "face.usda")
-    done = run(folder, "cook", "up.usda")
+    done, again = run(folder, "cook up.usda", "cook up.usda")
     assert "up.usda: lift: cooked" in done.stdout, done.stderr
     assert (folder / "up.usda").read_bytes() != made
     assert lifted() == [0, 7, 0]
-    assert "1 up to date" in run(folder, "cook", "up.usda").stdout
+    assert "1 up to date" in again.stdout
 
 
 def test_an_action_of_others_is_done_in_python(folder: Path) -> None:
@@ -264,22 +259,28 @@ def test_an_action_of_others_is_done_in_python(folder: Path) -> None:
     program = "import facepipe; print(facepipe.lift('face.usda', by_mm=5.0, out='up.usda').points)"
     done = python(folder, program)
     assert done.stdout == f"{POINTS}\n", done.stderr
-    assert run(folder, "lift", "face.usda", "--by-mm", "5", "-o", "same.usda").returncode == 0
+    assert [end.returncode for end in run(folder, "lift face.usda --by-mm 5 -o same.usda")] == [0]
     assert (folder / "up.usda").read_bytes() == (folder / "same.usda").read_bytes()
 
 
 def test_a_verb_of_two_words_is_a_command_of_a_group(folder: Path) -> None:
     save_parts(tiny_face(), folder / "face.usda")
-    assert re.search(r"^    lift +move a face up by 1%$", run(folder, "studio", "--help").stdout, re.MULTILINE)
-    assert "face stage, 100%" in run(folder, "studio", "lift", "--help").stdout
-    words = ("studio", "lift", "face.usda", "--by-mm", "5", "--more-mm", "1", "--more-mm", "0.5")
-    done = run(folder, *words, "-o", "up.usda")
+    line = "studio lift face.usda --by-mm 5 --more-mm 1 --more-mm 0.5"
+    help, options, done, kept, far = run(
+        folder,
+        "studio --help",
+        "studio lift --help",
+        f"{line} -o up.usda",
+        "cook up.usda",
+        f"{line} --more-mm 200 -o far.usda",
+    )
+    assert re.search(r"^    lift +move a face up by 1%$", help.stdout, re.MULTILINE)
+    assert "face stage, 100%" in options.stdout
     assert (done.returncode, done.stderr) == (0, "")
     moved = facepipe.open(folder / "up.usda").evaluate() - facepipe.open(folder / "face.usda").evaluate()
     np.testing.assert_allclose(moved, np.tile([0.0, 0.65, 0.0], (POINTS, 1)), atol=1e-4)
-    assert "up.usda: studio lift: up to date" in run(folder, "cook", "up.usda").stdout
-    done = run(folder, *words, "--more-mm", "200", "-o", "far.usda")
-    assert done.stderr == "facepipe: option more_mm: is 200.0, expected a number from 0 to 100\n"
+    assert "up.usda: studio lift: up to date" in kept.stdout
+    assert far.stderr == "facepipe: option more_mm: is 200.0, expected a number from 0 to 100\n"
 
     program = "import facepipe; facepipe.studio_lift('face.usda', by_mm=5.0, more_mm=(1.0, 0.5), out='same.usda')"
     assert python(folder, program).returncode == 0
@@ -303,7 +304,16 @@ def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_els
         "clash": "(xyz_plugin.clash:Lift) -> output: has the name of what every command has, expected another",
         "empty": "(xyz_plugin.empty:Lift): has no source, expected one",
     }
-    listing = run(folder, "--help")
+    save_parts(tiny_face(), folder / "face.usda")
+    listing, skin, database, inspected, lifted, *refused = run(
+        folder,
+        "--help",
+        "skin --help",
+        "database --help",
+        "inspect face.usda",
+        "lift face.usda -o up.usda",
+        *(f"{verb} face.usda -o no.usda" for verb in wrong),
+    )
     assert listing.returncode == 0, listing.stderr
     commands = listing.stdout.partition("commands:\n")[2].partition("\n\n")[0]
     listed = dict(line.split(maxsplit=1) for line in commands.splitlines())
@@ -311,23 +321,18 @@ def test_actions_that_break_the_contract_are_refused_in_one_line_and_nothing_els
     own = {**commands_of(), "lift": "move a face up", "studio": "actions of plug-ins"}
     assert listed == {**own, **broken}  # skin, demo and database are ours
 
-    save_parts(tiny_face(), folder / "face.usda")
-    for verb, line in wrong.items():
-        done = run(folder, verb, "face.usda", "-o", "up.usda")
-        assert (done.returncode, done.stdout, done.stderr) == (2, "", f"facepipe: plug-in {verb} {line}\n")
-    assert "skeleton" in run(folder, "skin", "--help").stdout
-    assert "add" in run(folder, "database", "--help").stdout
-    assert run(folder, "inspect", "face.usda").returncode == 0
+    assert refused == [(2, "", f"facepipe: plug-in {verb} {line}\n") for verb, line in wrong.items()]
+    assert "skeleton" in skin.stdout
+    assert "add" in database.stdout
+    assert (inspected.returncode, lifted.returncode) == (0, 0)
 
-    assert run(folder, "lift", "face.usda", "-o", "up.usda").returncode == 0
     other = (folder / "up.usda").read_text().replace('recipe:verb = "lift"', 'recipe:verb = "fly"')
     (folder / "up.usda").write_text(other)
-    line = run(folder, "cook", "up.usda").stderr
-    assert line.startswith("facepipe: up.usda -> recipe: is of 'fly', expected one of animate, ")
-    assert " lift, " in line
-    (folder / "up.usda").write_text(other.replace('"fly"', '"burst"'))
-    line = run(folder, "cook", "up.usda").stderr
-    assert line == f"facepipe: up.usda -> recipe -> plug-in burst {wrong['burst']}\n"
+    (folder / "burst.usda").write_text(other.replace('"fly"', '"burst"'))
+    unknown, broken_one = run(folder, "cook up.usda", "cook burst.usda")
+    assert unknown.stderr.startswith("facepipe: up.usda -> recipe: is of 'fly', expected one of animate, ")
+    assert " lift, " in unknown.stderr
+    assert broken_one.stderr == f"facepipe: burst.usda -> recipe -> plug-in burst {wrong['burst']}\n"
 
 
 def test_our_own_plug_ins_are_those_that_types_are_checked_of() -> None:

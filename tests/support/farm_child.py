@@ -11,6 +11,8 @@ from pathlib import Path
 from facepipe import core
 
 core.__version__ = os.environ.get("FARM_VERSION", core.__version__)  # before others take it
+if "FARM_MARK" in os.environ:
+    Path(os.environ["FARM_MARK"]).touch()  # it was started
 
 from facepipe.cli.batch_child import main  # noqa: E402
 from facepipe.cli.batch_child import read_line as read_command  # noqa: E402
@@ -20,8 +22,8 @@ _kept: list[bytes] = []
 
 
 def read_line(words: list[str]) -> Line:
-    """``copy SOURCE ... -o OUT``, ``slow SECONDS SOURCE ... -o OUT``, ``die``, ``die-once MARK``, ``hang``, ``eat MB``,
-    ``fill -o OUT``, ``keep NAME -o OUT``; else a command.
+    """``copy SOURCE ... -o OUT``, ``slow SECONDS SOURCE ... -o OUT``, ``wait MARK SOURCE ... -o OUT``, ``die``,
+    ``die-once MARK``, ``hang``, ``eat MB``, ``fill -o OUT``, ``keep NAME -o OUT``; else a command.
     """
     verb, rest = words[0], words[1:]
     out = [Path(rest[rest.index("-o") + 1])] if "-o" in rest else []
@@ -29,6 +31,7 @@ def read_line(words: list[str]) -> Line:
     made = {
         "copy": _copy,
         "slow": _slow,
+        "wait": _wait,
         "die": _die,
         "die-once": _die_once,
         "hang": _hang,
@@ -38,7 +41,7 @@ def read_line(words: list[str]) -> Line:
     }.get(verb)
     if made is None:
         return read_command(words)
-    reads = {"copy": named, "slow": named[1:]}.get(verb, [])
+    reads = {"copy": named, "slow": named[1:], "wait": named[1:]}.get(verb, [])
     return Line(verb=verb, reads=reads, writes=out, run=lambda: made(named, out))
 
 
@@ -51,6 +54,15 @@ def _copy(sources: list[Path], out: list[Path]) -> Outcome:
 
 def _slow(named: list[Path], out: list[Path]) -> Outcome:
     time.sleep(float(str(named[0])))
+    return _copy(named[1:], out)
+
+
+def _wait(named: list[Path], out: list[Path]) -> Outcome:
+    """Say that it waits, by a file beside the mark, and wait for the mark."""
+    named[0].with_name("waits").touch()
+    until = time.monotonic() + 60
+    while not named[0].exists() and time.monotonic() < until:
+        time.sleep(0.05)
     return _copy(named[1:], out)
 
 

@@ -416,7 +416,7 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what a shell's background ignores
         "from facepipe.cli import main\n"
         "os.fsync = lambda file: os.kill(os.getpid(), getattr(signal, sys.argv[1]))\n"
-        "sys.exit(main(['sample', 'head.usda']))\n"
+        "sys.exit(main(['sample', 'head.usda', '--textures', '0']))\n"
     )
     for name, code, word in (("SIGTERM", 143, "terminated"), ("SIGINT", 130, "interrupted")):
         command = [sys.executable, "-c", script, name]

@@ -132,7 +132,7 @@ def test_policies_that_make_no_sense_are_refused(policy: dict[str, object]) -> N
 def test_every_command_takes_roots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a.usda")
     assert "none: is no folder" in failed(capsys, "sample", out, "--root", tmp_path / "none", folder=tmp_path)
-    assert exit_code("sample", out, "--root", tmp_path) == 0
+    assert exit_code("sample", out, "--textures", "0", "--root", tmp_path) == 0
 
 
 @pytest.mark.parametrize("words", [["--root", "none", "info", "a.fpdb"], ["info", "a.fpdb", "--root", "none"]])
@@ -144,7 +144,7 @@ def test_roots_stand_before_and_after_an_action(words: list[str], capsys: pytest
 def test_a_line_keeps_what_its_host_has_confined(show: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (show.parent / "other/a.json").write_text("{}")
     face = str(show / "a.usda")
-    done(capsys, "sample", face)
+    done(capsys, "sample", face, "--textures", "0")
     words = ["landmarks", face, "--from", str(show.parent / "other/a.json"), "-o", str(show / "b.usda")]
     with trusting(Trust(roots=(show,), confined=True)):
         assert "a.json: is outside the roots" in failed(capsys, *words, folder=show.parent)
