@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator, Mapping
 
@@ -22,8 +23,29 @@ def require_finite(value: object, *where: str, error: type[FacepipeError] = Inpu
     :param where: the trail to `value`, for the message
     :raises error: the first NaN or infinity, with the names and fields on the way to it
     """
+    if _finite(value):  # quick: only where it is not, the way there is looked for
+        return
     for trail in _culprits(value):
         raise error(" -> ".join([*where, *trail]) or "value", "NaN or infinity, expected finite numbers")
+
+
+def _finite(value: object) -> bool:
+    if isinstance(value, float | np.floating):
+        return math.isfinite(value)
+    if isinstance(value, str | bytes | int | None):
+        return True
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind not in "fc" or bool(np.isfinite(value).all())
+    if isinstance(value, tuple | list):
+        return all(map(_finite, value))
+    if isinstance(value, Mapping):
+        return all(map(_finite, value.values()))
+    return all(_finite(getattr(value, name)) for name in _field_names(type(value)))
+
+
+@functools.cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
 
 
 def _culprits(value: object) -> Iterator[tuple[str, ...]]:

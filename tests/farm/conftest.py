@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from farm_forks import Fork
 from places import REPOSITORY
 
 from facepipe.farm import child
@@ -22,7 +26,10 @@ Runner = Callable[..., BatchReport]
 def show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with three faces, and a base, of a few bytes each."""
     monkeypatch.setattr(child, "PROGRAM", "farm_child")
-    monkeypatch.setenv("PYTHONPATH", str(REPOSITORY / "tests/support"))
+    path = [str(REPOSITORY / "tests/support"), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
+    if sys.platform == "linux":
+        monkeypatch.setattr(child, "subprocess", SimpleNamespace(PIPE=None, DEVNULL=None, Popen=Fork))
     folder = tmp_path / "show"
     (folder / "heads").mkdir(parents=True)
     for name in ("ada", "bea", "cyd"):
