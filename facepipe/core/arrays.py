@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ def require_finite(value: object, *where: str, error: type[FacepipeError] = Inpu
         raise error(" -> ".join([*where, *trail]) or "value", "NaN or infinity, expected finite numbers")
 
 
-def _finite(value: object) -> bool:
+def _finite(value: Any) -> bool:
     if isinstance(value, float | np.floating):
         return math.isfinite(value)
     if isinstance(value, str | bytes | int | None):
@@ -40,7 +41,7 @@ def _finite(value: object) -> bool:
         return all(map(_finite, value))
     if isinstance(value, Mapping):
         return all(map(_finite, value.values()))
-    return all(_finite(getattr(value, name)) for name in _field_names(type(value)))
+    return all(_finite(getattr(value, name)) for name in _field_names(value.__class__))
 
 
 @functools.cache

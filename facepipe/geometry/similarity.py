@@ -191,10 +191,11 @@ def robust_similarity(source: FloatArray, target: FloatArray, *, scale: bool = T
     rng = np.random.default_rng(seed)
     off = np.linalg.norm(best.apply(source) - target, axis=1)
     least = float(np.median(off))
-    for _ in range(_TRIALS):
-        chosen = rng.choice(count, _SAMPLE, replace=False)
-        tried = fit_similarity(source[chosen], target[chosen], scale=scale)
-        distances = np.linalg.norm(tried.apply(source) - target, axis=1)
+    chosen = np.concatenate([rng.choice(count, _SAMPLE, replace=False) for _ in range(_TRIALS)])
+    groups = np.repeat(np.arange(_TRIALS), _SAMPLE)
+    tried = fit_similarities(source[chosen], target[chosen], groups, scale=scale)
+    for trial in range(_TRIALS):
+        distances = np.linalg.norm(tried[trial].apply(source) - target, axis=1)
         if np.median(distances) < least:
             least, off = float(np.median(distances)), distances
     inside = off <= max(_INLIER * 1.4826 * least, np.sort(off)[_SAMPLE - 1])

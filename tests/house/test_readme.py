@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from command_line import plain_actions
+from command_line import Capsys, done, failed, plain_actions
 from pages import blocks
 from places import REPOSITORY
 
@@ -94,18 +94,16 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     assert (tmp_path / "me.glb").stat().st_size > 0
 
 
-def test_the_demo_makes_everything(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "facepipe", "demo", "demo"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+@pytest.mark.usefixtures("one_sample_a_pixel")
+def test_the_demo_makes_everything(tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    printed = done(capsys, "demo", "demo", quiet=False)
     assert {"head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
         one.name for one in (tmp_path / "demo").iterdir()
     }
-    assert done.stdout.count("no errors, no warnings") == 3, done.stdout
+    assert printed.count("no errors, no warnings") == 3, printed
     assert facepipe.open(tmp_path / "demo" / "head.usda").parts().materials  # its textures are there too
-    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert again.returncode == 2
-    assert "--force" in again.stderr
+    assert "--force" in failed(capsys, "demo", "demo", folder=tmp_path)
 
 
 def test_the_table_lists_every_command() -> None:

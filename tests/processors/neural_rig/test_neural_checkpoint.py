@@ -53,16 +53,19 @@ def killer(step: int) -> Callable[[], None]:
     return kill
 
 
-def killed_in_the_encoder(motion: Motion, path: Path) -> None:
+@pytest.fixture(scope="module")
+def killed(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The file of a training whose rig is whole and whose encoder was at step 170."""
+    path = tmp_path_factory.mktemp("killed") / "head.training"
     TrainNeuralRig(options=FEW_STEPS)(motion, checkpoint=path)
     with pytest.raises(KilledError):
         TrainEncoder(options=ENCODER)(motion, killer(170), path)
+    return path.read_bytes()
 
 
-def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, tmp_path: Path) -> None:
+def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, killed: bytes, tmp_path: Path) -> None:
     kept = tmp_path / "head.training"
-    killed_in_the_encoder(motion, kept)
+    kept.write_bytes(killed)
     rig = {name: one for name, one in read_arrays(kept, KIND).arrays.items() if name.startswith("rig.")}
     assert rig
     with pytest.raises(InputError, match=r"head.training: a training of other frames or options \(encoder\)"):
@@ -83,10 +86,10 @@ def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, tmp_path: Path
 
 
 def test_the_command_goes_on_in_the_encoder(
-    face: Path, motion: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    face: Path, killed: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept, plot = tmp_path / "head.training", tmp_path / "curve.svg"
-    killed_in_the_encoder(motion, kept)
+    kept.write_bytes(killed)
     words = ("neural-rig", "train", face, *WORDS)
     done(capsys, *words, "-o", tmp_path / "new.fpnr", "--checkpoint", kept, "--plot", plot)
     assert not kept.exists()
@@ -94,12 +97,12 @@ def test_the_command_goes_on_in_the_encoder(
     assert (tmp_path / "new.fpnr").read_bytes() == (tmp_path / "whole.fpnr").read_bytes()
 
 
-def test_files_that_are_no_such_training_are_told(motion: Motion, tmp_path: Path) -> None:
+def test_files_that_are_no_such_training_are_told(motion: Motion, killed: bytes, tmp_path: Path) -> None:
     kept = tmp_path / "head.training"
     kept.write_bytes(b"something else")
     with pytest.raises(InputError, match=r"head.training: is no neural rig training"):
         TrainEncoder(options=ENCODER)(motion, checkpoint=kept)
-    killed_in_the_encoder(motion, tmp_path / "whole.training")
+    (tmp_path / "whole.training").write_bytes(killed)
     found = read_arrays(tmp_path / "whole.training", KIND)
     lacking = {name: one for name, one in found.arrays.items() if name != "encoder.numbers"}
     write_arrays(kept, KIND, found.content, lacking)

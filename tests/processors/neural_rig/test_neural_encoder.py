@@ -33,7 +33,7 @@ from facepipe.rig.neural_rig import NeuralRig, inputs
 from facepipe.stage import save_parts
 
 torch = pytest.importorskip("torch")
-OPTIONS = TrainEncoderOptions(points=32, encoder_steps=1000)
+OPTIONS = TrainEncoderOptions(points=32, encoder_steps=500)
 FEW = replace(OPTIONS, encoder_steps=30)
 
 
