@@ -67,7 +67,7 @@ class _Affine:
     def _least_mean(self, target: Any, points: Any) -> tuple[Any, float]:
         """Points (n, 3), and what the mean is at least.
 
-        The bound is the dual's: any forces y of at most 1 a point that no bone feels, ``A^T y = 0``, tell
+        The bound is the dual's: any forces y of at most 1 a point that no bone feels, ``A^T y = 0``, give
         ``sum |A X - t| >= - sum y . t``. Weighted least squares ends where ``y = w (A X - t)`` is such.
         """
         from scipy.linalg import cho_factor, cho_solve

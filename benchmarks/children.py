@@ -76,7 +76,7 @@ def export_times(export: Callable[[], object]) -> Json:
 
 
 def peak_memory() -> int | None:
-    """Peak resident memory of this process so far in bytes; None where the system doesn't tell (Windows)."""
+    """Peak resident memory of this process so far in bytes; None where the system doesn't say (Windows)."""
     if sys.platform == "win32":
         return None
     import resource

@@ -97,8 +97,8 @@ def _shares(rows: list[Row]) -> Iterator[str]:
     peer = sizes.pop("blendshapes")
     for name in dict.fromkeys(row.of for row in rows if row.way == "points" and row.of in sizes):
         size = sizes[name]
-        told = f"{name}: shapes and matrices {size:,.0f} KB, {size / peer:.2f} of those of the blendshapes"
-        yield f"{told}; {off[name]:.3f} mm, {off[name] / off['blendshapes']:.2f} of theirs"
+        line = f"{name}: shapes and matrices {size:,.0f} KB, {size / peer:.2f} of those of the blendshapes"
+        yield f"{line}; {off[name]:.3f} mm, {off[name] / off['blendshapes']:.2f} of theirs"
 
 
 def _cell(value: float | None) -> str:
@@ -169,7 +169,7 @@ def _small(learned: Motion, steps: int) -> dict[str, NeuralRig]:
 
 
 def _corrected(first: Teacher, learned: Motion, unseen: Motion, folder: Path) -> Row:
-    """The blendshapes with shapes of the pairs of controls that tell most."""
+    """The blendshapes with shapes of the pairs of controls that explain most."""
     found = pair_correctives(learned, CORRECTIVES)
     off = np.stack([found.points(values) for values in unseen.values]) - unseen.points
     off = np.linalg.norm(off, axis=2)

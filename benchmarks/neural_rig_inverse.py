@@ -43,7 +43,7 @@ FEW = 10  # of the first, for Adam
 STEPS = {"with bones": (300, 1000, 3000), "without bones": (1000, 3000, 10000)}  # of Adam
 STOPS = 40  # steps of Levenberg-Marquardt that it is stopped before
 NEAR = 1.01  # times an error that are the same
-TOLD = 0.05  # standard error of controls that targets tell
+KNOWN = 0.05  # standard error of controls that targets determine
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class InverseRow:
     mean_mm: float
     max_mm: float
     off: float  # of all controls
-    told_off: float  # of those that targets tell
-    told: int
+    known_off: float  # of those that targets determine
+    known: int
     steps: float
     ms: float  # a frame, of one processor, the report among it
     lm_ms: float | None = None  # a frame, of Levenberg-Marquardt to the same error
@@ -126,13 +126,13 @@ def _adam_rows(
 
 def inverse_table(rows: list[InverseRow]) -> list[str]:
     """Lines, with how many times as long as Levenberg-Marquardt Adam takes to the same error."""
-    head = ("rig and frames", "way", "frames", "mean mm", "max mm", "off", "told off", "told", "steps", "ms", "times")
+    head = ("rig and frames", "way", "frames", "mean mm", "max mm", "off", "known off", "known", "steps", "ms", "times")
     lines = [head]
     for row in rows:
         times = f"{row.ms / row.lm_ms:.1f}x" if row.lm_ms else "nearer" if row.way.startswith("adam") else ""
-        error = (f"{row.mean_mm:.4f}", f"{row.max_mm:.2f}", f"{row.off:.4f}", f"{row.told_off:.4f}")
+        error = (f"{row.mean_mm:.4f}", f"{row.max_mm:.2f}", f"{row.off:.4f}", f"{row.known_off:.4f}")
         spent = (f"{row.steps:.1f}", f"{row.ms:.1f}", times)
-        lines.append((row.of, row.way, str(row.frames), *error, str(row.told), *spent))
+        lines.append((row.of, row.way, str(row.frames), *error, str(row.known), *spent))
     return aligned(lines)
 
 
@@ -152,7 +152,7 @@ def _row(
     spent, report = time.process_time() - begun, found.report
     ranges = np.array([control.maximum - control.minimum for control in rig.controls])
     off = np.abs(found.values - values).mean(axis=0) / ranges
-    told = np.array([report.controls[control.name].std <= TOLD for control in rig.controls])
+    known = np.array([report.controls[control.name].std <= KNOWN for control in rig.controls])
     return InverseRow(
         of=of,
         way=way,
@@ -160,8 +160,8 @@ def _row(
         mean_mm=report.error_mean_mm,
         max_mm=report.error_max_mm,
         off=float(off.mean()),
-        told_off=float(off[told].mean()) if told.any() else float("nan"),
-        told=int(told.sum()),
+        known_off=float(off[known].mean()) if known.any() else float("nan"),
+        known=int(known.sum()),
         steps=report.steps,
         ms=1000.0 * spent / len(points),
     )

@@ -17,7 +17,7 @@ IntArray = npt.NDArray[np.integer]
 
 _ROUNDS = 4  # pairs are chosen a part at a time, each by what the ones before it leave
 _KEPT = 128  # principal components of what is left, to choose by
-_FIRM = 1e-6  # of the products' squares; those of controls that seldom move together tell nothing
+_FIRM = 1e-6  # of the products' squares; those of controls that seldom move together say nothing
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Correctives:
 
 
 def pair_correctives(motion: Motion, count: int) -> Correctives:
-    """The `count` pairs that tell most of what the others leave, and shapes of least squared error on all frames."""
+    """The `count` pairs that explain most of what the others leave, and shapes of least squared error on all frames."""
     from facepipe.geometry.shape_basis import motion_basis
 
     x = motion.values
@@ -50,9 +50,9 @@ def pair_correctives(motion: Motion, count: int) -> Correctives:
         own = np.linalg.qr(np.concatenate([rows, products[:, chosen]], axis=1))[0]
         fresh, rest = (one - own @ (own.T @ one) for one in (products, target))
         sizes = np.square(fresh).sum(axis=0)
-        told = np.square(fresh.T @ rest).sum(axis=1) / (sizes + _FIRM * sizes.max())
-        told[chosen] = -1.0
-        chosen += np.argsort(-told)[: len(part)].tolist()
+        explained = np.square(fresh.T @ rest).sum(axis=1) / (sizes + _FIRM * sizes.max())
+        explained[chosen] = -1.0
+        chosen += np.argsort(-explained)[: len(part)].tolist()
     rows = np.concatenate([rows, products[:, chosen]], axis=1)
     shapes = np.linalg.lstsq(rows, deltas, rcond=None)[0]
     return Correctives(motion.rest, every[chosen], shapes.reshape(-1, *motion.rest.shape))

@@ -11,10 +11,10 @@ that no training saw, with noisy landmarks. Rows, means over the faces, by what 
   raw             nothing: the defaults with the pose of an affine camera, or the guess as it is
   defaults        as `facepipe fit-photo` begins
   guess           as `facepipe fit-photo --start` does; it takes the raw one where that is better, as it mostly is
-  truth           at the person's own sliders, expression and camera, what a network is trained to tell
+  truth           at the person's own sliders, expression and camera, what a network is trained to give
 
 On each face all descents lower one joint loss: the trust in pixels is that of the defaults after stage one, and shadows
-are always those of the face as it is, renewed once more before its loss is told. Columns: the joint loss at the start,
+are always those of the face as it is, renewed once more before its loss is taken. Columns: the joint loss at the start,
 after few steps of the rate, and from the defaults after many of the fit's own rate; seconds of these steps; mean slider
 errors (a share of the range, sliders that move the head by more than 1 mm). The last lines compare few steps from the
 guess, and from the truth, with many from the defaults.

@@ -4,12 +4,12 @@ usage: python benchmarks/photo_recovery.py [--faces 50] [--seed 0] [--size 256] 
        [--no-networks] [--modes ...] [--processes 2] [--json out.json]
 
 Each person is photographed neutral and with an expression (`recovery_targets.py`); each photo is fitted with the L1
-terms that draw sliders and expressions to their defaults, and without. A fit is told the image and the landmarks with
+terms that draw sliders and expressions to their defaults, and without. A fit is given the image and the landmarks with
 noise, and nothing else. Columns, means over the faces:
 
   landmarks   px    68 landmarks of the fitted face under the fitted camera, from where they are; contour points found
                     on the mesh by the benchmark, not by the fit
-  given       px    the same from the noisy ones that the fit was told
+  given       px    the same from the noisy ones that the fit was given
   sliders           error as a share of the range, of sliders that move a point of the head mesh by more than 1 mm
   geometry    mm    points of the face without expression, after rigid alignment; (posed: with it)
   expression        error of the weights of shapes that are on in the photo or in the fit

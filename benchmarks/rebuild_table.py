@@ -32,9 +32,9 @@ def table(result: Json) -> str:
         rows += _rows(str(person["seed"]), person["best"], {})
     rows += _rows("mean", result["means"], result["ratios"])
     skipped = [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
-    told = "true errors and distances in mm, ratio = side / facepipe"
+    legend = "true errors and distances in mm, ratio = side / facepipe"
     runs = result["runs"]
-    return "\n".join([*aligned(rows), *_aims(result), *skipped, f"best of {runs} run{'s' * (runs > 1)}; {told}"])
+    return "\n".join([*aligned(rows), *_aims(result), *skipped, f"best of {runs} run{'s' * (runs > 1)}; {legend}"])
 
 
 def _rows(name: str, sides: Json, ratios: Json) -> list[Row]:

@@ -3,7 +3,8 @@
 Each actor has a neutral and 15 expressions scanned; every stage of `facepipe rebuild` runs on the scans, and with
 --joint once more, from a neutral that was refined on all of them. Distances are those of points from where they truly
 are, in millimetres, over the face area; "surface" is that of the neutral's points from the true surface. Shapes are
-told by the sum of their errors over that of the generic ones, carried to the rebuilt neutral by deformation transfer.
+measured by the sum of their errors over that of the generic ones, carried to the rebuilt neutral by deformation
+transfer.
 
 usage: python benchmarks/rebuild_truth.py [--actors 6] [--joint] [--json OUT]
 """

@@ -47,7 +47,7 @@ class RecoveryTarget:
 
     number: int
     image: npt.NDArray[np.uint8]  # (size, size, 3) sRGB
-    landmarks: FloatArray  # (68, 2) pixels with noise: all that a fit is told besides the image
+    landmarks: FloatArray  # (68, 2) pixels with noise: all that a fit is given besides the image
     exact: FloatArray  # (68, 2) pixels without
     sliders: Mapping[str, float]  # every slider of the face
     expressions: Mapping[str, float]  # shape -> weight, those that are not 0

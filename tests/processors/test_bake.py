@@ -131,7 +131,7 @@ def test_what_can_not_be_baked_is_told_in_one_line(tmp_path: Path, capsys: pytes
 
 
 def moved(path: Path, frames: Motion, *, every: int = 1) -> Path:
-    """A face whose skeleton plays frames of its sliders and shapes, and numbers that tell them."""
+    """A face whose skeleton plays frames of its sliders and shapes, with its sliders as numbers."""
     parts = turning_face()
     joints, coefficients, weights = parts.skeleton.joints, [], []
     names = [one.name for one in frames.controls]

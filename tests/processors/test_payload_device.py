@@ -1,4 +1,4 @@
-"""The device side as docs/files.md tells it: a reader of .fpb with the standard library alone, then ONNX and glTF."""
+"""The device side as docs/files.md has it: a reader of .fpb with the standard library alone, then ONNX and glTF."""
 
 from __future__ import annotations
 

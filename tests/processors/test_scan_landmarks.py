@@ -171,8 +171,8 @@ def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
     assert np.nanmean(errors[17:]) < 3.5  # mm
     assert np.nanmean(errors[:17]) < 7.5
     assert np.nanmax(errors) < 15.0
-    told = found.landmarks.sigma_mm * np.sqrt(3.0)  # of three coordinates
-    assert 0.5 < np.sqrt(np.nanmean((errors / told) ** 2)) < 1.5
+    expected = found.landmarks.sigma_mm * np.sqrt(3.0)  # of three coordinates
+    assert 0.5 < np.sqrt(np.nanmean((errors / expected) ** 2)) < 1.5
 
 
 @pytest.mark.slow

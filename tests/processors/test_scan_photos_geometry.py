@@ -188,7 +188,7 @@ def test_markers_that_photos_do_not_agree_on_have_no_place() -> None:
     pixels = np.random.default_rng(10).uniform(0, 600, (5, 2))
     assert triangulate(cameras, pixels, 1.0, least=4) is None
     assert triangulate(cameras[:1], pixels[:1], 1.0) is None
-    assert triangulate([cameras[0]] * 2, pixels[:1].repeat(2, axis=0), 1.0) is None  # one ray tells no depth
+    assert triangulate([cameras[0]] * 2, pixels[:1].repeat(2, axis=0), 1.0) is None  # one ray shows no depth
 
 
 def cap(count: int = 6000) -> Cloud:

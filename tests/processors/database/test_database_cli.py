@@ -1,4 +1,4 @@
-"""`facepipe database`: exit codes, what it tells, and files that stay as they were."""
+"""`facepipe database`: exit codes, what it prints, and files that stay as they were."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def talk() -> Target:
 
 
 def fitted(fit: FitBones, *targets: Target, parts: FaceParts | None = None) -> tuple[Face, FitBonesReport, int]:
-    """The result, the report, and how often progress was told."""
+    """The result, the report, and how often progress was reported."""
     face, done = Face.from_parts(parts or small()), []
     report = fit(face, targets, done=lambda: done.append(None))
     return Face(face.stage), report, len(done)

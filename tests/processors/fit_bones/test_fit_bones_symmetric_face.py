@@ -109,8 +109,8 @@ def test_joints_without_a_partner_are_told(folder: Path, capsys: Capsys) -> None
     saved(replace(pairs(), skeleton=replace(pairs().skeleton, joints=joints)), Path("single.usda"))
     line = ("--target", "aside.usda", "--threshold-mm", "100", "--symmetric", "-o", "a.usda", "--json")
     code, out, err = run(capsys, "fit-bones", "single.usda", *line)
-    told = "1 joint of one side has no partner and moves as it likes: cheek_L"
-    assert (code, err, json.loads(out)["warnings"]) == (0, f"facepipe: warning: {told}\n", [told])
+    line = "1 joint of one side has no partner and moves as it likes: cheek_L"
+    assert (code, err, json.loads(out)["warnings"]) == (0, f"facepipe: warning: {line}\n", [line])
 
 
 def test_what_can_not_be_paired_is_one_line(folder: Path, capsys: Capsys) -> None:

@@ -73,7 +73,7 @@ def test_a_killed_encoder_goes_on_to_the_same_end(motion: Motion, killed: bytes,
     writes: list[int] = []  # the file's time at each step
     found = TrainEncoder(options=ENCODER)(motion, lambda: writes.append(kept.stat().st_mtime_ns), kept)
     assert len(writes) == found.report.steps == 250
-    assert writes[0] == writes[198] < writes[199]  # from step 100 on: those before are told at once
+    assert writes[0] == writes[198] < writes[199]  # from step 100 on: those before are counted at once
     whole = TrainEncoder(options=ENCODER)(motion)
     assert found.report == whole.report
     for name in ("point", "token", "places", "reduce", "last", "straight", "offset"):

@@ -34,7 +34,7 @@ def declared(path: Path, tracks: dict[str, Sequence[float]]) -> Path:
 
 
 def test_clips_and_poses_of_the_face_itself_are_evaluated_by_its_rig(tmp_path: Path) -> None:
-    """Straight in the shape; each animation apart; what no control tells is named."""
+    """Straight in the shape; each animation apart; what no control explains is named."""
     save_parts(acted(), tmp_path / "head.usda")
     clips = ReadClips(options=FrameBlocksOptions(block=20, margin=3))(
         [tmp_path / "head.usda"], controls_of(chewing_face())

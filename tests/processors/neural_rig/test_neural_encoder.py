@@ -233,11 +233,11 @@ def test_small_faces_give_all_their_points(motion: Motion) -> None:
 
 def test_ridge_is_least_squares_over_rows_with_all_noise() -> None:
     random = np.random.default_rng(8)
-    seen, told, noise = random.normal(size=(30, 4)) + 2.0, random.normal(size=(30, 2)), np.array([0.1, 0.5, 1.0, 3.0])
-    matrix, offset = ridge(seen, told, noise)
+    seen, wanted, noise = random.normal(size=(30, 4)) + 2.0, random.normal(size=(30, 2)), np.array([0.1, 0.5, 1.0, 3.0])
+    matrix, offset = ridge(seen, wanted, noise)
     either = [seen + sign * np.sqrt(4.0) * noise * unit for unit in np.eye(4) for sign in (-1.0, 1.0)]
     rows = np.concatenate([np.concatenate(either), np.ones((240, 1))], axis=1)
-    expected = np.linalg.lstsq(rows, np.tile(told, (8, 1)), rcond=None)[0]
+    expected = np.linalg.lstsq(rows, np.tile(wanted, (8, 1)), rcond=None)[0]
     assert np.allclose(matrix, expected[:4])
     assert np.allclose(offset, expected[4])
 
@@ -309,7 +309,7 @@ def test_export_writes_its_graph_for_the_face(
     words = ("export", face, "--neural", file, "--encoder", "-o", graph)
     code, out, err = run(capsys, *words)
     assert code == 0, err
-    assert (len(out.splitlines()), err.count("warning")) == (1, 0)  # it has no shapes to tell of
+    assert (len(out.splitlines()), err.count("warning")) == (1, 0)  # it has no shapes to name
     points = np.asarray(sampled(3, seed=5).points[0], np.float32)
     span = np.array([control.maximum - control.minimum for control in trained.encoder.controls])
     found = Deformer(graph).run({"points": points})["controls"][0]

@@ -203,7 +203,7 @@ def test_two_controls_that_do_the_same_are_found_out(rig: NeuralRig) -> None:
     assert report.controls["look"].own_share > 0.1
 
 
-def test_what_is_told_of_controls_is_least_squares() -> None:
+def test_what_is_reported_of_controls_is_least_squares() -> None:
     """Under even noise on all that a straight rig can do, controls are off by their standard errors."""
     rig = untrained_rig(None)
     rig = replace(rig, hidden=rig.hidden * 1e-9, linear=rig.linear * np.linspace(0.2, 1.0, 5)[:, None])
@@ -211,9 +211,8 @@ def test_what_is_told_of_controls_is_least_squares() -> None:
     shaken = rig.points(values) + np.tensordot(3.0 * random.normal(size=(400, 10)), rig.shapes, axes=1)
     found = InvertNeuralRig(options=InvertNeuralRigOptions(l1=0.0))(rig, shaken)
     off = (found.values - values).std(axis=0) / [control.maximum - control.minimum for control in rig.controls]
-    told = np.array([one.std for one in found.report.controls.values()])
-    print(off, told)
-    assert np.allclose(told, off, rtol=0.25)
+    reported = np.array([one.std for one in found.report.controls.values()])
+    assert np.allclose(reported, off, rtol=0.25)
 
 
 def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig, tmp_path: Path) -> None:

@@ -71,15 +71,15 @@ def test_inspect_tells_the_rig_and_whether_it_is_what_was_applied(
     rig, out = saved(tmp_path, face(), bones=True), tmp_path / "neural.usda"
     applied(tmp_path, capsys, "-o", out)
 
-    def told(path: Path) -> tuple[object, bool]:
+    def inspected(path: Path) -> tuple[object, bool]:
         found = json.loads(run(capsys, "inspect", path, "--json")[1])["neural_rig"]
         shown = run(capsys, "inspect", path)[1]
         return found, found is not None and f"{found['file']}, {found['state']}" in shown
 
-    assert told(out) == ({"file": "./head.fpnr", "state": "as applied"}, True)
+    assert inspected(out) == ({"file": "./head.fpnr", "state": "as applied"}, True)
     save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
-    assert told(out) == ({"file": "./head.fpnr", "state": "changed since"}, True)
+    assert inspected(out) == ({"file": "./head.fpnr", "state": "changed since"}, True)
     (tmp_path / "head.fpnr").unlink()
-    assert told(out) == ({"file": "./head.fpnr", "state": "lost"}, True)
-    assert told(tmp_path / "head.usda") == (None, False)
+    assert inspected(out) == ({"file": "./head.fpnr", "state": "lost"}, True)
+    assert inspected(tmp_path / "head.usda") == (None, False)
     assert "neural rig" not in run(capsys, "inspect", tmp_path / "head.usda")[1]

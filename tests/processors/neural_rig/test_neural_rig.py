@@ -240,7 +240,7 @@ def test_a_killed_training_goes_on_to_the_same_end(motion: Motion, trained: Trai
         TrainNeuralRig(options=replace(OPTIONS, seed=1))(motion, checkpoint=kept)
     counted: list[int] = []
     found = TrainNeuralRig(options=OPTIONS)(motion, lambda: counted.append(0), kept)
-    assert len(counted) == found.report.steps == 1500  # those of before are told at once
+    assert len(counted) == found.report.steps == 1500  # those of before are counted at once
     assert np.array_equal(found.curve, trained.curve)
     assert found.report == trained.report
     for name in ("linear", "hidden", "last"):

@@ -65,7 +65,7 @@ def test_an_actor_of_a_project(project: Path, capsys: Capsys) -> None:
 
 
 def test_a_template_that_a_project_names_now_is_cooked_first(project: Path, capsys: Capsys) -> None:
-    """No recipe tells of it until the actor is cooked; then it is cooked, and the actor is of what it became."""
+    """No recipe knows of it until the actor is cooked; then it is cooked, and the actor is of what it became."""
     head, middle, out = (project.parent / name for name in ("head.usda", "middle.usda", "anna.usda"))
     rebuilt(capsys, project)
     marks = project.parent / "marks.json"

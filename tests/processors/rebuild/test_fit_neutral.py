@@ -1,4 +1,4 @@
-"""`facepipe fit-neutral`: a person found on a scan, authored over the template; bad input is told in one line."""
+"""`facepipe fit-neutral`: a person found on a scan, authored over the template; bad input gives one line."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
     whole = _whole(template, truth())
     opened, landmarks = expression_domes.scan({"jawOpen": 1.0})
     points = landmarks.points.copy()
-    points[17:27] = np.nan  # brows are told by markers alone
+    points[17:27] = np.nan  # brows are known by markers alone
     own = {f"m{i}": one for i, one in enumerate(scan_domes.POSE.apply(dome))}
     given = ExpressionScan(scan=opened, landmarks=ScanLandmarks(points=points, markers=own), weights={"jawOpen": 1.3})
     deltas = whole_face(expression_domes.face(), "head").deltas

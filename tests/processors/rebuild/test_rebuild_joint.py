@@ -94,7 +94,7 @@ def test_what_the_neutrals_scan_lacks_is_taken_from_an_expression() -> None:
     fine, triangles = scan_domes.grid(121)
 
     def off(fit: NeutralFit) -> np.ndarray:
-        """From the true surface: where a point lies along a bump that no landmark is on, no scan tells."""
+        """From the true surface: where a point lies along a bump that no landmark is on, no scan shows."""
         home = POSE.undo(fit.place.undo(fit.points[: len(places)]))
         return np.asarray(closest_places(home, person(fine), triangles).distances)
 

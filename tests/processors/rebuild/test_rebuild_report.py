@@ -58,7 +58,7 @@ class Made:
     """A project, and the report of its first run."""
 
     folder: Path
-    told: dict[str, object]
+    result: dict[str, object]
     json: str
 
     def words(self, *more: object) -> tuple[object, ...]:
@@ -103,7 +103,7 @@ def test_all_files_are_there_and_none_of_a_former_report(made: Made) -> None:
 
 def test_the_report_is_what_the_command_prints(made: Made) -> None:
     assert (made.folder / "report" / "report.json").read_text(encoding="utf-8") == made.json
-    assert made.told["report"] == str(made.folder / "report")
+    assert made.result["report"] == str(made.folder / "report")
 
 
 def test_rows_and_columns_of_a_turntable(made: Made) -> None:
@@ -129,9 +129,9 @@ def test_the_table_names_each_shape_once(made: Made) -> None:
     rows = shape_rows(rebuilt)
     assert [row.name for row in rows] == list(rebuilt.shapes)
     assert {row.name for row in rows if row.unseen} == {"smile"}
-    told = next(row for row in rows if row.name == "jawOpen")
-    assert told.scans == ("open",)
-    assert told.gain > 1.05  # this person opens the mouth wider than the template does
+    jaw_open = next(row for row in rows if row.name == "jawOpen")
+    assert jaw_open.scans == ("open",)
+    assert jaw_open.gain > 1.05  # this person opens the mouth wider than the template does
 
 
 def test_an_existing_folder_is_refused(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,7 +184,7 @@ def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -
 def test_the_same_pictures_again(made: Made, tmp_path: Path) -> None:
     for folder in (tmp_path / "one", tmp_path / "other"):
         folder.mkdir()
-        replace(made.rebuilt()[0], size=128).write(folder, made.told)
+        replace(made.rebuilt()[0], size=128).write(folder, made.result)
     for name in FILES[1:]:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes(), name
 

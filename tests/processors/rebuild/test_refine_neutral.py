@@ -204,7 +204,7 @@ def _placed() -> Similarity:
 
 
 def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The mouth of the scan is open; the recipe tells, or --weights does."""
+    """The mouth of the scan is open; the recipe says so, or --weights."""
     weight, (scan, landmarks) = 0.5, _scan()
     rows = _neutral().meshes[0].landmarks["multipie68"].indices
     opened = replace(scan, points=scan.points + POSE.scale * weight * opening(grid(81)[0]) @ POSE.rotation.T)
@@ -212,8 +212,8 @@ def test_what_the_scan_shows_besides_stays_off_the_neutral(folder: Path, capsys:
     write_ply(opened, folder / "anna.ply")
     write_scan_landmarks(ScanLandmarks(points=marks), folder / "anna.landmarks.json")
     off = []
-    told = {"found": {"quality": _QUALITY.__dict__, "weights": {"jawOpen": weight}}}
-    for options, more in ((told, ()), ({}, ("--weights", f"jawOpen={weight}")), ({}, ())):
+    found = {"found": {"quality": _QUALITY.__dict__, "weights": {"jawOpen": weight}}}
+    for options, more in ((found, ()), ({}, ("--weights", f"jawOpen={weight}")), ({}, ())):
         save_parts(replace(_neutral(), recipe=Recipe(verb="fit-neutral", options=options)), folder / "anna.usda")
         done(capsys, *_words(folder, "--force", *more))
         points = whole_points(facepipe.open(folder / "out.usda").parts())[: len(_OWN)]

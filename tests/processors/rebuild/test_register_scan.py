@@ -80,7 +80,7 @@ def test_with_the_neutrals_scan_sizes_are_one(files: Files, capsys: pytest.Captu
 
 
 def test_painted_markers_are_followed_with_the_neutrals_scan(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
-    """Motion along a surface that landmarks don't tell of: few landmarks, then markers too."""
+    """Motion along a surface that landmarks don't show: few landmarks, then markers too."""
     names = ("anna", "open")
     places = np.array([(x, y) for x in (-20.0, 0.0, 20.0) for y in (-30.0, -18.0, 0.0)])
     for name in names:
@@ -90,7 +90,7 @@ def test_painted_markers_are_followed_with_the_neutrals_scan(files: Files, capsy
         known = read_scan_landmarks(files[f"{name}.landmarks.json"])
         points = known.points.copy()
         if name == "open":
-            points[:17] = points[31:] = np.nan  # chin and mouth are not told
+            points[:17] = points[31:] = np.nan  # chin and mouth are unknown
         markers = {f"m{number}": one for number, one in enumerate(where)}
         write_scan_landmarks(replace(known, points=points, markers=markers), files[f"{name}.landmarks.json"])
     code, _, err = run(capsys, *files.register("open", "--force"))

@@ -94,8 +94,8 @@ def test_a_network_is_authored_replaced_and_gone_with_its_sliders(tmp_path: Path
     table = read_table(tmp_path / "table.csv")
     for path, drop in ((paths[2], False), (paths[3], True)):
         with facepipe.open(paths[1]).deriving(path) as face:
-            told = AuthorSliders(table=table, drop=drop)(face).warnings
-        assert any("network" in line for line in told) == drop
+            warnings = AuthorSliders(table=table, drop=drop)(face).warnings
+        assert any("network" in line for line in warnings) == drop
         assert (facepipe.open(path).slider_network is None) == drop
         assert validate(path) == ()
 

@@ -90,10 +90,10 @@ def test_a_face_tells_its_sliders(folder: Path, capsys: Capsys) -> None:
 
 
 def test_machines_are_told_all(folder: Path, capsys: Capsys) -> None:
-    told = {one["name"]: one for one in json.loads(done(capsys, "sliders", "face.usda", "--json"))["sliders"]}
-    assert list(told) == ["jawLeft", "jawRight", "open"]
-    assert told["jawLeft"]["mirror"] == "jawRight"
-    assert told["open"] == {
+    listed = {one["name"]: one for one in json.loads(done(capsys, "sliders", "face.usda", "--json"))["sliders"]}
+    assert list(listed) == ["jawLeft", "jawRight", "open"]
+    assert listed["jawLeft"]["mirror"] == "jawRight"
+    assert listed["open"] == {
         "name": "open",
         "group": "",
         "range": [-1.0, 1.0],

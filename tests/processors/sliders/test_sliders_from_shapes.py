@@ -188,8 +188,8 @@ def test_values_between_go_steadily_from_rest_to_the_end(name: str) -> None:
         for end in (1.0, -1.0)[: len(one.ends)]:
             steps = [face.evaluate(sliders={slider: end * share}) for share in (0.25, 0.5, 0.75, 1.0)]
             moved = np.stack([np.linalg.norm(points - rest, axis=1) for points in steps])
-            told = moved[-1] * face.mm_per_unit > 0.1 * max(moved[-1].max() * face.mm_per_unit, 1.0)
-            assert (np.diff(moved[:, told], axis=0) > 0).all()
+            clearly = moved[-1] * face.mm_per_unit > 0.1 * max(moved[-1].max() * face.mm_per_unit, 1.0)
+            assert (np.diff(moved[:, clearly], axis=0) > 0).all()
 
 
 def partner(rig: Rig, joint: int) -> int:

@@ -1,4 +1,4 @@
-"""Tables of sliders: what the forms mean, and that damaged ones are told in one line."""
+"""Tables of sliders: what the forms mean, and that damaged ones give one line."""
 
 from __future__ import annotations
 
