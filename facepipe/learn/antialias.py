@@ -148,8 +148,8 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     within = ((cell >= 0) & (cell + 1 < cells[owner])).nonzero()[:, 0]
     owner, line, share, cell = owner[within], line[within], share[within], cell[within]
     steep, inward, slope = steep[owner], *(one[owner] for one in _sides(u, v, 1 / depth))
-    one = torch.where(steep, line * raster.width + cell, cell * raster.width + line)
-    other = one + torch.where(steep, 1, raster.width)
+    near = torch.where(steep, line * raster.width + cell, cell * raster.width + line)
+    far = near + torch.where(steep, 1, raster.width)
     nearness = 1 / depth[:, :2][owner]
     nearness = nearness[:, 0] + share * (nearness[:, 1] - nearness[:, 0])
     return Crossings(
@@ -158,9 +158,9 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
         line=line,
         cell=cell,
         inside_first=inward < 0,
-        pair=2 * one + steep,
-        inside=torch.where(inward < 0, one, other),
-        outside=torch.where(inward < 0, other, one),
+        pair=2 * near + steep,
+        inside=torch.where(inward < 0, near, far),
+        outside=torch.where(inward < 0, far, near),
         nearness=nearness,
         floor=nearness * (1 - _ROUNDING) + 2 * slope.clamp(max=0),
     )

@@ -209,10 +209,10 @@ def train_encoder(
             with restoring():
                 descent.go_on(state)
         descent.run(done, keep)
-        found = {name: one.detach().numpy() for name, one in network.evaluated().items()}
+        weights = {name: one.detach().numpy() for name, one in network.evaluated().items()}
         frames = [(x, network.reduced(x), y) for x, y in (learned, seen)]
         solved = zip(
             ("straight", "last", "offset"), last_layer(frames[0], frames[1], max(noise, LEAST_NOISE)), strict=True
         )
-        found |= {name: one.astype(np.float32) for name, one in solved}
-        return FittedEncoder(weights=found, steps=descent.steps)
+        weights |= {name: one.astype(np.float32) for name, one in solved}
+        return FittedEncoder(weights=weights, steps=descent.steps)

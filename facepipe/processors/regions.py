@@ -157,18 +157,18 @@ class SetRegions:
         used = {mesh: [name for name, mask in masks.items() if np.any(mask)] for mesh, masks in masks_of.items()}
         empty = [name for name in self.legend.regions if not any(name in names for names in used.values())]
         warnings = [f"no point in {_some(empty)} of the legend"] if empty else []
-        for one in reports:
-            if one.kept:
-                what = 'which keep their regions; "outside" in the legend would give them another'
-                warnings.append(f"{one.mesh}: the map does not cover {one.kept} points, {what}")
+        for report in reports:
+            if report.kept:
+                advice = 'which keep their regions; "outside" in the legend would give them another'
+                warnings.append(f"{report.mesh}: the map does not cover {report.kept} points, {advice}")
         whole = mesh_of(face, None).name in {one.mesh for one in reports if one.covered}  # not one more loose part
         done = {one.mesh for one in reports} if whole else set(used)
         foreign = {mesh: [name for name in names if name not in self.legend.regions] for mesh, names in used.items()}
         meshes = [mesh for mesh, names in foreign.items() if names and mesh not in done]
         if meshes:
             names = _some(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])))
-            what = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{self.legend.regions[0]}"}}'
-            warnings.append(f"{_some(meshes)} keep regions that the legend lacks ({names}); {what}")
+            advice = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{self.legend.regions[0]}"}}'
+            warnings.append(f"{_some(meshes)} keep regions that the legend lacks ({names}); {advice}")
         return tuple(warnings)
 
 

@@ -99,8 +99,8 @@ def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) ->
 def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> dict[Kind, tuple[str | int, ...]]:
     several = values.get("kinds")
     if several is None:
-        one = values.get("kind", wanted)
-        several = {} if one is None else {one: []}
+        single = values.get("kind", wanted)
+        several = {} if single is None else {single: []}
     if not isinstance(several, Mapping) or not several:
         raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
     kinds: dict[Kind, tuple[str | int, ...]] = {}

@@ -210,15 +210,15 @@ def _performance(
     path: Path, keyed: list[dict[str, Any]], frames: list[Any], rate: float | None, *, degrees: bool
 ) -> Performance:
     where = [f"{path} -> frame {number}" for number in range(1, len(frames) + 1)]
-    found = [_weights(*one) for one in zip(where, keyed, frames, strict=True)]
-    names = list(dict.fromkeys(name for one in found for name in one))
+    weights = [_weights(*one) for one in zip(where, keyed, frames, strict=True)]
+    names = list(dict.fromkeys(name for one in weights for name in one))
     if not names:
         raise InputError(path, "no weights, expected names of shapes with numbers")
-    for one, own in zip(where, found, strict=True):
-        if len(own) != len(names):
-            missing = next(name for name in names if name not in own)
-            raise InputError(one, f"no '{missing[:60]}', expected the {len(names)} names of the other frames")
-    rows = np.array([[own[name] for name in names] for own in found])
+    for trail, frame_weights in zip(where, weights, strict=True):
+        if len(frame_weights) != len(names):
+            missing = next(name for name in names if name not in frame_weights)
+            raise InputError(trail, f"no '{missing[:60]}', expected the {len(names)} names of the other frames")
+    rows = np.array([[own[name] for name in names] for own in weights])
     values = in_radians(rows, names, degrees=degrees)
     if "timecode" in keyed[0]:
         times = _timecode_frames(where, [str(one.get("timecode")) for one in keyed], rate or FPS)

@@ -62,17 +62,17 @@ def stack(faces: Sequence[Face]) -> Sources:
         raise TopologyError(names[0], "has no points, expected a face with meshes")
     parts, warnings = [base], []
     for name, face in zip(names[1:], faces[1:], strict=True):
-        other = set_face(face.parts()).parts
-        _check_joints(f"{name} -> {other.skeleton.name}", other.skeleton.joints, base.skeleton.joints, names[0])
-        other, worn = with_cards(base, other, _to_base(other, base))
+        source = set_face(face.parts()).parts
+        _check_joints(f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints, names[0])
+        source, worn = with_cards(base, source, _to_base(source, base))
         if worn:
             warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
-        parts.append(in_order(base, names[0], other, name))
-        extra = [mesh.name for mesh in other.meshes if mesh.name not in {mesh.name for mesh in base.meshes}]
+        parts.append(in_order(base, names[0], source, name))
+        extra = [mesh.name for mesh in source.meshes if mesh.name not in {mesh.name for mesh in base.meshes}]
         if extra:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
-    for name, one in zip(names, parts, strict=True):
-        check_spaces(name, one)
+    for name, face_parts in zip(names, parts, strict=True):
+        check_spaces(name, face_parts)
     rigs = [replace(build(one), targets=()) for one in parts]  # offsets are read from the parts, once
     to_base = np.array([_to_base(one, base) for one in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
@@ -158,28 +158,28 @@ def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_n
             raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
 
 
-def with_cards(base: FaceParts, other: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
-    """`other` with the cards that `base` wears and it does not, on its own skin; and what these are called.
+def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
+    """`source` with the cards that `base` wears and it does not, on its own skin; and what these are called.
 
     A point of a card keeps its place on the largest mesh of the face, and its distance from there.
 
     :param to_base: (4, 4) from the other's bind space to that of the base, which have the same joints
     """
-    missing = [mesh for mesh in base.meshes if _is_cards(mesh, base) and not _has(other, mesh)]
-    named = {mesh.name: mesh for mesh in other.meshes}
-    faces = [mesh for mesh in base.meshes if not _is_cards(mesh, base) and _has(other, mesh)]
+    missing = [mesh for mesh in base.meshes if _is_cards(mesh, base) and not _has(source, mesh)]
+    named = {mesh.name: mesh for mesh in source.meshes}
+    faces = [mesh for mesh in base.meshes if not _is_cards(mesh, base) and _has(source, mesh)]
     if not missing or not faces:
-        return other, ()
+        return source, ()
     skin = max(faces, key=lambda mesh: len(mesh.points))
     back = np.linalg.inv(to_base)
-    joints = np.array([other.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
+    joints = np.array([source.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
     worn = {}
     for mesh in missing:
         space = back @ _space(base, mesh)
-        points = _carried(_bound(base, mesh), _bound(base, skin), _bound(other, named[skin.name]), skin, back)
-        worn[mesh.name] = _placed(mesh, other, points, space[:3, :3], joints)
-    kept = [mesh for mesh in other.meshes if mesh.name not in worn]
-    return replace(other, meshes=(*kept, *worn.values())), tuple(worn)
+        points = _carried(_bound(base, mesh), _bound(base, skin), _bound(source, named[skin.name]), skin, back)
+        worn[mesh.name] = _placed(mesh, source, points, space[:3, :3], joints)
+    kept = [mesh for mesh in source.meshes if mesh.name not in worn]
+    return replace(source, meshes=(*kept, *worn.values())), tuple(worn)
 
 
 def _is_cards(mesh: Mesh, parts: FaceParts) -> bool:

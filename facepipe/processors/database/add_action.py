@@ -80,15 +80,15 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
             if name in qualities:
                 raise InputError(f"--quality {word}", f"a report of '{name}' twice, expected one")
             qualities[name] = quality_from(read_json(Path(file), _MOST_REPORT), file)
-        for one in sources:
-            if one.name not in qualities:
+        for face in sources:
+            if face.name not in qualities:
                 try:
-                    measures = one.quality()
+                    measures = face.quality()
                 except InputError:
                     if not self.ignore_quality:
                         raise
                     measures = None
-                qualities |= {} if measures is None else {one.name: measures}
+                qualities |= {} if measures is None else {face.name: measures}
         return qualities
 
     def text(self, report: DatabaseReport, out: Path) -> str:

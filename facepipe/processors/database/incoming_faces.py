@@ -126,17 +126,17 @@ def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
     entries = database.entries if database else ()
     names = {one.name: "the database" for one in entries}
     known = {one.content: one.name for one in entries} | {one.digest: one.name for one in entries if one.digest}
-    for one in facts:
-        if one.topology.digest != topology.digest:
-            raise TopologyError(one.name, f"{one.topology.digest[:14]} of meshes, expected {topology.digest[:14]}")
-        twin = known.get(one.content) or known.get(one.digest or one.content)
+    for face in facts:
+        if face.topology.digest != topology.digest:
+            raise TopologyError(face.name, f"{face.topology.digest[:14]} of meshes, expected {topology.digest[:14]}")
+        twin = known.get(face.content) or known.get(face.digest or face.content)
         if twin is not None:
-            raise InputError(one.name, f"is the same face as {twin}, expected each face once")
-        if one.name in names:
-            raise InputError(one.name, f"a face of that name is in {names[one.name]} too, expected another name")
-        _check_place(one, np.asarray(mean, np.float64))
-        names[one.name] = "the line"
-        known |= {one.content: one.name} | ({one.digest: one.name} if one.digest else {})
+            raise InputError(face.name, f"is the same face as {twin}, expected each face once")
+        if face.name in names:
+            raise InputError(face.name, f"a face of that name is in {names[face.name]} too, expected another name")
+        _check_place(face, np.asarray(mean, np.float64))
+        names[face.name] = "the line"
+        known |= {face.content: face.name} | ({face.digest: face.name} if face.digest else {})
 
 
 def _check_place(face: Facts, mean: FloatArray) -> None:

@@ -104,16 +104,16 @@ def _face_target(face: Face, word: str) -> Target:
         return _shape(face, name, _weight(word, text), word)
     clip = any(animation.name == word for animation in face.animations)
     if word in face.shapes and clip:
-        what = f"is a blendshape and an animation, expected {word}=1 for the shape or FILE:{word} for the animation"
-        raise InputError(f"target {word}", what)
+        fault = f"is a blendshape and an animation, expected {word}=1 for the shape or FILE:{word} for the animation"
+        raise InputError(f"target {word}", fault)
     if word in face.shapes:
         return _shape(face, word, 1.0)
     if clip:
         points, times = _sampled(face, word)
         return Target(name=identifier(word), points=points, times=times)
     known = [*face.shapes, *(animation.name for animation in face.animations)]
-    what = "no such blendshape, animation or file type"
-    raise InputError(f"target {word}", what + suggestion(word, known, "a file (.usda .obj .glb ...)"))
+    fault = "no such blendshape, animation or file type"
+    raise InputError(f"target {word}", fault + suggestion(word, known, "a file (.usda .obj .glb ...)"))
 
 
 def _shape(face: Face, name: str, weight: float, word: str | None = None) -> Target:

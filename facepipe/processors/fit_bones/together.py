@@ -62,7 +62,7 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
         slope = objective.slope(states)
         ends[states.rows], slopes[states.rows], taken[states.rows] = states.x, slope, step
         going = (slope > SETTLED) & (states.objective > enough)
-        states = states.of(going)
+        states = states.only(going)
         memory.keep(going)
         if not len(states.rows) or step == steps:
             break
@@ -70,7 +70,7 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
         memory.add(ahead.x - states.x, ahead.gradient - states.gradient)
         going = better | memory.forget(~better)
         memory.keep(going)
-        states = ahead.of(going)
+        states = ahead.only(going)
     found = zip(targets, shared.variables.expanded(ends, start), taken, slopes, strict=True)
     return [_fitted(shared, target, own, int(steps), float(slope)) for target, own, steps, slope in found]
 
@@ -91,8 +91,8 @@ class _States:
     objective: FloatArray  # (k,)
     gradient: FloatArray  # (k, v)
 
-    def of(self, chosen: BoolArray) -> _States:
-        """Of fewer targets."""
+    def only(self, chosen: BoolArray) -> _States:
+        """Those of the chosen targets."""
         return _States(self.rows[chosen], self.x[chosen], self.objective[chosen], self.gradient[chosen])
 
     def put(self, chosen: BoolArray, others: _States) -> None:
@@ -167,7 +167,7 @@ def _searched(objective: _Objective, states: _States, direction: FloatArray) -> 
         if not worse.any():
             return ahead, ~worse
         if length < _SHORTEST:
-            ahead.put(worse, states.of(worse))
+            ahead.put(worse, states.only(worse))
             return ahead, ~worse
         shorter = np.clip(states.x[worse] + length * direction[worse], objective.low, objective.high)
         ahead.put(worse, objective.at(states.rows[worse], shorter))

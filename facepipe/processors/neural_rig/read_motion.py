@@ -128,10 +128,10 @@ def _check_times(
     :raises InputError: the first time at which controls or points are not known
     """
     faults: list[tuple[float, str, str]] = []
-    for what, own, ends in (("points", sampled, moving), ("controls", moving, sampled)):
-        beyond = own[(own < ends[0]) | (own > ends[-1])]
+    for name, known, ends in (("points", sampled, moving), ("controls", moving, sampled)):
+        beyond = known[(known < ends[0]) | (known > ends[-1])]
         if len(beyond):
-            faults.append((float(beyond[0]), what, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
+            faults.append((float(beyond[0]), name, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
     between = "no sample, between two that differ"
     for name, guessed in (
         *((track.where, track.guessed(codes)) for track in tracks),
@@ -139,9 +139,9 @@ def _check_times(
     ):
         faults += [(float(code), name, between) for code in codes[guessed][:1]]
     if faults:
-        code, name, what = min(faults)
+        code, name, fault = min(faults)
         expected = "expected controls and points sampled at the same times"
-        raise InputError(f"{path} -> {name} -> time code {code:g}", f"{what}, {expected}")
+        raise InputError(f"{path} -> {name} -> time code {code:g}", f"{fault}, {expected}")
 
 
 def _control(path: Path, track: ControlTrack) -> Control:

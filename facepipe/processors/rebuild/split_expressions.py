@@ -101,9 +101,9 @@ class SplitExpressions:
 
 def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
     alike: dict[int, list[str]] = {}
-    for one, other in split.rank.together:
-        alike.setdefault(one, []).append(names[other])
-        alike.setdefault(other, []).append(names[one])
+    for first, second in split.rank.together:
+        alike.setdefault(first, []).append(names[second])
+        alike.setdefault(second, []).append(names[first])
     shapes = {
         name: ShapeReport(
             observed=float(split.observed[number]),

@@ -37,7 +37,7 @@ class Places:
     shares: FloatArray  # (k, 3) in sum 1
     distances: FloatArray  # (k,) mm
 
-    def of(self, values: FloatArray) -> FloatArray:
+    def interpolated(self, values: FloatArray) -> FloatArray:
         """(k, c) what of the values (m, c) at the other face's points is at the places."""
         return np.asarray(np.einsum("kc,kcj->kj", self.shares, values[self.corners]))
 
@@ -102,7 +102,7 @@ def _turned(
     from scipy.spatial import cKDTree
 
     ours = target.normals[points]
-    theirs = part.of(normals)
+    theirs = part.interpolated(normals)
     rows = np.flatnonzero((ours * theirs).sum(axis=1) <= _FACING)
     if not len(rows):
         return part
@@ -154,7 +154,7 @@ def matched_parts(
             rest.append(points)
             continue
         place = nearest(target.points[points], warped, parts[chosen])
-        result[points] = _whole(place.of(weights))
+        result[points] = _whole(place.interpolated(weights))
         _note(origin, target, points, source, place.corners[:, 0])
     if rest:
         _follow(np.sort(np.concatenate(rest)), target, source, warped, weights, parts, result, origin)
@@ -233,12 +233,12 @@ def _follow(
 ) -> None:
     at = target.points[points]
     main = nearest(at, warped, parts[source.main])
-    raw, distances, corners = main.of(weights), main.distances.copy(), main.corners[:, 0].copy()
+    raw, distances, corners = main.interpolated(weights), main.distances.copy(), main.corners[:, 0].copy()
     loose = [triangles for number, triangles in parts.items() if number != source.main]
     if loose:
         other = nearest(at, warped, np.concatenate(loose))
         nearer = _LOOSE * other.distances < main.distances
-        raw[nearer], distances[nearer] = other.of(weights)[nearer], other.distances[nearer]
+        raw[nearer], distances[nearer] = other.interpolated(weights)[nearer], other.distances[nearer]
         corners[nearer] = other.corners[nearer, 0]
     local = target.part_triangles(points, even=True)
     lengths = _BLEND * np.clip(distances / _TRUSTED, _SHARP, 1.0)

@@ -97,7 +97,7 @@ def _by_place(
     lengths = np.clip(places.distances / _TRUSTED, _SHARP, _LONGEST) * max(smoothing, _SHARP)
     inside = surface.inside
     local = surface.part_triangles(inside, even=True)
-    result[inside] = heat_weights(surface.points[inside], local, normalised(places.of(weights)), lengths)
+    result[inside] = heat_weights(surface.points[inside], local, normalised(places.interpolated(weights)), lengths)
     return result, origin, places.distances
 
 

@@ -97,8 +97,8 @@ def _places(path: Path, kind: str, theirs: Any, controls: list[Any]) -> IntArray
     if not isinstance(theirs, list):
         raise InputError(path, f"damaged metadata, expected a list of {kind}s")
     names = [one["name"] if isinstance(one, dict) else one for one in controls]
-    for one, name in zip(controls, names, strict=True):
-        if one not in theirs:
+    for control, name in zip(controls, names, strict=True):
+        if control not in theirs:
             raise InputError(path, f"made for another face: without {kind} {name} as this one has it")
     if len(theirs) != len(controls):
         raise InputError(
