@@ -289,6 +289,17 @@ def check_ranges(options: Any) -> None:
         one.check(getattr(options, one.name))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Ranged:
+    """Base of options that are checked when they are made.
+
+    :raises InputError: an option is out of range, not finite or none of its choices
+    """
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
 def to_json(options: DataclassInstance) -> dict[str, Any]:
     """Field -> its value as JSON holds it."""
     return {one.name: one.dump(getattr(options, one.name)) for one in fields_of(type(options))}

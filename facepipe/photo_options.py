@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, option
 
 Optimiser = Literal["adam", "gradient-descent"]
 
@@ -23,7 +23,7 @@ LANDMARK_BATCH, BATCH, JOINT_BATCH = 256, 32, 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhotoTermOptions:
+class PhotoTermOptions(Ranged):
     """Steps, weights of the terms of the joint loss ([0166]) but for the landmarks, and how likely values are.
 
     A weight of 0 switches a term off; networks whose terms are off are not run.
@@ -50,9 +50,6 @@ class PhotoTermOptions:
         0.35, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
     )
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFitOptions(PhotoTermOptions):
@@ -62,7 +59,7 @@ class PhotoFitOptions(PhotoTermOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class StartOptions:
+class StartOptions(Ranged):
     """How long a network for first guesses is trained, and on what.
 
     :raises InputError: a number out of range
@@ -73,9 +70,6 @@ class StartOptions:
     epochs: int = option(4, "passes over these renders", 0, 1000)
     steps: int = option(400, f"steps on the joint loss after that, with {JOINT_BATCH} pictures each", 0, 1_000_000)
     seed: int = option(0, "seed of people, initial weights and order", 0, 2**31 - 1)
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def landmark_batches(self) -> int:

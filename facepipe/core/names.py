@@ -80,6 +80,11 @@ def handles(names: Sequence[str], fallback: str) -> tuple[str, ...]:
     return tuple(name if name and count[name] == 1 else next(free) for name in names)
 
 
+def first_names(names: Sequence[str], most: int) -> str:
+    """Names with commas between, of more than `most` the first ones and dots."""
+    return ", ".join(names[:most]) + (" ..." if len(names) > most else "")
+
+
 def fits_joint(pattern: str, joint: str) -> bool:
     """Whether a glob, or the source's name of a joint, stands for a joint path: for all of it or for its last part.
 
@@ -102,7 +107,7 @@ def select(names: Sequence[str], globs: str, option: str) -> tuple[str, ...]:
     patterns = [glob.strip() for glob in globs.split(",") if glob.strip()]
     for pattern in patterns:
         if pattern != "*" and not any(name == pattern or fnmatchcase(name, pattern) for name in names):
-            some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
+            some = first_names(names, 4) or "none, there are none"
             near = did_you_mean(pattern, names) or f", expected some of: {some}"
             raise InputError(f"option {option}", f"'{pattern[:_SHOWN]}' matches none of {len(names)}{near}")
     return tuple(name for name in names if any(name == one or fnmatchcase(name, one) for one in patterns))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from facepipe.core.errors import InputError
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, option
 
 LARGEST_RGB_DISTANCE = 442.0  # from black to white: every colour is within it
 WIDEST_EDGE, WIDEST_FOOTPRINT = 8, 256  # texels
@@ -25,7 +25,7 @@ def tile_number(text: str) -> int | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapSampling:
+class MapSampling(Ranged):
     """How a map is sampled.
 
     :raises InputError: an option out of range
@@ -47,6 +47,3 @@ class MapSampling:
         LAST_TILE,
         parse=tile_number,
     )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

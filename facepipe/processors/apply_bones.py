@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, BoneLimits, Recipe
 from facepipe.payload import PayloadContent, as_stored
@@ -102,7 +103,7 @@ def limit_warnings(beyond: tuple[str, ...], *, clamped: bool) -> tuple[str, ...]
     """A line where coefficients are beyond limits."""
     if not beyond:
         return ()
-    some = ", ".join(one.rpartition("/")[2] for one in beyond[:_SHOWN]) + (" ..." if len(beyond) > _SHOWN else "")
+    some = first_names([one.rpartition("/")[2] for one in beyond], _SHOWN)
     done = "brought into" if clamped else "beyond"
     return (f"{len(beyond)} channels {done} the limits of the face: {some}",)
 

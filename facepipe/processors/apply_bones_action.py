@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.core.names import check_identifier, identifier
+from facepipe.core.names import check_identifier, first_names, identifier
 from facepipe.declare import option, source
 from facepipe.kinds import Job, StageAction, action
 
@@ -55,5 +55,5 @@ class ApplyCoefficients(StageAction["ApplyBonesReport"]):
         return bool(report.beyond_limits) and not self.clamp
 
     def text(self, report: ApplyBonesReport, out: Path) -> str:
-        names = ", ".join(report.animations[:4]) + (" ..." if len(report.animations) > 4 else "")
+        names = first_names(report.animations, 4)
         return f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"

@@ -11,7 +11,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import identifier, select, unknown
+from facepipe.core.names import first_names, identifier, select, unknown
 from facepipe.core.reports import Report, table
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import Image8, region_masks
@@ -156,7 +156,7 @@ class SetRegions:
     def _warnings(self, face: Face, reports: tuple[MeshRegions, ...], masks_of: Mapping[str, Masks]) -> tuple[str, ...]:
         used = {mesh: [name for name, mask in masks.items() if np.any(mask)] for mesh, masks in masks_of.items()}
         empty = [name for name in self.legend.regions if not any(name in names for names in used.values())]
-        warnings = [f"no point in {_some(empty)} of the legend"] if empty else []
+        warnings = [f"no point in {first_names(empty, 8)} of the legend"] if empty else []
         for report in reports:
             if report.kept:
                 advice = 'which keep their regions; "outside" in the legend would give them another'
@@ -166,9 +166,9 @@ class SetRegions:
         foreign = {mesh: [name for name in names if name not in self.legend.regions] for mesh, names in used.items()}
         meshes = [mesh for mesh, names in foreign.items() if names and mesh not in done]
         if meshes:
-            names = _some(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])))
+            names = first_names(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])), 8)
             advice = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{self.legend.regions[0]}"}}'
-            warnings.append(f"{_some(meshes)} keep regions that the legend lacks ({names}); {advice}")
+            warnings.append(f"{first_names(meshes, 8)} keep regions that the legend lacks ({names}); {advice}")
         return tuple(warnings)
 
 
@@ -247,7 +247,3 @@ def _uv_of(where: str, mesh: Mesh, name: str | None) -> UvSet:
     if name is not None and name not in named:
         raise InputError(where, unknown(name, named, "UV set"))
     return named[name] if name is not None else named.get("st", mesh.uv_sets[0])
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:8]) + (" ..." if len(names) > 8 else "")

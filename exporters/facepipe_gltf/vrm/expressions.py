@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.names import first_names
 from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
 from facepipe.records import Json
 from facepipe.rig import Rig, build, slide
@@ -88,7 +89,7 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
     custom = {shape: _expression({shape: 1.0}, targets) for shape in targets if shape not in presets}
     curved = [shape for shape, every in targets.items() if any(len(one.knots) > 2 for one in every)]
     if curved:
-        some = ", ".join(curved[:3]) + (" ..." if len(curved) > 3 else "")
+        some = first_names(curved, 3)
         lost.append(f"the way over inbetweens ({len(curved)} shapes: {some}): VRM's expressions move straight")
     return Expressions({"preset": preset} | ({"custom": custom} if custom else {}), tuple(lost))
 
@@ -146,7 +147,7 @@ def _said(names: Sequence[str], off: float) -> tuple[str, ...]:
     """What the report says of the shapes."""
     if not names:
         return ()
-    some = ", ".join(names[:_LISTED]) + (" ..." if len(names) > _LISTED else "")
+    some = first_names(names, _LISTED)
     count = f"{len(names)} shape{'s' * (len(names) > 1)}"
     return (f"{count} that sliders make ({some}): alike at full value, half way at most {off:.2g} mm off",)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import ExportError, InputError
+from facepipe.core.names import first_names
 from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
@@ -179,7 +180,7 @@ def _scale_warnings(tree: NodeTree) -> list[str]:
     """A line on nodes with scales that VRM has not (tpose.md): others than one positive number."""
     scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
     odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
-    some = ", ".join(odd[:3]) + (" ..." if len(odd) > 3 else "")
+    some = first_names(odd, 3)
     return [f"{some}: scaled unevenly or mirrored; VRM's runtimes may not keep that"] if odd else []
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplitOptions:
+class SplitOptions(Ranged):
     """Limits of how far shapes leave their templates, and the expected errors of scans and weights.
 
     Spreads are standard deviations of what people and scans are expected to do. Lengths are in the unit of the points,
@@ -45,6 +45,3 @@ class SplitOptions:
     )
     largest_weight: float = option(1.2, "fitted weights stay between 0 and this, or the given one", 0.0, 100.0)
     alternations: int = option(3, "rounds of solving for shapes and weights", 1, 100)
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

@@ -11,7 +11,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean
+from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Recipe, Skeleton
 from facepipe.processors.animate.options import AnimateOptions
@@ -192,6 +192,6 @@ def _shapes(parts: FaceParts) -> list[str]:
 
 def _another_face(performance: Performance, parts: FaceParts) -> str:
     shapes, first = [*_shapes(parts), *(one.name for one in parts.sliders)], performance.names[0]
-    some = ", ".join(shapes[:4]) + (" ..." if len(shapes) > 4 else "") or "none, there are none"
+    some = first_names(shapes, 4) or "none, there are none"
     names = f"{len(performance.names)} names ('{first[:40]}' ...) of {Path(performance.where).name}"
     return f"none of its shapes and sliders is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"

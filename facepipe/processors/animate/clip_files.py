@@ -23,6 +23,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reading import read_bytes, read_json
 from facepipe.processors.animate.performance import (
     ANGLES,
@@ -130,7 +131,7 @@ def _live_link(table: _Table, keys: Sequence[str]) -> _Table:
     wanted = {shape_key(name): name for name in ("timecode", *sorted(ARKIT_SHAPES), *ANGLES.values())}
     missing = [name for key, name in wanted.items() if key not in keys]
     if missing:
-        some = ", ".join(missing[:4]) + (" ..." if len(missing) > 4 else "")
+        some = first_names(missing, 4)
         what = f"{len(missing)} columns of Live Link Face are missing ({some}), expected all {len(wanted) + 1}"
         raise InputError(table.where(1), what)
     place = list(keys).index(_COUNT)

@@ -17,7 +17,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean
+from facepipe.core.names import did_you_mean, first_names
 from facepipe.parts import FaceParts, Mesh, Skeleton, Slider
 from facepipe.processors.animate.performance import Performance, angle_of
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
@@ -58,7 +58,7 @@ def _asked(where: str, skeleton: Skeleton, part: str, wanted: str) -> int:
             f"{len(matches)} joints '{wanted[:60]}' for {part}" if matches else f"no joint '{wanted[:60]}' for {part}"
         )
         names = [one.rpartition("/")[2] for one in skeleton.joints]
-        some = ", ".join(names[:4]) + (" ..." if len(names) > 4 else "") or "none, there are none"
+        some = first_names(names, 4) or "none, there are none"
         raise InputError(where, f"{problem}, expected a path or name of one: {some}{did_you_mean(wanted, names)}")
     return matches[0]
 

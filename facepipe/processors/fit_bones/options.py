@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from facepipe.declare import JsonValue, check_ranges, option
+from facepipe.declare import JsonValue, Ranged, option
 
 if TYPE_CHECKING:
     from facepipe.processors.fit_bones.limits import LimitRules
@@ -16,7 +16,7 @@ _ROUNDS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitBonesOptions:
+class FitBonesOptions(Ranged):
     """How far to go, and what to keep of what bones can't reach.
 
     :raises InputError: a number out of range
@@ -50,9 +50,6 @@ class FitBonesOptions:
         "and R); joints in the middle keep to it",
     )
     residual: bool = option(False, "keep what bones can't reach as a sparse blendshape TARGET_residual")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def evening(self) -> int:

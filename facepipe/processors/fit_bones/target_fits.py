@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
-from facepipe.core.names import unique_identifiers
+from facepipe.core.names import first_names, unique_identifiers
 from facepipe.parts import Animation, Blendshape, all_regions
 from facepipe.processors.fit_bones.bone_fit import BoneFit
 from facepipe.processors.fit_bones.checks import check_rig, check_targets, local_shear, rest_shear, size_warning
@@ -276,7 +276,7 @@ def _unpaired(joints: Sequence[str]) -> list[str]:
     """A warning of joints that have no partner in a symmetric fit."""
     if not joints:
         return []
-    names = ", ".join(joint.rpartition("/")[2] for joint in joints[:_SHOWN]) + (" ..." if len(joints) > _SHOWN else "")
+    names = first_names([joint.rpartition("/")[2] for joint in joints], _SHOWN)
     if len(joints) == 1:
         return [f"1 joint of one side has no partner and moves as it likes: {names}"]
     return [f"{len(joints)} joints of one side have no partner and move as they like: {names}"]

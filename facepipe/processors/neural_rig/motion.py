@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.names import first_names
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.options import FrameBlocksOptions
 from facepipe.rig import Rig
@@ -207,12 +208,16 @@ def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tu
         tracks = tuple(track for track in clip.tracks if track.name in names)
         if tracks:
             known.append(Clip(name=clip.name, tracks=tracks))
-        left = [f"{len(others)} names that are no controls of the face: {_some(others)}"] if tracks and others else []
+        left = (
+            [f"{len(others)} names that are no controls of the face: {first_names(others, _SHOWN)}"]
+            if tracks and others
+            else []
+        )
         left += ["joints, which are no controls"] if tracks and clip.moves_joints else []
         warnings += [f"{path} -> {clip.name}: left out {one}" for one in left]
     if not known:
-        there = _some([track.name for clip in clips for track in clip.tracks]) or "nothing"
-        raise InputError(path, f"moves {there}, expected some of {_some([one.name for one in controls])}")
+        there = first_names([track.name for clip in clips for track in clip.tracks], _SHOWN) or "nothing"
+        raise InputError(path, f"moves {there}, expected some of {first_names([one.name for one in controls], _SHOWN)}")
     return known, warnings
 
 
@@ -233,8 +238,4 @@ def _within(values: FloatArray, controls: Sequence[Control]) -> tuple[FloatArray
     low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
     held = np.clip(values, low, high)
     beyond = [control.name for control, one in zip(controls, (held != values).any(axis=0), strict=True) if one]
-    return held, [f"clips go beyond the limits of {_some(beyond)}, and are held there"] if beyond else []
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
+    return held, [f"clips go beyond the limits of {first_names(beyond, _SHOWN)}, and are held there"] if beyond else []

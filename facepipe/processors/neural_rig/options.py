@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from facepipe.core.errors import InputError
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, check_ranges, option
 
 HEADS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Seeded:
+class _Seeded(Ranged):
     """What depends on chance, always in the same way."""
 
     seed: int = option(0, "another number draws other frames, and another split, network and batches", 0, 2**31)
@@ -38,9 +38,6 @@ class SampleMotionOptions(_Seeded):
     )
     sweep: int = option(8, "frames of each control alone, from one limit to the other", 0, 1000)
     together: int = option(500, "frames of two or three controls at once", 0, 1e6)
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     def count(self, controls: int) -> int:
         """Frames of so many controls."""
@@ -85,9 +82,6 @@ class TrainNeuralRigOptions(_Checked):
     sparsity: float = option(0.2, "how strongly a unit of the hidden layer is held to few controls", 0.0, 10.0)
     patience: int = option(1000, "steps without a better check that end it", 1, 1e7)
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainEncoderOptions(_Checked):
@@ -105,9 +99,6 @@ class TrainEncoderOptions(_Checked):
     encoder_steps: int = option(2000, "most steps of the encoder's training", 1, 1e7)
     encoder_patience: int = option(1000, "steps without a better check that end that", 1, 1e7)
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class AttachOptions:
@@ -124,7 +115,7 @@ class AttachOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InvertNeuralRigOptions:
+class InvertNeuralRigOptions(Ranged):
     """How controls are found for points.
 
     :raises InputError: a number out of range
@@ -145,12 +136,9 @@ class InvertNeuralRigOptions:
     adam_rate: float = option(0.05, "first rate, of ranges; it falls to a hundredth (adam)", 1e-6, 10.0)
     seed: int = option(0, "of random starts", 0, 2**31)
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class RetargetOptions:
+class RetargetOptions(Ranged):
     """How a neural rig is carried to a subject.
 
     :raises InputError: a number out of range
@@ -172,6 +160,3 @@ class RetargetOptions:
     held_out: float = option(0.15, "share of the frames, the last ones, that the report is on", 0.01, 0.9)
     shapes: int = option(256, "most shapes of the subject's rig", 1, 2048)
     tolerance_mm: float = option(0.005, "what those may leave, RMS", 0.0, 10.0, "mm")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

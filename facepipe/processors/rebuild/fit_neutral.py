@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError, TopologyError
+from facepipe.core.names import first_names
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.identity_model import IdentityModel
@@ -189,7 +190,7 @@ def _fit_warnings(name: str, fit: ScanFit) -> tuple[str, ...]:
         size = f"1 unit is {fit.mm_per_unit:.4g} mm"
         lines.append(f"{name}: {size}, {_unit_text(fit) if fit.unit else 'like no usual unit'}")
     if fit.outliers:
-        some = ", ".join(fit.outliers[:6]) + (" ..." if len(fit.outliers) > 6 else "")
+        some = first_names(fit.outliers, 6)
         lines.append(f"{name}: {len(fit.outliers)} landmarks ignored as outliers: {some}")
     return tuple(lines)
 

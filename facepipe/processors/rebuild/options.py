@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, option
 from facepipe.geometry.example_rigging import SplitOptions
 from facepipe.geometry.registration import RegistrationOptions
 
@@ -13,7 +13,7 @@ UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # mm
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitNeutralOptions:
+class FitNeutralOptions(Ranged):
     """How a neutral is fitted.
 
     :raises InputError: a number out of range
@@ -32,9 +32,6 @@ class FitNeutralOptions:
         0.05, "how far the weight of a shape that the scan shows may be from the given one", 1e-3, 10.0
     )
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def registration(self) -> RegistrationOptions:
         """The same for the solver."""
@@ -47,7 +44,7 @@ class FitNeutralOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefineNeutralOptions:
+class RefineNeutralOptions(Ranged):
     """How a neutral is refined.
 
     :raises InputError: a number out of range
@@ -62,12 +59,9 @@ class RefineNeutralOptions:
     landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks harder against the surface", 1e-3, 1e3, "mm")
     reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class PersonalTemplateOptions:
+class PersonalTemplateOptions(Ranged):
     """Where starting shapes come from.
 
     :raises InputError: none of the choices
@@ -79,12 +73,9 @@ class PersonalTemplateOptions:
         "template: the template's own, carried over by deformation transfer",
     )
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class RegisterScansOptions:
+class RegisterScansOptions(Ranged):
     """How expressions are registered.
 
     :raises InputError: a number out of range
@@ -96,9 +87,6 @@ class RegisterScansOptions:
     membrane: float = option(3.0, "stiffness of what the shapes can't show", 1e-6, 1e9)
     landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks and markers harder", 1e-3, 1e3, "mm")
     reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

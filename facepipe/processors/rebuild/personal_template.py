@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.names import first_names
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.deformation_transfer import Transfer
@@ -160,5 +161,5 @@ def _change(shapes: Mapping[str, FloatArray], generic: Mapping[str, FloatArray])
 def _kept(own: WholeFace, shapes: Mapping[str, FloatArray]) -> Iterator[str]:
     left = [name for name in own.deltas if name not in shapes]
     if left:
-        some = ", ".join(left[:6]) + (" ..." if len(left) > 6 else "")
+        some = first_names(left, 6)
         yield f"{len(left)} shapes that the source lacks stay as they are: {some}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
@@ -230,7 +231,7 @@ def _p95(distances: FloatArray) -> float:
 
 def _warnings(scan: str, outliers: tuple[str, ...], turned: int) -> Iterator[str]:
     if outliers:
-        some = ", ".join(outliers[:6]) + (" ..." if len(outliers) > 6 else "")
+        some = first_names(outliers, 6)
         yield f"{scan}: {len(outliers)} landmarks ignored as outliers: {some}"
     if turned:
         yield f"{turned} triangles are turned over, expected none: a larger --detail-mm folds less"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from facepipe.declare import check_ranges, option
+from facepipe.declare import Ranged, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkinOptions:
+class SkinOptions(Ranged):
     """Weights of points.
 
     :raises InputError: a number out of range
@@ -26,6 +26,3 @@ class SkinOptions:
     evenness: float = option(
         0.3, "how much --optimise keeps weights even from point to point: more is smoother and misses more", 0.0, 100.0
     )
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reports import Report
 from facepipe.parts import BoneLimits, Recipe, Slider, SliderNetwork
 from facepipe.processors.apply_bones import check_limits
@@ -84,7 +85,7 @@ class AuthorSliders:
             shapes=len({entry[0] for slider in new for entry in slider.shapes}),
             beyond_limits=beyond,
             authored=authored,
-            warnings=(*unset, *lost, *_idle(new), *_beyond_lines(beyond)),
+            warnings=(*unset, *lost, *_idle(new), *beyond_lines(beyond)),
         )
 
     def _check_mirrors(self, sliders: Sequence[Slider]) -> None:
@@ -136,17 +137,15 @@ def _with_values(new: Sequence[Slider], known: Mapping[str, Slider]) -> tuple[tu
 
 def _idle(sliders: Sequence[Slider]) -> tuple[str, ...]:
     idle = [slider.name for slider in sliders if not slider.channels and not slider.shapes]
-    return (f"{len(idle)} sliders drive nothing: {_some(idle)}",) if idle else ()
+    return (f"{len(idle)} sliders drive nothing: {first_names(idle, _SHOWN)}",) if idle else ()
 
 
-def _beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:
+def beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:
+    """A warning of channels that single sliders move beyond limits."""
     if not beyond:
         return ()
-    return (f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {_some(beyond)}",)
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
+    some = first_names(beyond, _SHOWN)
+    return (f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {some}",)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,14 +10,14 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import select
+from facepipe.core.names import first_names, select
 from facepipe.core.threads import one_thread
 from facepipe.parts import Blendshape, Curve, FaceParts, Recipe, Slider
 from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.fit_bones.residual import Residual, corrective
-from facepipe.processors.sliders.author_sliders import fitting_network, sliders_beyond
+from facepipe.processors.sliders.author_sliders import beyond_lines, fitting_network, sliders_beyond
 from facepipe.processors.sliders.options import ShapeSliderOptions
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose, fit_poses
 from facepipe.processors.sliders.shape_names import ShapeSlider, parse_pairs, shape_sliders
@@ -254,31 +254,26 @@ def _report(
     parts: FaceParts, made: Sequence[Made], new: Sequence[Slider], kept: Sequence[Slider]
 ) -> ShapeSlidersReport:
     """What is known of the sliders that were made, and of those that the face had."""
-    names, after = {slider.name for slider in new}, {slider.name for slider in kept}
+    made_names, after = {slider.name for slider in new}, {slider.name for slider in kept}
     beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
     left_out = {one.name: one.report for one in made if one.slider is None}
     lost = sum(residual.lost for one in made for residual in one.residuals)
     lines = []
     if left_out:
-        lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {_some(tuple(left_out))}")
+        names = first_names(tuple(left_out), _SHOWN)
+        lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {names}")
     if lost:
         lines.append(f"{lost} points of residuals can't be corrected: skinning flattens what is around them")
-    if beyond:
-        lines.append(f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {_some(beyond)}")
     return ShapeSlidersReport(
         sliders={one.name: one.report for one in made if one.slider is not None},
         left_out=left_out,
         groups=by_group([one.report for one in made]),
-        replaced=tuple(slider.name for slider in parts.sliders if slider.name in names),
+        replaced=tuple(slider.name for slider in parts.sliders if slider.name in made_names),
         dropped=tuple(slider.name for slider in parts.sliders if slider.name not in after),
         beyond_limits=beyond,
-        warnings=tuple(lines),
+        warnings=(*lines, *beyond_lines(beyond)),
     )
 
 
 def _unmoved(shapes: Sequence[str]) -> tuple[str, ...]:
-    return (f"{len(shapes)} shapes move nothing: {_some(shapes)}",) if shapes else ()
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
+    return (f"{len(shapes)} shapes move nothing: {first_names(shapes, _SHOWN)}",) if shapes else ()
