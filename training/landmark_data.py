@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
+from landmark_network import MEAN, SIZE, STD
 from torch import Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample
-
-from facepipe.learn.networks.landmark_network import MEAN, SIZE, STD
 
 FloatArray = npt.NDArray[np.floating]
 

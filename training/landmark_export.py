@@ -6,10 +6,10 @@ import json
 from collections.abc import Mapping
 
 import numpy as np
+from landmark_network import COUNT, SIZE, LandmarkNetwork
 from torch import nn
 
 from facepipe.learn.networks.graph_writer import GraphWriter
-from facepipe.learn.networks.landmark_network import COUNT, SIZE, LandmarkNetwork
 
 
 def to_onnx(network: LandmarkNetwork, metadata: Mapping[str, object]) -> bytes:

@@ -15,12 +15,12 @@ import landmark_data
 import numpy as np
 import torch
 from landmark_export import to_onnx
+from landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
 from script_arguments import add_training
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from facepipe.core.atomic import write_bytes
-from facepipe.learn.networks.landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
 
 _BATCH, _RATE, _DECAY = 32, 3e-3, 1e-2
 _SPREAD = 2.0  # square cells that the heat of a landmark shall cover

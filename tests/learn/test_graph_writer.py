@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from with_torch import torch
 
-from facepipe.learn.networks.graph_writer import GraphWriter
-from facepipe.learn.networks.landmark_network import Block
+from facepipe.learn.networks.graph_writer import Block, GraphWriter
 
 
 def given(write: GraphWriter, output: str, shape: tuple[int, ...], images: torch.Tensor) -> np.ndarray:

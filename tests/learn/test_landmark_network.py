@@ -159,10 +159,9 @@ def test_the_file_is_the_network_of_this_code() -> None:
     """Exported weights give in onnxruntime what torch gives."""
     import torch
 
-    from facepipe.learn.networks.landmark_network import MEAN, SIZE, STD, LandmarkNetwork
-
     sys.path.insert(0, str(REPOSITORY / "training"))
     from landmark_export import to_onnx
+    from landmark_network import MEAN, SIZE, STD, LandmarkNetwork
 
     from facepipe.learn.networks.files import LandmarkSession
 

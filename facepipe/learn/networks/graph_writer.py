@@ -1,14 +1,34 @@
-"""Trained networks as ONNX graphs."""
+"""Trained networks as ONNX graphs, and the residual block that they are made of.
+
+He et al., "Deep Residual Learning for Image Recognition", CVPR 2016.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from facepipe.learn.networks.landmark_network import Block
 from facepipe.onnx_graph import Nodes, Shapes
+
+
+class Block(nn.Module):  # type: ignore[misc]
+    """Two convolutions of 3 by 3 beside a shortcut."""
+
+    def __init__(self, before: int, after: int, stride: int = 1) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(before, after, 3, stride, 1, bias=False)
+        self.first_norm = nn.BatchNorm2d(after)
+        self.second = nn.Conv2d(after, after, 3, 1, 1, bias=False)
+        self.second_norm = nn.BatchNorm2d(after)
+        self.shortcut = nn.Conv2d(before, after, 1, stride) if before != after or stride > 1 else None
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(b, after, h / stride, w / stride) of (b, before, h, w)."""
+        inner = torch.relu(self.first_norm(self.first(values)))
+        inner = self.second_norm(self.second(inner))
+        return torch.relu(inner + (values if self.shortcut is None else self.shortcut(values)))
 
 
 class GraphWriter(Nodes):

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from facepipe.learn.features.crops import TEMPLATE
-from facepipe.learn.networks.landmark_network import Block
+from facepipe.learn.networks.graph_writer import Block
 from facepipe.learn.photo.pose import NUMBERS
 
 SIZE = 128  # pixels a side of the crop

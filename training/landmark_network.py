@@ -10,30 +10,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from facepipe.learn.networks.graph_writer import Block
+
 SIZE = 96  # pixels a side of the input
 CELLS = 24  # a side of a heatmap
 COUNT = 68
 MEAN, STD = 0.45, 0.25  # of sRGB 0..1
 _WIDTHS = (16, 32, 64, 128)  # at 1/2, 1/4, 1/8 and 1/16 of the resolution
 _UP = 40
-
-
-class Block(nn.Module):  # type: ignore[misc]
-    """Two convolutions of 3 by 3 beside a shortcut."""
-
-    def __init__(self, before: int, after: int, stride: int = 1) -> None:
-        super().__init__()
-        self.first = nn.Conv2d(before, after, 3, stride, 1, bias=False)
-        self.first_norm = nn.BatchNorm2d(after)
-        self.second = nn.Conv2d(after, after, 3, 1, 1, bias=False)
-        self.second_norm = nn.BatchNorm2d(after)
-        self.shortcut = nn.Conv2d(before, after, 1, stride) if before != after or stride > 1 else None
-
-    def forward(self, values: Tensor) -> Tensor:
-        """(b, after, h / stride, w / stride) of (b, before, h, w)."""
-        inner = torch.relu(self.first_norm(self.first(values)))
-        inner = self.second_norm(self.second(inner))
-        return torch.relu(inner + (values if self.shortcut is None else self.shortcut(values)))
 
 
 class LandmarkNetwork(nn.Module):  # type: ignore[misc]
