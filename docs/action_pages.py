@@ -29,7 +29,7 @@ examples.
 
 - An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or an export of
   it. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report, which the
-  function returns) and `--edit RESULT`: do it again from the recipe of a result, with the other given options changed.
+  function returns) and `--edit RESULT`: a result is made anew from its recipe, with the other given options changed.
 - An action that makes another file names it. It has no recipe, and so no `--edit` and no `--flatten`.
 - An action that works in place changes its first file, unless it has OUT.
 - An action without OUT only prints.

@@ -18,7 +18,7 @@ from facepipe_gltf.checks import check
 from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.engines import check_engine, engine_warnings
 from facepipe_gltf.joints import JointNodes, joint_nodes
-from facepipe_gltf.losses import dropped, influence_error, meshes_said, skin_warnings
+from facepipe_gltf.losses import dropped, influence_error, listed_meshes, skin_warnings
 from facepipe_gltf.materials import MaterialWriter
 from facepipe_gltf.morphs import Sculpt, chosen_shapes, extras
 from facepipe_gltf.options import Options
@@ -238,7 +238,7 @@ class _Writer:
 
     def _uncolored(self) -> list[str]:
         names = [*self.uncolored]
-        return [f"display colours of {meshes_said(names)}: materials decide"] if names else []
+        return [f"display colours of {listed_meshes(names)}: the materials' colours are shown"] if names else []
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
         """The errors of `ExportReport.error_mm` together, in mm; None where there is none."""

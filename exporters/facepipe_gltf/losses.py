@@ -37,7 +37,11 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     subsets = {one.name: one.point_subsets.keys() - other.point_subsets.keys() for one, other in pairs}
     lines += _per_mesh("point subset", subsets)
     flat = [name for name, one in there.items() if not len(one.face_vertex_counts)]
-    lines += _counted("mesh's polygons, it has some that repeat a point", "meshes' polygons, some repeat a point", flat)
+    lines += _counted(
+        "mesh whose polygons become triangles: some repeat a point",
+        "meshes whose polygons become triangles: some repeat a point",
+        flat,
+    )
     lines += _counted("slider", "sliders", _missing(parts.sliders, kept.sliders))
     if parts.slider_network is not None and kept.slider_network is None:
         lines.append("learned network of the sliders")
@@ -46,7 +50,7 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     unused = [material.name for material in parts.materials if material.name not in used]
     lines += _counted("material that no mesh uses", "materials that no mesh uses", unused)
     if parts.attach_joint is not None and not any(baked.influences is not None for baked in meshes):
-        lines.append(f"attach joint ({parts.attach_joint}): the file has no joints that hang under it")
+        lines.append(f"attach joint ({parts.attach_joint}): no joint of the file hangs below it")
     if parts.bone_limits is not None and kept.bone_limits is None:
         lines.append("bone limits")
     if parts.recipe is not None and recorded is None:
@@ -63,7 +67,7 @@ def _loose(parts: FaceParts, written: Collection[str], recorded: FaceParts | Non
     total, owners = sum(loose.values()), [name for name, count in loose.items() if count]
     if not total:
         return []
-    line = f"{total} point{'s' * (total > 1)} that no face uses, on {meshes_said(owners)}"
+    line = f"{total} point{'s' * (total > 1)} that no face uses, on {listed_meshes(owners)}"
     return [line if recorded is None else f"skin weights and shapes of {line}"]
 
 
@@ -109,7 +113,7 @@ def _per_mesh(kind: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     """One line for all meshes that have some."""
     owners = [mesh for mesh, own in names.items() if any(True for _ in own)]
     every = sorted({name for own in names.values() for name in own})
-    return [f"{line} on {meshes_said(owners)}" for line in _counted(kind, f"{kind}s", every)]
+    return [f"{line} on {listed_meshes(owners)}" for line in _counted(kind, f"{kind}s", every)]
 
 
 def _counted(singular: str, plural: str, names: Sequence[str]) -> list[str]:
@@ -120,7 +124,7 @@ def _counted(singular: str, plural: str, names: Sequence[str]) -> list[str]:
     return [f"{len(names)} {singular if len(names) == 1 else plural} ({', '.join(few)})"]
 
 
-def meshes_said(names: Sequence[str]) -> str:
+def listed_meshes(names: Sequence[str]) -> str:
     """One mesh by its name, several by their number."""
     return names[0] if len(names) == 1 else f"{len(names)} meshes"
 

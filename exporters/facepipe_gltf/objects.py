@@ -39,7 +39,7 @@ def changed(document: Json, on_document: OnDocument, target: Path, buffer: bytes
         result: Json = json.loads(json.dumps(whole, default=_stated, allow_nan=False, ensure_ascii=False).encode())
     except (TypeError, ValueError, RecursionError) as error:  # text that is no UTF-8 too
         raise ExportError(where, f"{str(error)[:120]}, expected what JSON can hold") from None
-    left = RawDocument.of(target, result, buffer)
+    left = RawDocument.from_json(target, result, buffer)
     if whole.binary_blob() is not None or left.items("buffers")[:1] != document.get("buffers", [])[:1]:
         raise ExportError(where, "changes the first buffer, expected it as it is (others can be data: URIs)")
     same_data = all(result.get(key) == document.get(key) for key in ("accessors", "bufferViews", "meshes"))

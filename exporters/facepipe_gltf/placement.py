@@ -76,12 +76,12 @@ class Placement:
 
     def offsets(self, offsets: FloatArray, rows: IntArray | None = None) -> FloatArray:
         """(k, 3) offsets of the points `rows` in glTF space."""
-        return _apply(self._of(self.matrices[:, :3, :3], rows), offsets)
+        return _apply(self._at(self.matrices[:, :3, :3], rows), offsets)
 
     def normals(self, normals: FloatArray, rows: IntArray | None = None) -> FloatArray:
         """(k, 3) unit normals at the points `rows` in glTF space; zero where they have no length."""
-        turned = _apply(self._of(self._cofactors, rows), normals)
-        length = _unless_near(np.linalg.norm(turned, axis=1), 1.0 / self._of(self._scales, rows))[:, None]
+        turned = _apply(self._at(self._cofactors, rows), normals)
+        length = _unless_near(np.linalg.norm(turned, axis=1), 1.0 / self._at(self._scales, rows))[:, None]
         return np.asarray(turned / np.where(length == 0, 1.0, length))
 
     def normal_offsets(self, offsets: FloatArray, normals: FloatArray, rows: IntArray) -> FloatArray:
@@ -89,10 +89,10 @@ class Placement:
 
         They follow the normals, and shrink as much as normalising shrinks those.
         """
-        matrices = self._of(self._cofactors, rows)
-        x, y, z = _apply(np.swapaxes(self._of(self.matrices[:, :3, :3], rows), -1, -2), normals).T
+        matrices = self._at(self._cofactors, rows)
+        x, y, z = _apply(np.swapaxes(self._at(self.matrices[:, :3, :3], rows), -1, -2), normals).T
         result = _apply(matrices, offsets)
-        length = _unless_near(np.sqrt(x * x + y * y + z * z), self._of(self._scales, rows))
+        length = _unless_near(np.sqrt(x * x + y * y + z * z), self._at(self._scales, rows))
         for axis in result.T:
             axis *= length
         return result
@@ -105,7 +105,7 @@ class Placement:
     def _scales(self) -> FloatArray:
         return np.asarray(np.cbrt(np.abs(np.linalg.det(self.matrices[:, :3, :3]))))
 
-    def _of(self, matrices: FloatArray, rows: IntArray | None) -> FloatArray:
+    def _at(self, matrices: FloatArray, rows: IntArray | None) -> FloatArray:
         return matrices if rows is None or len(matrices) == 1 else matrices[rows]
 
 

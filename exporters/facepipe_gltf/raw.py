@@ -26,7 +26,7 @@ class RawDocument:
         self._take(read_document(path))
 
     @classmethod
-    def of(cls, path: Path, document: Json, buffer: bytes) -> RawDocument:
+    def from_json(cls, path: Path, document: Json, buffer: bytes) -> RawDocument:
         """A document that is not yet the file at `path`, and what its buffer 0 holds."""
         self = cls.__new__(cls)
         self._take(Document(root=Value(document, path.name, root=True), path=path, loaded={0: buffer}))

@@ -51,7 +51,9 @@ class Options:
 
     def _check_sliders(self) -> None:
         if self.sliders and self.encoder:
-            raise InputError("option encoder", "is another graph than that of sliders, expected one of them")
+            raise InputError(
+                "option encoder", "given with the option sliders, which makes another graph, expected one of them"
+            )
         if not self.sliders:
             if self.points:
                 raise InputError("option points", "is for graphs of sliders, others always have that output")

@@ -33,15 +33,15 @@ _log = logging.getLogger(__name__)
 # command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
 COMMANDS = {
     "demo": "a sample face from USD to validated GLB, ONNX and pictures",
-    "import": "make a face stage of a real face",
+    "import": "make a face stage from a file of another program",
     "validate": "check a face, GLB or ONNX file",
     "export": "write a GLB, glTF or ONNX file for the engine",
     "apply-bones": "rebuild a face from bone coefficients",
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "sliders": "list, author or set sliders",
-    "batch": "the same work over many faces, here or on a cluster",
-    "cook": "bring faces up to date with what they are made of",
+    "batch": "run the same steps over many faces, here or on a cluster",
+    "cook": "make results anew whose sources have changed",
     "blender-addon": "build the add-on for Blender",
     "schema-path": "print the folder of the USD schemas",
     "completion": "print a script that completes commands, flags and choices in a shell",
@@ -67,18 +67,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (OSError, MemoryError, UnicodeError, RecursionError) as error:
-        # what the machine or the terminal refuses is no fault of the code: one line, as for bad input
+        # what the machine or the terminal refuses is not our fault: one line, as for bad input
         print(f"facepipe: {_refusal(error)}", file=sys.stderr)
         return 2
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM; what ends well on Ctrl-C does on this too."""
+    """SIGTERM, handled as Ctrl-C is."""
 
 
 @contextlib.contextmanager
 def _ending() -> Iterator[None]:
-    """SIGTERM ends the block as Ctrl-C does: passing files are removed."""
+    """SIGTERM ends the block as Ctrl-C does: temporary files are removed."""
 
     def end(*_: object) -> None:
         raise _Terminated

@@ -19,10 +19,10 @@ from facepipe.kinds import A, Action, FileAction, InPlaceAction, Inspector, Stag
 if TYPE_CHECKING:
     from facepipe.performing import Kept
 
-_STAGE = "override layer to write: .usda .usdc .usd .usdz; or what `facepipe export` writes of it: .glb .onnx ..."
+_STAGE = "override layer to write: .usda .usdc .usd .usdz; or an export of it: .glb .onnx ..."
 _EDIT = (
-    "do it again from the recipe of a result, with what else is given changed (--no-FLAG takes a FLAG of the recipe "
-    "away); without -o in place (with --force), and anything else authored there is lost"
+    "make a result anew from its recipe, with the other options given here changed (--no-FLAG removes one); without -o "
+    "in place (needs --force), where other edits of that file are lost"
 )
 
 
@@ -89,8 +89,8 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
         if field.role == "beside":
             add_field(parser, field)
     add("--json", action="store_true", help="print the report as JSON")
-    kept = " (in the recipe; with --edit they change it)" if staged else ""
-    group = parser.add_argument_group(f"how it is done{kept}")
+    kept = " (kept in the recipe; --edit changes them)" if staged else ""
+    group = parser.add_argument_group(f"settings{kept}")
     kind.add_flags(group)
     for field in fields:
         if field.role == "option" and field.name not in kind.own_flags:
@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
 
     kept, action = action_of(arguments, kind)
     if isinstance(action, Inspector):
-        return _looked(action, arguments)
+        return _inspected(action, arguments)
     warn(kept.warnings if kept else ())
     read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     return 1 if action.missed(done.report) else 0
 
 
-def _looked(action: Inspector[Any], arguments: argparse.Namespace) -> int:
+def _inspected(action: Inspector[Any], arguments: argparse.Namespace) -> int:
     action.check()
     report = action.look(progress)
     warn(report.warnings)
@@ -145,8 +145,8 @@ def _looked(action: Inspector[Any], arguments: argparse.Namespace) -> int:
     return 1 if action.missed(report) else 0
 
 
-def _line(said: Any) -> str:
-    return f"{said['path']}: {said['bytes']:,} bytes" if isinstance(said, Mapping) else str(said)
+def _line(beside: Any) -> str:
+    return f"{beside['path']}: {beside['bytes']:,} bytes" if isinstance(beside, Mapping) else str(beside)
 
 
 def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None, A]:
@@ -199,7 +199,7 @@ def _replacements(words: Sequence[str]) -> dict[int, Path]:
 
 
 def _joined(old: Any, given: Any) -> Any:
-    """A mapping joins the one there is; anything else takes its place."""
+    """A mapping adds to the old one; any other value replaces it."""
     if isinstance(old, Mapping) and isinstance(given, Mapping) and given:
         return {**old, **given}
     return tuple(given) if isinstance(given, list) else given

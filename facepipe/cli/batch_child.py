@@ -80,8 +80,8 @@ def _serve(
         at_rest, verb = _at_rest_mb(), str(record.get("verb"))
         least = min(at_rest, least if verb in verbs else math.inf)
         verbs.add(verb)
-        said = {"peak_mb": _peak_mb(), "grown": at_rest > least + _GROWTH}
-        answers.write(json.dumps({**said, **record}).encode() + b"\n")
+        memory = {"peak_mb": _peak_mb(), "grown": at_rest > least + _GROWTH}
+        answers.write(json.dumps({**memory, **record}).encode() + b"\n")
         answers.flush()
 
 
@@ -120,7 +120,7 @@ def read_line(words: list[str]) -> Line:
     if module is None or not (isinstance(module, ActionLine | ActionGroup) or verb in _OTHERS):
         raise InputError(verb[:40], "can't be a step, expected an action, export, import or validate")
     parser = Parser(prog=f"facepipe {verb}", description=module.__doc__, common=False)
-    with _spoken() as (_, errors):
+    with _captured() as (_, errors):
         module.configure(parser, words[1:])
         parsed = _parsed(parser, words[1:], errors)
     parsed.json = parsed.force = True
@@ -176,7 +176,7 @@ def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.N
 
 
 def _run(module: Any, parsed: argparse.Namespace) -> Outcome:
-    with _spoken() as (printed, _):
+    with _captured() as (printed, _):
         code = int(module.run(parsed))
     try:
         report: Mapping[str, Any] = json.loads(printed.getvalue())
@@ -186,11 +186,11 @@ def _run(module: Any, parsed: argparse.Namespace) -> Outcome:
 
 
 @contextlib.contextmanager
-def _spoken() -> Iterator[tuple[io.StringIO, io.StringIO]]:
+def _captured() -> Iterator[tuple[io.StringIO, io.StringIO]]:
     """What is printed in the block: results, and the rest."""
-    said, errors = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
-        yield said, errors
+    results, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(results), contextlib.redirect_stderr(errors):
+        yield results, errors
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""The same work over many faces: the steps of a plan, or one line for each file; here, or on a Dask cluster.
+"""Run the same steps over many faces: those of a plan, or one line for each file; here, or on a Dask cluster.
 
-PLAN is a TOML file: a table of faces, and steps, each a line of this command line (docs/batch.md). What is done already
-is not done again; what fails is listed, and the rest is done.
+PLAN is a TOML file: a table of faces, and steps, each a line of this command line (docs/batch.md). Tasks that are
+up to date are skipped; those that fail are listed, and the others go on.
 
-Exit code 1: done, but for the tasks that are listed, or a check of some task was missed.
+Exit code 1: done, but some tasks failed, which are listed, or missed a check.
 
 examples:
   facepipe batch show.toml
@@ -59,7 +59,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the plan, print what it came to."""
+    """Run the plan, print its report."""
     from facepipe.cli import in_project
     from facepipe.cli.parser import options_from
     from facepipe.core.project import project_around
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     project = project_around(Path.cwd())
     if project is not None:
         words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
-        steps = [replace(one, words=tuple(said)) for one, said in zip(plan.steps, words, strict=True)]
+        steps = [replace(one, words=tuple(step_words)) for one, step_words in zip(plan.steps, words, strict=True)]
         plan = replace(plan, steps=tuple(steps))
     with _watched() as on_task:
         report = batch(

@@ -1,16 +1,16 @@
-"""Bring faces up to date: evaluate again every recipe whose sources have changed.
+"""Make results anew whose sources have changed, from the recipes in them.
 
-facepipe writes a recipe on what it makes: the files that went in, their digests, and all options. From each STAGE cook
-follows the layers that it stands on and the sources of recipes, and goes through the files with recipes in the order
-that they depend on each other. Those are made anew whose sources are not what they were, or whose layers are lost, to
-the bytes that their commands would write; what is up to date is left alone. A file that comes out as it was leaves what
-depends on it up to date. Killed at any moment, it is just begun again.
+facepipe writes a recipe on each result: the files that went in, their digests, and all options. From each STAGE cook
+follows its layers and the sources of recipes, and goes through the files with recipes in order of their dependencies.
+A file whose sources have changed, or whose layers are missing, is made anew, to the same bytes that its command writes;
+the others are left alone. Where a file comes out as it was, what depends on it stays up to date. Cook may be killed at
+any moment and run again.
 
-What was edited by hand in a result is lost when that is cooked. Own edits go into a layer above it, which cook never
-writes: only files with recipes are.
+Edits made by hand in a result are lost when it is cooked. Put yours into a layer above it, which cook never writes: it
+writes only files with recipes.
 
-Only what lies below the roots of the STAGE that led to it is written: its folder, the nearest around it with a
-facepipe.toml, or what --root gives. Other results that are stale are listed as `outside the roots`, and taken as they
+Files are written only below the roots of the STAGE that led to them: its folder, the nearest folder around it with a
+facepipe.toml, or what --root gives. Other results that are stale are listed as `outside the roots`, and used as they
 are.
 
 Exit code 1: done, but a threshold was missed, results outside the roots are stale, --dry-run found something to cook,
@@ -40,7 +40,9 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
     from facepipe.cooking.report import CookOptions
 
-    parser.add_argument("stages", nargs="+", type=Path, metavar="STAGE", help="face stage, or one that stands on some")
+    parser.add_argument(
+        "stages", nargs="+", type=Path, metavar="STAGE", help="face stage, or a stage with faces among its layers"
+    )
     add_options(parser, CookOptions)
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 

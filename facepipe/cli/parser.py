@@ -69,8 +69,8 @@ class Parser(argparse.ArgumentParser):
     def _add_trust(self) -> None:
         group = self.add_argument_group("files of others")
         roots = (
-            "where files that are read may write to and copy from; may be given again (default FACEPIPE_ROOTS, else "
-            "the nearest folder with a facepipe.toml, else the folder of the file); of batch also s3://BUCKET/FOLDER"
+            "folder that files may be written to and copied from; may be given again (default FACEPIPE_ROOTS, else "
+            "the nearest folder with a facepipe.toml, else the folder of the file); for batch also s3://BUCKET/FOLDER"
         )
         # nothing where none is given: an action's parser would hide what stands before the action
         given: Any = {"default": argparse.SUPPRESS}
@@ -245,7 +245,7 @@ def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path]
 
 
 def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
-    """`--rename NAMES|FILE`; what conventions there are is loaded for --help alone."""
+    """`--rename NAMES|FILE`; the list of conventions is loaded for --help alone."""
     kinds = ""
     if {"-h", "--help"} & {*words}:
         from facepipe.rig.conventions import CONVENTIONS

@@ -1,4 +1,4 @@
-"""What the project says of a line: options that it leaves out, and tables of names."""
+"""What a project adds to a line: defaults of options, and tables of names."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ Modules = Callable[[str], Any]  # a command -> what configures it, None for no c
 
 
 def with_project(project: Project, words: Sequence[str], modules: Modules, folder: Path, out: str = "") -> list[str]:
-    """The words of a line with what a project says put before those that are given, which come later and win.
+    """The words of a line with a project's defaults before those that are given, which come later and win.
 
     :param words: the command first
     :param modules: what configures commands that are no actions
     :param folder: that paths of the line are relative to
     :param out: its result, where the line does not name it
-    :raises InputError: the project names a command or an option that there is not, or that it may not choose
+    :raises InputError: the project names an unknown command or option, or an option that it may not choose
     """
     _check_commands(project, modules)
     verb, rest = _verb_of(words)

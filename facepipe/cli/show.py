@@ -1,4 +1,4 @@
-"""What commands print: tables, JSON, progress, logs; and what libraries print of their own accord, which goes nowhere.
+"""What commands print: tables, JSON, progress, logs; what libraries print unasked goes nowhere.
 
 ``--quiet`` and ``--verbose`` are decided here: notes and bars ask `_loudness`, debug lines are those of the logger
 ``facepipe``, which a host may listen to as well.

@@ -98,7 +98,7 @@ def test_landmarks_and_anchor_stay_in_extras_and_what_no_file_holds_is_reported(
 def test_an_attach_joint_without_joints_is_reported(mode: str, writing: Writing) -> None:
     skinned = replace(tiny_face(), attach_joint="body/neck")
     rigid = with_meshes(skinned, skin=None)
-    line = "attach joint (body/neck): the file has no joints that hang under it"
+    line = "attach joint (body/neck): no joint of the file hangs below it"
     for name, parts in (("skinned.glb", skinned), ("rigid.glb", rigid)):
         file, report = writing(parts, name, mode=mode)
         said = any("attachJoint" in node.get("extras", {}).get("facepipe", {}) for node in file.list("nodes"))

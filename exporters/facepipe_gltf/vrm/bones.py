@@ -196,7 +196,7 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
         if drop is None or drop in wanted:
             where = f"{parts.name} -> {joints[bones[wrong.bone]]}"
             raise InputError(where, f"is the {wrong.bone}, {below}, expected {due} (option bones names other joints)")
-        unfit.append(f"{joints[bones[drop]]} is no {drop}: its place in the tree is not the one that VRM has for it")
+        unfit.append(f"{joints[bones[drop]]} is not the {drop}: it hangs elsewhere in the tree than VRM requires")
         del bones[drop]
     _check_head(parts, bones)
     return Humanoid(bones, tuple(unfit))
@@ -205,9 +205,7 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
 def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
     """:raises InputError: a body below a head that no name gives: turning it would turn nothing"""
     if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
-        problem = (
-            f"no joint is the head by its name, though {', '.join(own)} are there, expected head=JOINT in option bones"
-        )
+        problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
 
 

@@ -85,12 +85,11 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
             lost.append(f"part of the expression {name} (no shape {', '.join(lacking)})")
     absent = [name for name in presets if name not in preset]
     if absent:
-        lost.append(f"the expressions {', '.join(absent)} (no shape of the face is part of them)")
+        lost.append(f"the expressions {', '.join(absent)} (no shape of the face belongs to them)")
     custom = {shape: _expression({shape: 1.0}, targets) for shape in targets if shape not in presets}
     curved = [shape for shape, every in targets.items() if any(len(one.knots) > 2 for one in every)]
     if curved:
-        some = first_names(curved, 3)
-        lost.append(f"the way over inbetweens ({len(curved)} shapes: {some}): VRM's expressions move straight")
+        lost.append(f"inbetweens ({len(curved)} shapes: {first_names(curved, 3)}): VRM's expressions are linear")
     return Expressions({"preset": preset} | ({"custom": custom} if custom else {}), tuple(lost))
 
 
@@ -140,16 +139,16 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
                 local = _in_mesh(parts, mesh, space, offsets)[moving]
                 made[mesh.name].append(Blendshape(name=name, point_indices=moving.astype(np.int32), offsets=local))
     meshes = tuple(replace(mesh, blendshapes=(*mesh.blendshapes, *made[mesh.name])) for mesh in parts.meshes)
-    return replace(parts, meshes=meshes), _said(names, worst * parts.meters_per_unit * 1000)
+    return replace(parts, meshes=meshes), _summary(names, worst * parts.meters_per_unit * 1000)
 
 
-def _said(names: Sequence[str], off: float) -> tuple[str, ...]:
+def _summary(names: Sequence[str], off: float) -> tuple[str, ...]:
     """What the report says of the shapes."""
     if not names:
         return ()
     some = first_names(names, _LISTED)
     count = f"{len(names)} shape{'s' * (len(names) > 1)}"
-    return (f"{count} that sliders make ({some}): alike at full value, half way at most {off:.2g} mm off",)
+    return (f"{count} that sliders make ({some}): exact at full value, off by at most {off:.2g} mm half way",)
 
 
 def _points(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> FloatArray:

@@ -113,7 +113,7 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
         gaze = _gaze(placed, humanoid, expressions)
         extension["lookAt"] = _look_at(tree, bones, figure.eyes, gaze or "expression")
         if gaze is None:
-            lost.append("what turns the eyes (neither eye joints with skin weights nor the shapes eyeLook)")
+            lost.append("the gaze (neither eye joints with skin weights nor the shapes eyeLook turn the eyes)")
     document.json.setdefault("extensions", {})[EXTENSION] = extension
     document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
     counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
@@ -137,7 +137,7 @@ def _human_nodes(
     for node in loose:
         tree.hang_mesh(node, bones["head"])
     if loose and skins:
-        added.append(f"the head moves {', '.join(tree.nodes[node]['name'] for node in loose)}, which no joint does")
+        added.append(f"{', '.join(tree.nodes[node]['name'] for node in loose)} below the head: no joint moved them")
     return bones
 
 
