@@ -124,7 +124,7 @@ class Deformer:
             try:
                 full[number[key]] = np.asarray(value, dtype=np.float64).reshape(full.shape[1:])
             except (TypeError, ValueError) as error:
-                size = full[0].size
+                size = full[number[key]].size
                 raise InputError(f"{where} -> {key}", f"expected {size} number{'s' if size > 1 else ''}") from error
         return full
 

@@ -142,7 +142,7 @@ def small_holes(points: FloatArray, triangles: IntArray, largest: float) -> list
         while at is not None and at in following:
             loop.append(at)
             at = following.pop(at)
-        if len(loop) > 2 and at == start:
+        if loop and at == start:
             corners = points[loop]
             if np.linalg.norm(np.ptp(corners, axis=0)) <= largest:
                 loops.append(np.array(loop))

@@ -135,6 +135,15 @@ def test_a_neutral_that_tells_is_trusted_and_one_that_doesn_t_is_not() -> None:
         assert low <= found / np.mean([off(model.shapes(0 * vector), shapes) for vector, shapes in pairs]) < high
 
 
+def test_a_neutral_that_says_nothing_of_expressions_changes_nothing_beside_one() -> None:
+    """The neutral and the expressions are trusted apart."""
+    neutrals, deltas, _ = people(14, shown_in_neutral=0.0)
+    model = model_of(neutrals, deltas)
+    others, own, _ = people(2, seed=9, shown_in_neutral=0.0)
+    one, other = (model.identity_from({"open": neutral + own[0, 0]}, neutral) for neutral in others)
+    np.testing.assert_allclose(one, other, atol=1e-9)
+
+
 def test_leaving_one_out_by_formula_is_leaving_one_out() -> None:
     """Against ridge regression of each person from the others, done in full, with the mean taken anew."""
     rng = np.random.default_rng(2)

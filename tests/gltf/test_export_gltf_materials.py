@@ -147,6 +147,13 @@ def test_emission_beyond_one_and_index_of_refraction(writing: Writing) -> None:
     assert file.json["extensionsUsed"] == ["KHR_materials_emissive_strength", "KHR_materials_ior"]
 
 
+def test_a_bias_of_the_emission_is_left_out_and_named(writing: Writing) -> None:
+    glow = textured(picture("glow.png", COLORS), scale=(0.5, 0.25, 1.0, 1.0), bias=(0.0, 0.1, 0.0, 0.0))
+    file, report = writing(face(Material(name="eye", emissive_color=glow)))
+    assert report.warnings == ("eye: bias of the emissiveColor texture left out",)
+    assert file.list("materials")[0]["emissiveFactor"] == [0.5, 0.25, 1.0]
+
+
 def tangent_frames(file: Gltf) -> tuple[np.ndarray, ...]:
     attributes = file.list("meshes")[0]["primitives"][0]["attributes"]
     return tuple(file.decoded(attributes[name]) for name in ("POSITION", "NORMAL", "TANGENT"))

@@ -17,6 +17,7 @@ from places import SHARED
 from pxr import Usd, UsdSkel
 
 from facepipe.core.errors import InputError
+from facepipe.core.reading import digest
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
 from facepipe.stage import save_parts
 from facepipe.stage.imported import Imported
@@ -632,6 +633,9 @@ def test_gltf_with_files_reads_as_the_glb_does(tmp_path: Path) -> None:
     document["buffers"][0]["uri"] = "my%20data/a.bin"
     document["images"][0] = {"uri": "skin_tone.png"}
     parts = read(tmp_path, json.dumps(document).encode(), "face.gltf").parts
+    files = [tmp_path / name for name in ("face.gltf", "my data/a.bin", "skin_tone.png")]
+    assert parts.recipe is not None
+    assert parts.recipe.digests == (digest(files),)
     assert parts.materials == whole.materials
     assert np.array_equal(parts.meshes[0].points, whole.meshes[0].points)
     document["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(builder.binary).decode()

@@ -11,7 +11,7 @@ import pytest
 from facepipe_gltf import Options as WriteOptions
 from facepipe_gltf import read as gltf
 from facepipe_gltf import save, write
-from gltf_builder import Builder, build, make_model
+from gltf_builder import PNG, Builder, build, make_model
 from gltf_reader import read as read_gltf
 
 import facepipe
@@ -77,6 +77,16 @@ def with_tinted_material(builder: Builder) -> None:
     primitive(builder)["attributes"]["COLOR_0"] = builder.array(np.full((54, 3), 0.5))  # type: ignore[index]
 
 
+def with_placed_texture(**place: object) -> Callable[[Builder], None]:
+    def edit(builder: Builder) -> None:
+        builder.add("images", {"bufferView": builder.view(PNG)})
+        texture = builder.add("textures", {"source": 0})
+        reference = {"index": texture, "extensions": {"KHR_texture_transform": place}}
+        builder.root["materials"][0]["pbrMetallicRoughness"] = {"baseColorTexture": reference}
+
+    return edit
+
+
 def with_mean_normals(builder: Builder) -> None:
     turned = np.zeros((54, 3))
     turned[48] = 0.5  # the twin of a vertex at the seam
@@ -97,6 +107,10 @@ def with_mean_normals(builder: Builder) -> None:
         (with_one_side_of_two, ["only some of its materials are double-sided"]),
         (with_tinted_material, ["vertex colours tint a material"]),
         (with_mean_normals, ["normal offsets differ at seams"]),
+        (with_placed_texture(offset=[0, 0], scale=[1, 1], rotation=0), []),
+        (with_placed_texture(offset=[0.5, 0]), ["texture offsets, scales and rotations are left out"]),
+        (with_placed_texture(scale=[2, 1]), ["texture offsets, scales and rotations are left out"]),
+        (with_placed_texture(rotation=0.1), ["texture offsets, scales and rotations are left out"]),
     ],
 )
 def test_what_a_face_cannot_hold_is_named(edit: Callable[[Builder], object], lines: list[str], tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from faces import replace_mesh
 from foreign_stages import HEAD, SKELETON, TEETH, foreign_stage, read, rich_face, warned, written
 from full_faces import PNG, full_face
 from layers import attribute
+from network_faces import network, networked
 from oracle import bake, difference, random_coefficients
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
@@ -764,6 +765,15 @@ def test_damaged_sliders_and_limits_are_left_out_and_the_licence_is_not(tmp_path
     assert imported.parts.attribution == "© someone, CC BY 4.0"
     warned(imported, "sliders left out")
     warned(imported, "bone limits left out")
+
+
+def test_a_learned_network_without_its_sliders_is_left_out(tmp_path: Path) -> None:
+    stage = author(networked(network()))
+    assert read(written(stage, tmp_path / "face.usda")).parts.slider_network is not None
+    attribute(stage, "/Tiny.facepipe:slider:jaw:channelGains").Set([1.0])  # of two: no sliders of this face are read
+    imported = read(written(stage, tmp_path / "other.usda"))
+    assert imported.parts.slider_network is None
+    warned(imported, "a learned network of sliders left out: another is kept, or its sliders are missing")
 
 
 def test_every_licence_on_a_stage_is_kept(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import onnx
 import pytest
 from command_line import done, failed, run
 from facepipe_onnx import Deformer, Options, export_parts, validate
+from faces import with_head
 from network_faces import SLIDERS, network, networked
 from slider_faces import random_values, sample_with_sliders
 from with_torch import torch
@@ -19,6 +20,7 @@ from with_torch import torch
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.processors.sliders import DistilReport, DistilSliders
+from facepipe.processors.sliders.distil import LEVER_MM, _driven
 from facepipe.rig import build, slide
 from facepipe.stage import save_parts
 
@@ -48,6 +50,17 @@ def graph_of(parts: FaceParts, path: Path) -> Deformer:
     export_parts(parts, path, Options(sliders=True, points=True))
     assert validate(path) == ()
     return Deformer(path)
+
+
+def test_an_output_counts_by_how_far_it_moves_points() -> None:
+    """A shape by its largest offset, or by what is taken for outputs that move none."""
+    parts = replace(networked(network()), meters_per_unit=1e-4)
+    opened, smile = (replace(one, inbetweens=()) for one in parts.meshes[0].blendshapes)
+    parts = with_head(parts, blendshapes=(opened, replace(smile, offsets=0 * smile.offsets)))
+    parts = replace(parts, meshes=parts.meshes[:1])
+    found = {one.shape: one.mm for one in _driven(build(parts), parts, ()) if one.shape}
+    largest = 0.1 * float(np.linalg.norm(opened.offsets, axis=1).max())
+    assert found == {"jawOpen": pytest.approx(largest), "mouthSmileLeft": LEVER_MM}
 
 
 def test_learns_curves_and_says_how_well(tmp_path: Path) -> None:

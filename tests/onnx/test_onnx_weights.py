@@ -119,6 +119,12 @@ def test_rows_make_up_for_one_another() -> None:
     assert off(found) < 0.5 * off(np.rint(matrix))
 
 
+def test_steps_begin_at_the_first_sample() -> None:
+    """Both rows always move together: what one loses by rounding goes to the other."""
+    samples = np.array([[0.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    assert rounded(np.array([[0.4], [0.4]]), samples, np.rint).tolist() == [[0.0], [1.0]]
+
+
 @pytest.mark.parametrize("weights", ["float16", "int8"])
 def test_the_web_runtime_gives_the_same(weights: Any, tmp_path: Path) -> None:
     parts = neural()

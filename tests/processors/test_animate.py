@@ -309,7 +309,7 @@ def test_names_of_another_convention_and_of_both_sides(tmp_path: Path) -> None:
     report = perform(Animate(face=path, clip=clip), out).report
     assert facepipe.open(out).sample("a", 1)[1] == {"jaw_open": 0.25, "mouthSmile_L": 0.5, "mouthSmile_R": 0.5}
     assert report.renamed == {"JawOpen": "jaw_open", "mouthSmile": "mouthSmile_L, mouthSmile_R"}
-    assert set(report.no_target) == {"tongueOut"}
+    assert report.no_target == {"tongueOut": "no such shape"}
 
 
 def slid() -> FaceParts:
@@ -328,8 +328,10 @@ def test_what_no_shape_means_moves_sliders(tmp_path: Path) -> None:
     path, out = tmp_path / "face.usda", tmp_path / "out.usda"
     save_parts(slid(), path)
     rows = np.random.default_rng(2).random((4, 3))
-    clip = table(tmp_path / "a.csv", "JawDrop,eyeLookUpLeft,mouthSmileLeft", rows)
+    named = np.column_stack([rows, rows[:, 0]])
+    clip = table(tmp_path / "a.csv", "JawDrop,eyeLookUpLeft,mouthSmileLeft,tongueOut", named)
     report = perform(Animate(face=path, clip=clip), out).report
+    assert report.no_target == {"tongueOut": "no such shape or slider"}
     assert (report.sliders, report.shapes) == (("jaw_drop", "eyeLookUp_L"), ("mouthSmileLeft",))
     face = facepipe.open(out)
     for index, (drop, look, smile) in enumerate(rows):

@@ -15,14 +15,14 @@ from scan_simulator import ScanOptions, simulate
 from solids import ball
 
 from facepipe.core.errors import FitError
-from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, surface_look
+from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
 from facepipe.geometry.pinhole import Pinhole, meeting_points
 from facepipe.geometry.polygons import small_holes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
-from facepipe.processors.scan_landmarks.search import MIRRORED, face_frame
+from facepipe.processors.scan_landmarks.search import MIRRORED, _crop_matrix, face_frame
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng
@@ -130,6 +130,21 @@ def test_small_holes_close_and_large_ones_stay() -> None:
     a, b, c = closed.points[added].transpose(1, 0, 2)
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()  # outward, as the rest
     assert len(closed.points) == len(look.points) + 1
+
+
+def test_a_crop_is_a_turned_square_about_its_middle() -> None:
+    matrix = _crop_matrix(np.array([30.0, 20.0]), 16.0, np.pi / 2, 8)
+    pixels = np.array([[4.0, 4.0, 1.0], [8.0, 4.0, 1.0], [4.0, 0.0, 1.0]])  # the middle, to its right, above it
+    np.testing.assert_allclose(pixels @ matrix.T, [[30, 20], [30, 28], [38, 20]], atol=1e-12)
+
+
+def test_a_part_of_a_surface_has_the_points_of_its_triangles() -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    look = Look(points=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]]), normals=corners + 1.0, colors=corners + 2.0)
+    part = part_look(look, np.array([False, True, True, True]))
+    assert part.triangles.tolist() == [[0, 2, 1]]
+    for found, whole in ((part.points, look.points), (part.normals, look.normals), (part.colors, look.colors)):
+        np.testing.assert_array_equal(found, whole[1:])
 
 
 # ---- faces

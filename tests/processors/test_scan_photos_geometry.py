@@ -17,7 +17,7 @@ from facepipe.processors.scan_photos import (
     PhotoCamera,
     triangulate,
 )
-from facepipe.processors.scan_photos.stereo import depth_map, disparities, rectify
+from facepipe.processors.scan_photos.stereo import _sampled, depth_map, disparities, rectify
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.processors.scan_photos.subject import choose_pairs, find_subject, move_camera, upright
 from facepipe.processors.scan_photos.surface import Cloud, clean, make_surface
@@ -170,6 +170,12 @@ def test_scans_without_known_cameras_stand_upright_and_face_z() -> None:
     assert down[1] < -0.8
     assert ball.radius == 100
     assert not ball.center.any()
+
+
+def test_disparities_are_interpolated_but_not_across_an_edge() -> None:
+    disparity = np.array([[1.0, 2.0, 4.5, 4.5], [1.0, 3.0, 4.5, np.nan]])
+    between = np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 0.5], [-0.5, 0.5]])  # smooth, an edge, unknown, outside
+    np.testing.assert_array_equal(_sampled(disparity, between), [1.75, np.nan, np.nan, np.nan])
 
 
 def test_markers_are_placed_in_spite_of_wrong_sightings() -> None:

@@ -23,6 +23,7 @@ from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.levels import author_levels
 
 Change = Callable[[p.FaceParts], p.FaceParts]
 
@@ -424,6 +425,17 @@ def test_stages_of_other_tools(source: Path, tmp_path: Path, edit: Callable[[Usd
     mesh = UsdGeom.Mesh(again.mesh_prim("Head"))
     np.testing.assert_array_equal(mesh.GetPointsAttr().Get(1.5), parts.meshes[0].points.astype(np.float32))
     assert changed(out, tmp_path / "third.usda", parts) == ()
+
+
+def test_levels_of_meshes_in_an_instance(source: Path, tmp_path: Path) -> None:
+    face, out = facepipe.open(edited(instanced, tmp_path / "other.usda")), tmp_path / "out.usda"
+    names = [mesh.name for mesh in face.meshes]
+    with face.deriving(out) as derived:
+        author_levels(derived, [face.parts().meshes])
+    again = facepipe.open(out)
+    assert [mesh.name for mesh in again.meshes] == names
+    assert again.levels == ("lod0", "lod1")
+    assert [mesh.name for mesh in again.at_level(1).meshes] == names
 
 
 def test_bounds_above_a_changed_mesh_are_computed_again(tmp_path: Path) -> None:

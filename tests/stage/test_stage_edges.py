@@ -18,6 +18,7 @@ from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import unique_identifiers
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.stage import save_parts
+from facepipe.stage.point_cache import read_point_cache
 
 
 def test_inbetweens_whose_names_are_no_identifiers_all_stay(tmp_path: Path) -> None:
@@ -227,3 +228,13 @@ def test_clocks_that_stand_still_are_refused_between_layers(tmp_path: Path, rate
     assert below.Save()
     with pytest.raises(InputError, match=r"top.usda.*timeCodesPerSecond is .*, expected a finite number above 0"):
         facepipe.open(tmp_path / "top.usda")
+
+
+def test_a_point_cache_with_a_name_twice_is_refused_and_names_it(tmp_path: Path) -> None:
+    stage = Usd.Stage.CreateNew(str(tmp_path / "cache.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    for path in ("/Eye", "/Left/Lash", "/Right/Lash"):
+        UsdGeom.Mesh.Define(stage, path)
+    stage.Save()
+    with pytest.raises(InputError, match="-> Lash: is the name of more than one mesh, expected different names"):
+        read_point_cache(tmp_path / "cache.usda")

@@ -53,7 +53,7 @@ def main_places(
     triangles = source.triangles[(source.component[source.triangles] == source.main).all(axis=1)]
     normals = point_normals(warped, triangles)
     places = _empty(len(points))
-    for chosen, allowed in _sides(target, target_slits, source, source_slits, points, triangles):
+    for chosen, allowed in _sides(target_slits, source_slits, points, triangles):
         part = nearest(target.points[points[chosen]], warped, triangles[allowed])
         part = _turned(part, target, points[chosen], warped, normals, np.unique(triangles[allowed]))
         places.corners[chosen], places.shares[chosen] = part.corners, part.shares
@@ -73,12 +73,7 @@ def _empty(count: int) -> Places:
 
 
 def _sides(
-    target: Surface,
-    target_slits: Sequence[Slit],
-    source: Surface,
-    source_slits: Sequence[Slit],
-    points: IntArray,
-    triangles: IntArray,
+    target_slits: Sequence[Slit], source_slits: Sequence[Slit], points: IntArray, triangles: IntArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Places in `points`, and the triangles that these may be on: all points once."""
     everywhere = np.arange(len(triangles))

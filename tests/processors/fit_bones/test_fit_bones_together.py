@@ -9,7 +9,7 @@ from bone_rigs import MM, face_joints, head, jacobian, limits, random_pose
 from facepipe.processors.fit_bones import bone_fit
 from facepipe.processors.fit_bones.bone_fit import BoneFit
 from facepipe.processors.fit_bones.solver import SETTLED
-from facepipe.processors.fit_bones.together import fit_together
+from facepipe.processors.fit_bones.together import _Memory, fit_together
 from facepipe.rig import rest_coefficients
 
 
@@ -79,3 +79,15 @@ def test_what_is_fitted_beside_a_target_changes_nothing_but_rounding(monkeypatch
     alone = [fit.fit(target) for target in (two, one, three)]
     for found, own in zip(fit.fit_all([two, one, three]), alone, strict=True):
         np.testing.assert_allclose(found.coefficients, own.coefficients, atol=1e-5)
+
+
+def test_held_unknowns_stay_and_the_others_step_as_if_they_were_not_there() -> None:
+    random = np.random.default_rng(0)
+    root = random.normal(size=(4, 4))
+    hessian = root @ root.T + np.eye(4)
+    gradient, inside = random.normal(size=(2, 4)), np.array([[True] * 4, [True, False, True, False]])
+    found = _Memory(np.linalg.inv(hessian)).direction(gradient, inside)
+    expected = np.zeros((2, 4))
+    for row, free in enumerate(inside):
+        expected[row, free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[row, free])
+    np.testing.assert_allclose(found, expected, atol=1e-12)

@@ -351,6 +351,7 @@ BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
     ),
     "no such face in it": (None, (*ONE, "--face", "3"), "face 3 of 1"),
     "no number of a face": (None, (*ONE, "--face", "first"), "--face first: expected whole numbers from 0"),
+    "seven digits of a face": (None, (*ONE, "--face", "1000000"), "--face 1000000: expected whole numbers from 0"),
     "outside": (
         _landmarks(lambda points: [[x + 90, y] for x, y in points]), ("front.png", "head.usdc", "--landmarks", BAD),
         "landmarks outside front.png",

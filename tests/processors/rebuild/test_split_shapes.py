@@ -15,10 +15,12 @@ from rebuild_stages import Files
 
 import facepipe
 from facepipe.checks import validate
+from facepipe.geometry.example_rigging.split import RankReport, Split
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+from facepipe.processors.rebuild.split_expressions import _report
 from facepipe.scans import Scan, ScanLandmarks
 
 
@@ -43,11 +45,25 @@ def test_the_table_tells_of_each_shape(files: Files, capsys: pytest.CaptureFixtu
     assert float(jaw[1]) > 0.5
     assert 1.1 < float(jaw[2]) < 1.45
     assert jaw[4] == "open"
+    scan = next(line.split() for line in out.splitlines() if line.startswith("open "))
+    printed = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
+    left = [printed[key]["open"] for key in ("residual_mean_mm", "residual_p95_mm")]
+    assert scan == ["open", *(f"{mm:.2f}" for mm in left), "jawOpen", f"{printed['weights']['open']['jawOpen']:.2f}"]
     assert "1 shapes of scans, 1 separated; 1 as the personal template has them" in out
     assert np.array_equal(files.delta("actor.usda", "browUp"), files.delta("personal.usda", "browUp"))
-    printed = json.loads(done(capsys, *words, "--json", "--force", quiet=False))
     assert printed["shapes"]["jawOpen"]["gain"] == pytest.approx(float(jaw[2]), abs=0.006)
     assert printed["unseen"] == ["browUp"]
+
+
+def test_shapes_that_no_weights_separate_name_each_other() -> None:
+    rank = RankReport(rank=1, excited=2, ambiguous=np.ones(3), together=((0, 2),))
+    numbers = {key: np.ones(3) for key in ("observed", "gains", "changes")}
+    split = Split(
+        deltas=np.zeros((3, 1, 3)), weights=np.array([[0.5, 0.0, 0.5]]), **numbers, residual_means=np.zeros(1),
+        residual_p95=np.zeros(1), alternations=1, rank=rank, warnings=(),
+    )  # fmt: skip
+    shapes = _report(split, ("open", "smile", "drop"), ("scan",)).shapes
+    assert {name: one.alike for name, one in shapes.items()} == {"open": ("drop",), "smile": (), "drop": ("open",)}
 
 
 def test_a_correction_by_hand_is_split(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faces import grid_mesh
+from faces import grid_mesh, replace_mesh
 from scipy.spatial.transform import Rotation
 from skin_joints import HELD, head, landmark_joints, weights_of, without_joints
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import edges
-from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
-from facepipe.parts import FaceParts
+from facepipe.geometry.skin_decomposition import DecompositionOptions, _Solver, decompose
+from facepipe.parts import Blendshape, FaceParts
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions
 from facepipe.processors.skin.from_joints import from_joints
 from facepipe.processors.skin.surface import surface_of
@@ -105,6 +105,34 @@ def test_the_joints_come_nearer_to_the_shapes_of_a_face() -> None:
     whole = from_joints(face.parts(), surface_of(face.parts(), "x"), joints, options)
     group = surface_of(face.parts(), "x").group
     assert not weights[whole.weights[group] == 0].any()  # so that nothing crosses the lips that did not before
+
+
+def test_a_joint_does_not_turn_about_a_line_of_points() -> None:
+    """What points on a line say nothing of stays as it was."""
+    line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    weights = np.ones((3, 1))
+    shapes = line[None] + np.array([0.0, 0.5, 0.0])
+    solver = _Solver(line, shapes, np.zeros((0, 2), int), np.zeros((3, 1), int), weights, 1.0)
+    solver.fit_transforms(weights)
+    np.testing.assert_allclose(solver._R[0, 0], np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(solver._t[0, 0], [0.0, 0.5, 0.0], atol=1e-9)
+
+
+def test_errors_are_millimetres_over_the_points_that_shapes_move() -> None:
+    """A joint that can't follow: the sheet gets a tenth larger about its middle, which moves all points but one."""
+    mesh = grid_mesh(size=3)
+    ways = 0.1 * (mesh.points - mesh.points.mean(axis=0))
+    moved = np.linalg.norm(ways, axis=1) > 0
+    grown = Blendshape(name="grown", point_indices=np.flatnonzero(moved), offsets=ways[moved])
+    parts = FaceParts(name="Sheet", meshes=(replace_mesh(mesh, blendshapes=(grown,)),), meters_per_unit=0.01)
+    joints = JointSet(joints=(JointSpec(path="a", position=(0, 0, 0)),))
+    report = SkinFace(joints=joints, optimise=True, options=SkinOptions(iterations=1))(Face.from_parts(parts)).fit
+    assert report is not None
+    expected = 10.0 * np.linalg.norm(ways[moved], axis=1)
+    assert (report.shapes, report.points) == (1, 8)
+    for rms, largest in ((report.rms_before_mm, report.max_before_mm), (report.rms_after_mm, report.max_after_mm)):
+        assert rms == pytest.approx(np.sqrt((expected**2).mean()), rel=1e-5)
+        assert largest == pytest.approx(expected.max(), rel=1e-5)
 
 
 def test_without_shapes_there_is_nothing_to_optimise_for() -> None:

@@ -22,7 +22,8 @@ from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError
 from facepipe.geometry.warp import fit_warp, nearest_rotations
 from facepipe.processors.skin import SkinFace, SkinOptions, SkinReport
-from facepipe.processors.skin.features import eyeballs_of
+from facepipe.processors.skin.correspondence import _sides
+from facepipe.processors.skin.features import Slit, eyeballs_of
 from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
@@ -257,3 +258,16 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
     assert "expected one of them (--joints, --from)" in line
     with pytest.raises(InputError, match="expected one of them"):
         SkinFace()
+
+
+def test_points_beside_a_slit_look_on_their_own_side_only() -> None:
+    side, distance = np.array([0.5, -0.5, 0.5]), np.array([1.0, 1.0, 50.0])  # above, below, above but far off
+    slit = Slit(name="mouth", width=40.0, side=side, distance=distance)
+    triangles = np.array([[0, 0, 2], [1, 1, 2], [3, 3, 3]])  # above, below, beside a corner
+    other = Slit(name="mouth", width=40.0, side=np.array([0.5, -0.5, 0.0, 0.0]), distance=np.zeros(4))
+    sides = _sides([slit], [other], np.arange(3), triangles)
+    assert [(points.tolist(), allowed.tolist()) for points, allowed in sides] == [
+        ([0], [0, 2]),
+        ([1], [1, 2]),
+        ([2], [0, 1, 2]),
+    ]
