@@ -160,7 +160,7 @@ def _bare(parts: FaceParts) -> FaceParts:
 
 def _moving(parts: FaceParts, least: float) -> tuple[Any, Any]:
     """The points of the mesh with the most moving ones, numbered over the face, and their offsets (k, n, 3)."""
-    names = sorted({shape.name for mesh in parts.meshes for shape in mesh.blendshapes})
+    names = sorted(parts.shapes)
     starts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
     best: tuple[Any, Any] = (np.zeros(0, dtype=np.int64), np.zeros((len(names), 0, 3)))
     for mesh, start in zip(parts.meshes, starts, strict=False):

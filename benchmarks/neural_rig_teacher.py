@@ -110,7 +110,7 @@ def person(base: Teacher, data: Path, targets: Mapping[str, float], seed: int) -
     """The rig on another identity, who moves each shape 0.5 to 1.5 and each pose unit 0.6 to 1.4 times as far."""
     random = np.random.default_rng(seed)
     other = teacher(data, base.gain, targets)
-    names = sorted({shape.name for mesh in other.parts.meshes for shape in mesh.blendshapes})
+    names = sorted(other.parts.shapes)
     return replace(
         other,
         turns=base.turns * random.uniform(0.6, 1.4, (len(base.turns), 1, 1)),
@@ -133,7 +133,7 @@ def teacher(data: Path, gain: float = GAIN, targets: Mapping[str, float] | None 
     local = np.stack([compose(one.translations[0], one.rotations[0], one.scales[0]) for one in posed])
     turns = matrix_coefficients(np.linalg.solve(parts.skeleton.rest_transforms, local))
     sculpts = {sculpt for *_, sculpt in (*PAIRS, *TURNS)}
-    shapes = dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes)
+    shapes = parts.shapes
     expressions = [name for name in shapes if name not in sculpts]
     names = (*(one.name for one in posed), *expressions)
     return Teacher(

@@ -356,6 +356,11 @@ class FaceParts:
     photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None
 
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of its blendshapes, each once, in the order of the meshes."""
+        return tuple(dict.fromkeys(shape.name for mesh in self.meshes for shape in mesh.blendshapes))
+
 
 class HasParts(Protocol):
     """What exporters need of a face; `facepipe.stage.Face` has it."""

@@ -79,10 +79,9 @@ def kept_in(text: Any) -> Kept:
 
 def _lines(kept: Kept) -> list[str]:
     parts = kept.parts
-    shapes = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
     return [
         f"facepipe: what is kept of the face {parts.name}. Without this block an export holds only what Blender shows.",
         f"file: {kept.file}",
-        f"{len(parts.meshes)} meshes, {len(shapes)} shapes, {len(parts.skeleton.joints)} joints, "
+        f"{len(parts.meshes)} meshes, {len(parts.shapes)} shapes, {len(parts.skeleton.joints)} joints, "
         f"{len(parts.sliders)} sliders, {len(parts.animations)} animations",
     ]

@@ -47,7 +47,7 @@ def chosen_shapes(parts: FaceParts, globs: str) -> tuple[str, ...]:
 
     :raises InputError: a glob that matches none
     """
-    names = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
+    names = list(parts.shapes)
     return select(names, globs, "shapes")
 
 

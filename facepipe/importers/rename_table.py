@@ -42,13 +42,13 @@ class Rename:
 
         :raises InputError: names that collide
         """
-        from facepipe.rig.conventions import convention_names, renamed, shapes_of, unknown_names
+        from facepipe.rig.conventions import convention_names, renamed, unknown_names
 
-        shapes, where = shapes_of(parts), f"--rename {self.given}"
+        shapes, where = parts.shapes, f"--rename {self.given}"
         names = convention_names(self.given, shapes) if self.table is None else self.table
         result = renamed(parts, names, where)
         missing = None if self.table is None else unknown_names(parts, names)
-        before, after = (*shapes, *parts.skeleton.names), (*shapes_of(result), *result.skeleton.names)
+        before, after = (*shapes, *parts.skeleton.names), (*result.shapes, *result.skeleton.names)
         changed = {old: new for old, new in zip(before, after, strict=True) if old != new}
         if result.recipe is not None and result.recipe.verb.startswith("import "):
             options = {**result.recipe.options, "rename": changed}

@@ -43,6 +43,6 @@ class Sample(FileAction[SampleReport]):
         save_parts(parts, job.out)
         return SampleReport(
             points=sum(len(mesh.points) for mesh in parts.meshes),
-            shapes=len({shape.name for mesh in parts.meshes for shape in mesh.blendshapes}),
+            shapes=len(parts.shapes),
             joints=len(parts.skeleton.joints),
         )

@@ -23,7 +23,7 @@ def build(parts: FaceParts) -> Rig:
     skeleton = parts.skeleton
     offsets = np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in parts.meshes], dtype=np.int64)])
     spaces = mesh_spaces(parts)
-    shapes = tuple(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
+    shapes = parts.shapes
     points = [_transform(space, mesh.points) for space, mesh in zip(spaces, parts.meshes, strict=True)]
     return Rig(
         name=parts.name,

@@ -147,11 +147,6 @@ def _index(form: Callable[[str], str], shapes: Sequence[str]) -> dict[str, str]:
 ARKIT_SHAPES = frozenset(CONVENTIONS["arkit"].written)
 
 
-def shapes_of(parts: FaceParts) -> tuple[str, ...]:
-    """Names of the shapes of a face, each once."""
-    return tuple(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
-
-
 def convention_names(kind: str, shapes: Sequence[str]) -> dict[str, str]:
     """Shape -> its name in a convention, of those that have another there.
 
@@ -165,7 +160,7 @@ def convention_names(kind: str, shapes: Sequence[str]) -> dict[str, str]:
 
 def unknown_names(parts: FaceParts, names: Mapping[str, str]) -> str | None:
     """A line about the names of a table that neither shapes nor joints of the face have; None where there are none."""
-    known = [*shapes_of(parts), *parts.skeleton.names, *parts.skeleton.joints]
+    known = [*parts.shapes, *parts.skeleton.names, *parts.skeleton.joints]
     missing = sorted({*names} - {*known})
     if not missing:
         return None
@@ -182,7 +177,7 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
     :param where: the table, for messages
     :raises InputError: two shapes, or two joints, that would have one name
     """
-    shapes = shapes_of(parts)
+    shapes = parts.shapes
     _check(where, "shapes", shapes, [names.get(shape, shape) for shape in shapes])
     skeleton = parts.skeleton
     joint_names = [

@@ -23,7 +23,6 @@ from facepipe.rig.conventions import (
     convention_of,
     convention_text,
     renamed,
-    shapes_of,
 )
 from facepipe.stage import Face, save_parts
 
@@ -138,12 +137,12 @@ def test_another_convention_is_recognised_with_what_arkit_has_of_it() -> None:
 @pytest.mark.skipif(not ICT.exists(), reason="ICT-FaceKit is not in ../shared/data")
 def test_a_real_head_goes_to_another_convention_and_back() -> None:
     parts = load("ict", ICT, ict.Options()).parts
-    there = renamed(parts, convention_names("metahuman", shapes_of(parts)), "metahuman")
+    there = renamed(parts, convention_names("metahuman", parts.shapes), "metahuman")
     curves = {*CONVENTIONS["metahuman"].written.values()}
-    assert curves - {*shapes_of(there)} == {"CTRL_expressions_tongueOut"}  # which ICT-FaceKit has not
-    back = renamed(there, convention_names("arkit", shapes_of(there)), "arkit")
-    assert shapes_of(back) == shapes_of(parts)
-    assert {*shapes_of(back)} >= ARKIT_SHAPES - {"browInnerUp", "cheekPuff", "tongueOut"}  # two of them by sides
+    assert curves - {*there.shapes} == {"CTRL_expressions_tongueOut"}  # which ICT-FaceKit has not
+    back = renamed(there, convention_names("arkit", there.shapes), "arkit")
+    assert back.shapes == parts.shapes
+    assert {*back.shapes} >= ARKIT_SHAPES - {"browInnerUp", "cheekPuff", "tongueOut"}  # two of them by sides
 
 
 MISTAKES = {

@@ -113,7 +113,7 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
 
     A shape is what its slider does at its largest value, from the face as it is set.
     """
-    shapes = list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
+    shapes = list(parts.shapes)
     there = match_shapes(sorted(ARKIT_SHAPES), shapes)
     lacking = [name for name in sorted(ARKIT_SHAPES) if name not in there]
     sliders_by_shape = match_shapes(lacking, [slider.name for slider in parts.sliders])

@@ -129,7 +129,7 @@ class _Targets(NamedTuple):
 
 def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     """Where weights go: to shapes, and to sliders that are not called as one of these."""
-    shapes = _shapes(parts)
+    shapes = parts.shapes
     taken = {spelling(shape) for shape in shapes}
     sliders = [one.name for one in parts.sliders if spelling(one.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
@@ -186,12 +186,8 @@ def _moved(
     return tuple(skeleton.joints[i] for i in used), coefficients[:, used] if used.size else None
 
 
-def _shapes(parts: FaceParts) -> list[str]:
-    return list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
-
-
 def _another_face(performance: Performance, parts: FaceParts) -> str:
-    shapes, first = [*_shapes(parts), *(one.name for one in parts.sliders)], performance.names[0]
+    shapes, first = [*parts.shapes, *(one.name for one in parts.sliders)], performance.names[0]
     some = first_names(shapes, 4) or "none, there are none"
     names = f"{len(performance.names)} names ('{first[:40]}' ...) of {Path(performance.where).name}"
     return f"none of its shapes and sliders is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"

@@ -154,7 +154,7 @@ def driven(
         one.name: one.default + tracks[one.name] * (one.maximum - one.default) for one in sliders if one.name in tracks
     }
     still, weights_still = slide(sliders, joints, network=parts.slider_network)
-    coefficients, weights = at_rest, np.zeros((frames, len(names := _shapes(parts))))
+    coefficients, weights = at_rest, np.zeros((frames, len(names := parts.shapes)))
     for frame in range(frames):
         now = {name: float(track[frame]) for name, track in values.items()}
         coefficients[frame], own = slide(sliders, joints, now, parts.slider_network)
@@ -165,10 +165,6 @@ def driven(
         coefficients = matrix_coefficients(matrices)
     moved = np.asarray(weights.any(axis=0))
     return Driven(coefficients, {name: weights[:, i] for i, name in enumerate(names) if moved[i]})
-
-
-def _shapes(parts: FaceParts) -> Sequence[str]:
-    return list(dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes))
 
 
 def turned(first: FloatArray, then: FloatArray) -> FloatArray:

@@ -126,7 +126,7 @@ def whole_face(
     between = sorted({shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.inbetweens})
     if between:
         warnings.append(f"{name}: inbetweens of {', '.join(between)} are left out")
-    shapes = dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes)
+    shapes = parts.shapes
     return WholeFace(
         name=name,
         topology=Topology.of(parts),

@@ -94,7 +94,7 @@ def clip_shape_name(number: int) -> str:
 
 def own_shapes(parts: FaceParts) -> frozenset[str]:
     """Names of the shapes that the face has of its own: not those of a neural rig that was put on it before."""
-    names = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
+    names = {*parts.shapes}
     network = parts.slider_network
     if network is None or network.info.get("kind") != "neural rig":
         return frozenset(names)

@@ -116,8 +116,7 @@ def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, 
     sliders = [one for one in parts.sliders if one.minimum < one.maximum]
     driven = {shape for one in sliders for shape, _ in one.shapes} - set(also) | {one.name for one in sliders}
     found = [Control(name=one.name, minimum=one.minimum, maximum=one.maximum, default=one.default) for one in sliders]
-    shapes = dict.fromkeys(shape.name for mesh in parts.meshes for shape in mesh.blendshapes)
-    return (*found, *(Control(name=shape) for shape in shapes if shape not in driven))
+    return (*found, *(Control(name=shape) for shape in parts.shapes if shape not in driven))
 
 
 class _Sliders:

@@ -55,7 +55,7 @@ class PersonalTemplate:
         """
         if self._from(template, database) and database is not None:
             return database.shapes
-        names = tuple(dict.fromkeys(shape.name for mesh in template.parts.meshes for shape in mesh.blendshapes))
+        names = template.parts.shapes
         if not names:
             raise InputError(template.where, "has no blendshapes, expected some to start from")
         return names

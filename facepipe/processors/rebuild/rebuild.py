@@ -122,7 +122,7 @@ class Rebuild:
         return replace(quality, flipped_triangles=quality.flipped_triangles + int(turned.sum()))
 
     def _left_shapes(self, shapes: Mapping[str, FloatArray]) -> tuple[str, ...]:
-        own = {shape.name for mesh in self._template.parts.meshes for shape in mesh.blendshapes}
+        own = {*self._template.parts.shapes}
         left = sorted(own - set(shapes))
         where = self._template.where
         return (f"{where}: the database lacks {', '.join(left)}: the template's offsets are kept",) if left else ()
