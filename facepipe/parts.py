@@ -184,6 +184,11 @@ class Animation:
     shape_weights: FloatArray | None = None  # (T, shapes)
     label: str | None = None  # as of a blendshape
 
+    @property
+    def samples(self) -> int:
+        """T, 1 for a pose."""
+        return 1 if self.times is None else len(self.times)
+
 
 # At least two knots (slider value, amount): values strictly ascending, amounts never turning back (monotone). Straight
 # lines between them, constant beyond the ends.
@@ -355,6 +360,11 @@ class FaceParts:
     attribution: str = ""  # copyright and license line that stays with the face
     photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None
+
+    @property
+    def point_count(self) -> int:
+        """Points of all meshes."""
+        return sum(len(mesh.points) for mesh in self.meshes)
 
     @property
     def shapes(self) -> tuple[str, ...]:

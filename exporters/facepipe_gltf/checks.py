@@ -112,7 +112,7 @@ def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ..
 
 
 def _animation(where: str, animation: Animation) -> None:
-    count = 1 if animation.times is None else len(animation.times)
+    count = animation.samples
     joints, shapes = len(animation.joints), len(animation.shapes)
     widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3)}
     widths |= {"coefficients": (joints, 9)}

@@ -1,10 +1,15 @@
-"""Rows of vectors: their directions, sums by group, distances from a segment, and that they are finite."""
+"""Rows of vectors: under a matrix, as directions, summed by group, their distances from a segment; finite ones."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray, require_finite
+
+
+def transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    """(..., 3) points under a (4, 4) matrix for column vectors, float64."""
+    return np.asarray(np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def unit_vectors(vectors: FloatArray) -> FloatArray:

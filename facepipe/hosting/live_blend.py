@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.performing import job_of, read_kept
 from facepipe.processors.blend import BlendFaces, BlendSession, Weights
@@ -73,7 +74,7 @@ class LiveBlend:
         with self._lock:
             found = self.session.neutral(weights).points
         matrix = np.asarray(axes, dtype=np.float64) @ self.base.skeleton.transform
-        return bytes((found @ matrix[:3, :3].T + matrix[:3, 3]).astype("<f4").tobytes())
+        return bytes(transformed(found, matrix).astype("<f4").tobytes())
 
     def face(self, rows: Mapping[str, object]) -> FaceParts:
         """The whole blended face, as `facepipe blend` would author it.

@@ -17,6 +17,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import merge_points, point_triangles
+from facepipe.geometry.vectors import transformed
 from facepipe.importers import load
 from facepipe.importers.materials_mtl import read_materials
 from facepipe.importers.mesh_pieces import material_faces
@@ -122,7 +123,7 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64)
         used, corners = np.unique(corners, return_inverse=True)
         local = np.asarray(mesh.points, dtype=np.float64)[used]
-        points.append(local @ mesh.transform[:3, :3].T + mesh.transform[:3, 3])
+        points.append(transformed(local, mesh.transform))
         # a mirroring transform turns triangles round
         order = (0, 1, 2) if np.linalg.det(mesh.transform[:3, :3]) >= 0 else (0, 2, 1)
         triangles.append(corners.reshape(-1, 3)[:, order] + start)

@@ -203,7 +203,7 @@ def _check(sheet: PhotoSheet) -> None:
     if unknown:
         raise InputError(f"{sheet.parts.name} -> sliders", f"no slider {unknown[0]!r}")
     require_finite(dict(sheet.sliders), "sliders")
-    count = sum(len(mesh.points) for mesh in sheet.parts.meshes)
+    count = sheet.parts.point_count
     for photo in sheet.photos:
         require_finite(photo, photo.name)
         if photo.photo.ndim != 3 or photo.photo.shape[2] != 3 or not photo.photo.size:

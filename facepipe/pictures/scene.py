@@ -11,6 +11,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.pictures.camera import y_up
 from facepipe.pictures.occlusion import SKY_RESOLUTION, Sky, visible_sky
@@ -118,10 +119,7 @@ class Scene:
 
 def neutral_points(parts: FaceParts) -> FloatArray:
     """(n, 3) world-space points of all meshes, in mesh order, at rest."""
-    placed = [
-        np.asarray(mesh.points, dtype=np.float64) @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
-        for mesh in parts.meshes
-    ]
+    placed = [transformed(mesh.points, mesh.transform) for mesh in parts.meshes]
     return np.concatenate([*placed, np.zeros((0, 3))])
 
 
@@ -130,7 +128,7 @@ def world_points(parts: FaceParts, points: FloatArray | None, what: str = "point
 
     :raises InputError: the shape is not (n, 3) for the n points of all meshes, or a value is not finite
     """
-    count = sum(len(mesh.points) for mesh in parts.meshes)
+    count = parts.point_count
     placed = neutral_points(parts) if points is None else np.asarray(points, dtype=np.float64)
     if placed.shape != (count, 3):
         raise InputError(f"{parts.name} -> {what}", f"shape {placed.shape}, expected ({count}, 3)")

@@ -10,6 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Mesh
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import open_face
@@ -75,7 +76,7 @@ def _held(cache: PointCache, path: Path) -> CachedPoints:
 
 
 def _moved(points: FloatArray | None, matrix: FloatArray) -> FloatArray:
-    return np.asarray(np.zeros((0, 3)) if points is None else points @ matrix[:3, :3].T + matrix[:3, 3])
+    return np.asarray(np.zeros((0, 3)) if points is None else transformed(points, matrix))
 
 
 def _joined(pieces: list[FloatArray]) -> FloatArray:

@@ -42,7 +42,7 @@ class Sample(FileAction[SampleReport]):
         parts = make(self.seed, textures=self.textures, controls=self.controls)
         save_parts(parts, job.out)
         return SampleReport(
-            points=sum(len(mesh.points) for mesh in parts.meshes),
+            points=parts.point_count,
             shapes=len(parts.shapes),
             joints=len(parts.skeleton.joints),
         )

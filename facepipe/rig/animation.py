@@ -35,7 +35,7 @@ def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray 
     rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
     if animation.coefficients is not None:
         return np.asarray(rest @ coefficient_matrices(np.asarray(animation.coefficients)[:, chosen]))
-    samples = 1 if animation.times is None else len(animation.times)
+    samples = animation.samples
     matrices = np.repeat(rest[None], samples, axis=0)
     if animation.rotations is not None or animation.scales is not None:
         at_rest = decompose(rest)

@@ -8,6 +8,7 @@ from scipy import sparse
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.rig.activation import Curve, curves
 from facepipe.rig.rig import Rig, Target
@@ -24,7 +25,7 @@ def build(parts: FaceParts) -> Rig:
     offsets = np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in parts.meshes], dtype=np.int64)])
     spaces = mesh_spaces(parts)
     shapes = parts.shapes
-    points = [_transform(space, mesh.points) for space, mesh in zip(spaces, parts.meshes, strict=True)]
+    points = [transformed(mesh.points, space) for space, mesh in zip(spaces, parts.meshes, strict=True)]
     return Rig(
         name=parts.name,
         mesh_names=tuple(mesh.name for mesh in parts.meshes),
@@ -60,10 +61,6 @@ def mesh_spaces(parts: FaceParts) -> list[FloatArray]:
     """
     to_skeleton = inverse(parts.skeleton.transform, f"{parts.name} -> {parts.skeleton.name}")
     return [mesh.skin.geom_bind_transform if mesh.skin else to_skeleton @ mesh.transform for mesh in parts.meshes]
-
-
-def _transform(matrix: FloatArray, points: FloatArray) -> FloatArray:
-    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def inverse(matrix: FloatArray, where: str) -> FloatArray:

@@ -24,7 +24,7 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
     linear = replace(rig, dual=None)
     apart, poses = 0.0, 0
     for animation in parts.animations:
-        count = 1 if animation.times is None else len(animation.times)
+        count = animation.samples
         for index in np.unique(np.linspace(0, count - 1, min(count, _POSES)).astype(np.int64)).tolist():
             local = sample_transforms(parts.skeleton, animation, index)
             weights = rig.weight_vector(

@@ -105,7 +105,7 @@ def _animation_on(
 def _without(parts: FaceParts, animation: Animation, person: Person) -> Animation:
     """A pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's."""
     skeleton, joints = parts.skeleton, parts.skeleton.joints
-    count = 1 if animation.times is None else len(animation.times)
+    count = animation.samples
     local = np.tile(np.asarray(skeleton.rest_transforms, dtype=np.float64), (count, 1, 1, 1))
     local[:, places(skeleton, animation)] = local_transforms(skeleton, animation)
     under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices

@@ -139,7 +139,7 @@ def _completed(animation: Animation, skeleton: Skeleton, where: object) -> Anima
 
 def _transforms(animation: Animation, skeleton: Skeleton, where: object) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(T, j, 3), (T, j, 4), (T, j, 3): as given, or what the rig makes of what is given."""
-    samples = 1 if animation.times is None else len(animation.times)
+    samples = animation.samples
     given = (animation.translations, animation.rotations, animation.scales)
     shape = (samples, len(animation.joints))
     for part in (*given, animation.coefficients):

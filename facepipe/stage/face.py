@@ -323,7 +323,7 @@ class Face:
         animation = next((one for one in self.animations if one.name == name), None)
         if animation is None:
             raise InputError(self.where, unknown(name, [one.name for one in self.animations], "animation"))
-        count = 1 if animation.times is None else len(animation.times)
+        count = animation.samples
         if not 0 <= index < count:
             raise InputError(f"{self.where} -> {name}", f"no sample {index}, expected 0 to {count - 1}")
         return sample_transforms(self.skeleton, animation, index), sample_weights(animation, index)

@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
-from facepipe.geometry.vectors import unit_vectors
+from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, identity
 from facepipe_gltf.read import materials, meshes, morphs, primitives
 from facepipe_gltf.read.document import Document
@@ -33,7 +33,7 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     move = _Move(matrix[:3, :3], np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant))
     return replace(
         mesh,
-        points=(np.asarray(mesh.points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32),
+        points=transformed(mesh.points, matrix).astype(np.float32),
         normals=None if mesh.normals is None else unit_vectors(move.normal(mesh.normals)),
         blendshapes=tuple(_shape(shape, move) for shape in mesh.blendshapes),
     )

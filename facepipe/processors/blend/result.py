@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.core.tokens import SEAM_RESIDUAL
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.geometry.vectors import group_sums
+from facepipe.geometry.vectors import group_sums, transformed
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe, Skin, Slider, SliderNetwork
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.options import BlendOptions
@@ -63,7 +63,7 @@ def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
     meshes = [parts.meshes[number] for parts in sources.parts]
     base, span = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
     back = np.linalg.inv(mesh_spaces(sources.base)[number])
-    points = solution.neutral.points[span] @ back[:3, :3].T + back[:3, 3]
+    points = transformed(solution.neutral.points[span], back)
     shares = solution.neutral.shares[span]
     return replace(
         base,
@@ -81,7 +81,7 @@ def _normals(sources: Sources, shares: FloatArray, number: int, points: FloatArr
         return None
     triangles = point_triangles(base.face_vertex_counts, base.face_vertex_indices)
     back = np.linalg.inv(mesh_spaces(sources.base)[number])
-    surfaces = [point_normals(one[span] @ back[:3, :3].T + back[:3, 3], triangles) for one in sources.points]
+    surfaces = [point_normals(transformed(one[span], back), triangles) for one in sources.points]
     corners = base.face_vertex_indices
     rows = np.arange(len(points)) if len(base.normals) == len(points) else corners
     authored: list[FloatArray | None] = []

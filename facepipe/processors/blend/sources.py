@@ -12,6 +12,7 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, TextureInput
 from facepipe.processors.same_topology import check_same_faces, check_spaces, in_order, world_to_world
 from facepipe.rig import build, mesh_spaces, set_face
@@ -77,7 +78,7 @@ def stack(faces: Sequence[Face]) -> Sources:
     to_base = np.array([_to_base(one, base) for one in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
-    moved = [rig.points @ matrix[:3, :3].T + matrix[:3, 3] for rig, matrix in zip(rigs, to_base, strict=True)]
+    moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
     warnings += _placements(names, moved)
     return Sources(
         names=names,
@@ -207,8 +208,7 @@ def _space(parts: FaceParts, mesh: Mesh) -> FloatArray:
 
 def _bound(parts: FaceParts, mesh: Mesh) -> FloatArray:
     """(n, 3) points in bind space."""
-    space = _space(parts, mesh)
-    return np.asarray(mesh.points, np.float64) @ space[:3, :3].T + space[:3, 3]
+    return transformed(mesh.points, _space(parts, mesh))
 
 
 def _carried(points: FloatArray, surface: FloatArray, other: FloatArray, mesh: Mesh, back: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.same_topology import MILLIMETRES, check_spaces, in_order, world_to_world
 from facepipe.rig import mesh_spaces
@@ -90,7 +91,7 @@ class WholeFace:
 def whole_points(parts: FaceParts) -> FloatArray:
     """(n, 3) points of all meshes in the stage's order, in world space at bind time, millimetres, Y up."""
     placed = zip(parts.meshes, to_millimetres(parts), strict=True)
-    pieces = [np.asarray(mesh.points, np.float64) @ to[:3, :3].T + to[:3, 3] for mesh, to in placed]
+    pieces = [transformed(mesh.points, to) for mesh, to in placed]
     return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
 

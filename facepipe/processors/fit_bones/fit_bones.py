@@ -112,7 +112,7 @@ def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence
     :raises InputError: unknown names, factors that are negative or not finite, or no point that counts
     """
     known = _masks(parts)
-    weights = np.ones(sum(len(mesh.points) for mesh in parts.meshes))
+    weights = np.ones(parts.point_count)
     for name, factor in sorted(regions.items()):  # sums depend on the order, which a recipe does not keep
         where = f"region {name}"
         if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= _LARGEST_WEIGHT):

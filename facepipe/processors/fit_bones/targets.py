@@ -12,6 +12,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, suggestion, unique_identifiers, unknown
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.same_topology import match_meshes, world_to_world
@@ -206,7 +207,7 @@ def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _File
         moved = _to_world(parts, points, other.meters_per_unit, other.up_axis)
         return _matched(parts, other.meshes, moved, times, str(path))
     animation, rig = named[name], build(parts)
-    frames = range(1 if animation.times is None else len(animation.times))
+    frames = range(animation.samples)
     try:
         posed = [
             rig.evaluate(
@@ -222,7 +223,7 @@ def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _File
 def _to_world(parts: FaceParts, points: FloatArray, meters_per_unit: float, up_axis: str) -> FloatArray:
     """(T, n, 3) points of the world of another stage in that of the face."""
     matrix = world_to_world(meters_per_unit, up_axis, parts)
-    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+    return transformed(points, matrix)
 
 
 def _matched(

@@ -15,6 +15,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.attached_sliders import (
@@ -239,8 +240,8 @@ def _photos(parts: FaceParts, animations: Sequence[Animation]) -> tuple[PhotoVie
 
 def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shapes: tuple[Blendshape, ...]) -> Mesh:
     back = np.linalg.inv(space)
-    points, skin = rest @ back[:3, :3].T + back[:3, 3], mesh.skin
-    there = np.asarray(mesh.points, dtype=np.float64) @ space[:3, :3].T + space[:3, 3]
+    points, skin = transformed(rest, back), mesh.skin
+    there = transformed(mesh.points, space)
     if np.abs(there - rest).max(initial=0.0) <= _SAME * np.abs(rest).max(initial=0.0):
         points = mesh.points  # nothing to author
     if skin is not None and rig.bones is None:

@@ -174,7 +174,7 @@ def baked_clips(
     left -= amounts @ further.reshape(len(further), left.shape[1]).astype(np.float32)
     every = (*shapes, *map(clip_shape_name, range(len(further))))
     rows = np.concatenate([weights, amounts], axis=1)
-    ends = np.cumsum([_samples(one) for one in animations])
+    ends = np.cumsum([one.samples for one in animations])
     return BakedClips(
         animations=tuple(
             replace(one, shapes=every, shape_weights=own_rows)
@@ -193,10 +193,6 @@ def _further(frames: FloatArray, tolerance: float) -> FloatArray:
     return motion_basis(frames[:: max(1, -(-len(frames) // _MOST_FRAMES))], tolerance, _MOST_SHAPES)[0]
 
 
-def _samples(animation: Animation) -> int:
-    return 1 if animation.times is None else len(animation.times)
-
-
 def _beyond_joints(
     parts: FaceParts, attached: FaceParts, spaces: Sequence[FloatArray], animation: Animation
 ) -> Iterator[FloatArray]:
@@ -205,7 +201,7 @@ def _beyond_joints(
     still = other.points
     if not np.allclose(rig.points, still, rtol=0, atol=_SAME * np.abs(still).max(initial=0.0)):
         still = other.unskin(rig.evaluate(), other.skinning_matrices(other.rest))  # its own points: as far as from rest
-    for number in range(_samples(animation)):
+    for number in range(animation.samples):
         local = sample_transforms(parts.skeleton, animation, number)
         points = rig.evaluate(sample_weights(animation, number), joint_transforms=local)
         moved = other.unskin(points, other.skinning_matrices(local)) - still

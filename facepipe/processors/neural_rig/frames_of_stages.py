@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Animation, FaceParts
 from facepipe.processors.cached_points import cached_points
 from facepipe.processors.database import Topology
@@ -30,7 +31,7 @@ class AnimatedFace:
 
     def __init__(self, parts: FaceParts, animation: Animation) -> None:
         self.parts, self.animation, self.meshes = parts, animation, parts.meshes
-        self.count = 1 if animation.times is None else len(animation.times)
+        self.count = animation.samples
         self._rig = build(parts)
 
     @classmethod
@@ -110,7 +111,7 @@ def read_targets(path: Path, rig: NeuralRig) -> Targets:
     to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
     points = np.empty((placed.count, len(rig.rest), 3), np.float32)
     for number, own in enumerate(points):
-        own[:] = placed.sample(number) @ to[:3, :3].T + to[:3, 3]
+        own[:] = transformed(placed.sample(number), to)
     return Targets(points=points, codes=codes, codes_per_second=cache.codes_per_second)
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.processors.cached_points import CachedPoints, cached_points
 from facepipe.processors.database import Topology
@@ -88,10 +89,10 @@ class ReadMotion:
         values = np.stack([track.at(codes) for track in tracks], axis=1)
         chosen, blocks = frame_blocks(codes, values, self.options)
         to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
-        rest = _rest(path, controls, values, placed) @ to[:3, :3].T + to[:3, 3]
+        rest = transformed(_rest(path, controls, values, placed), to)
         points = np.empty((len(chosen), *rest.shape), np.float32)
         for own, number in zip(points, chosen, strict=True):
-            own[:] = placed.sample(int(number)) @ to[:3, :3].T + to[:3, 3]
+            own[:] = transformed(placed.sample(int(number)), to)
         bones, coefficients = placed.bones(to, chosen) if isinstance(placed, AnimatedFace) else (None, None)
         return Motion(
             where=str(path),

@@ -12,6 +12,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology
 from facepipe.processors.neural_rig.motion import Motion, ReadClips, RecordedClips
@@ -105,7 +106,7 @@ def evaluated(
 
 def _placed(rig: Rig, to: FloatArray, coefficients: FloatArray, weights: Mapping[str, float]) -> FloatArray:
     points = rig.evaluate(weights, coefficients=coefficients)
-    return np.asarray(points @ to[:3, :3].T + to[:3, 3])
+    return transformed(points, to)
 
 
 def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, ...]:

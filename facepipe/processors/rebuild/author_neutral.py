@@ -12,7 +12,7 @@ from facepipe.core.errors import TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
-from facepipe.geometry.vectors import group_sums
+from facepipe.geometry.vectors import group_sums, transformed
 from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.processors.blend.normals import blend_normals, normal_offsets
 from facepipe.processors.blend.rigs import blend_skeletons, rebase_animations
@@ -62,7 +62,7 @@ class AuthorNeutral:
 
     def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:
         check_spaces(face.where, parts)
-        count = sum(len(mesh.points) for mesh in parts.meshes)
+        count = parts.point_count
         named = {"points": points, **{f"shape {name}": delta for name, delta in self.shapes.items()}}
         for name, values in named.items():
             if np.shape(values) != (count, 3):
@@ -77,11 +77,11 @@ class AuthorNeutral:
         spaces = zip(parts.meshes, to_millimetres(parts), mesh_spaces(parts), strict=True)
         for number, (mesh, to, space) in enumerate(spaces):
             back = np.linalg.inv(to)
-            local = _unless_same(points_by_mesh[number] @ back[:3, :3].T + back[:3, 3], mesh.points)
+            local = _unless_same(transformed(points_by_mesh[number], back), mesh.points)
             new = {name: (one[number], mesh.name in still.get(name, ())) for name, one in deltas.items()}
             shapes = _mesh_shapes(mesh, local, new, back[:3, :3])
             meshes.append(replace(mesh, points=local, normals=_normals(mesh, local), blendshapes=shapes))
-            skeleton_space.append(local @ space[:3, :3].T + space[:3, 3])
+            skeleton_space.append(transformed(local, space))
         skeleton = carried_skeleton(parts, np.concatenate(skeleton_space))
         return replace(
             parts,

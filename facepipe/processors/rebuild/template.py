@@ -149,7 +149,7 @@ def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatA
     :raises InputError: a region that the face has not, with the names of those that it has
     """
     if not names:
-        return np.ones(sum(len(mesh.points) for mesh in parts.meshes))
+        return np.ones(parts.point_count)
     regions = all_regions(parts.meshes)
     for name in names:
         if name not in regions:

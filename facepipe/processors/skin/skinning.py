@@ -11,6 +11,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.heat_weights import influences
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import Animation, FaceParts, Skeleton, Skin
 from facepipe.processors.skin.surface import Surface
 from facepipe.rig.animation import local_transforms
@@ -146,7 +147,7 @@ def skeleton_of(old: Skeleton, paths: tuple[str, ...], positions: FloatArray, ro
     turns = rotation_matrices(rotations)
     for i, parent in enumerate(plain.parents):
         bind[i, :3, :3] = turns[i] if parent < 0 else bind[parent, :3, :3] @ turns[i]
-    bind[:, :3, 3] = positions @ to_skeleton[:3, :3].T + to_skeleton[:3, 3]
+    bind[:, :3, 3] = transformed(positions, to_skeleton)
     return with_binds(old, paths, bind)
 
 

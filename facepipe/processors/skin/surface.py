@@ -12,6 +12,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
 from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles, welded_points
+from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import mesh_spaces
 
@@ -83,7 +84,7 @@ def surface_of(parts: FaceParts, where: str) -> Surface:
     start = 0
     for number, (mesh, space) in enumerate(zip(parts.meshes, mesh_spaces(parts), strict=True)):
         matrix = to_world @ space
-        points.append((np.asarray(mesh.points, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]) * millimetres)
+        points.append(transformed(mesh.points, matrix) * millimetres)
         counts, indices = mesh.face_vertex_counts, mesh.face_vertex_indices
         triangles.append(point_triangles(counts, indices) + start)
         polygons = cells(counts, indices)
