@@ -197,7 +197,7 @@ def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: 
 
 
 def test_a_cluster_that_is_not_there_is_a_line(show: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 1.0)
+    monkeypatch.setattr(cluster, "_CONNECT", 0.1)
     (show / "plan.toml").write_text(PLAN)
     code, out, err = command(capsys, "batch", show / "plan.toml", "--cluster", "tcp://127.0.0.1:9")
     assert (code, out, err.count("\n")) == (2, "", 1)

@@ -29,6 +29,15 @@ from facepipe.stage import save_parts
 SECRET = b"not for the page"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick_to_end() -> Iterator[None]:
+    """Servers look many times a second whether they are closed."""
+    serve = Server.serve_forever
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Server, "serve_forever", lambda server, poll_interval=0.0: serve(server, 0.01))
+        yield
+
+
 @pytest.fixture
 def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A built page, and a file beside its folder."""
