@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,27 +25,15 @@ from with_torch import torch
 import facepipe
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
-from facepipe.learn.photo import lighting
-from facepipe.learn.photo.shadows import shadow_transfer
 from facepipe.performing import read_kept
 from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
+pytestmark = pytest.mark.usefixtures("one_sample_a_pixel", "few_lamps")
 
 ONE = ("front.png", "head.usdc", "--landmarks", "front.json")
 TWO = ("front.png", "--landmarks", "front.json", "side.png", "--landmarks", "side.json", "head.usdc")  # in turn
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_lamps() -> Iterator[None]:
-    """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "_CANDIDATES", 12)
-        patch.setattr(lighting, "_RINGS", ())
-        patch.setattr(shadow_transfer, "__defaults__", (12,))
-        yield
 
 
 @pytest.fixture(scope="module")
