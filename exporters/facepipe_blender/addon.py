@@ -38,7 +38,7 @@ _WHEEL = "Wheel-Version: 1.0\nGenerator: facepipe\nRoot-Is-Purelib: true\nTag: p
 
 
 class _Host(NamedTuple):
-    """What a range of Blender versions brings."""
+    """What a range of Blender versions ships with."""
 
     python: str
     numpy: str
@@ -115,7 +115,7 @@ def _download(folder: Path, options: Options) -> None:
 
 
 def _libraries() -> list[str]:
-    """What facepipe requires and Blender has not.
+    """The libraries that facepipe requires and Blender lacks.
 
     :raises InputError: facepipe runs from files alone, without its list of libraries
     """
@@ -127,7 +127,7 @@ def _libraries() -> list[str]:
 
 
 def _is_blenders(name: str) -> bool:
-    """Whether a requirement or wheel is of a library that Blender brings."""
+    """Whether a requirement or wheel is of a library that ships with Blender."""
     return re.split(r"[^A-Za-z0-9_-]|-\d", name.lower().replace("_", "-"))[0] in _BLENDERS_OWN
 
 

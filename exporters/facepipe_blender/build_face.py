@@ -102,7 +102,7 @@ def _mesh_names(meshes: tuple[Any, ...], kept: Kept | None) -> list[str]:
 
 
 def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None, home: FloatArray | None) -> Mesh:
-    """The mesh in the space of the face's first object, or in that of its object where it was imported.
+    """The mesh in the space of the face's first object or, where it was imported, of its own object.
 
     :param place: (4, 4) its object relative to the first
     :param home: (4, 4) place of the first when it was imported

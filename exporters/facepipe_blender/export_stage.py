@@ -1,4 +1,4 @@
-"""Faces put on a stage that Blender is about to save, in place of what Blender wrote of their objects."""
+"""Faces put on a stage that Blender is about to save, in place of Blender's prims of their objects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BARE = ("", "Xform", "Scope", "SkelRoot")
 
 
 def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -> tuple[str, ...]:
-    """Replace what Blender wrote of faces by faces; all of them or, after an error, none.
+    """Replace Blender's prims of faces by faces; all of them or, after an error, none.
 
     :param objects: those of the scene; which of them are on the stage is seen there
     :param active: an object whose face becomes the default prim
@@ -49,7 +49,7 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
 
 
 def _on_stage(view: StageView, objects: Sequence[Any]) -> tuple[tuple[FaceObjects, ...], tuple[str, ...]]:
-    """The faces that Blender wrote, and a line for each of their objects that it wrote not."""
+    """The faces that Blender wrote, and a line for each of their objects that it left out."""
     faces, warnings = [], []
     for face in faces_among(objects):
         there = replace(face, meshes=tuple(mesh for mesh in face.meshes if view.prim(mesh) is not None))

@@ -26,7 +26,7 @@ class FaceObjects:
 
     @property
     def record(self) -> Any:
-        """What was kept of the face that was imported; None for a face made here."""
+        """The text block with the record of an imported face; None for a face made in Blender."""
         found = [record_of(obj) for obj in (self.armature, *self.meshes) if obj is not None]
         return next((one for one in found if one is not None), None)
 

@@ -1,4 +1,4 @@
-"""What vertex groups of a mesh are: bones, regions, or helpers of modifiers and shape keys."""
+"""Vertex groups of a mesh: bones, regions, or helpers of modifiers and shape keys."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def read_groups(obj: Any, bones: set[str], helpers: set[str]) -> Groups:
 
     :param helpers: names of those that serve modifiers and shape keys
 
-    Where some are called ``region:NAME`` these are its regions; where none is, all are that are no bones, hold some
-    weight and serve no modifier or shape key.
+    Groups called ``region:NAME`` are its regions; where there are none, all groups with weights that are no bones and
+    serve no modifier or shape key.
     """
     weights = _weights(obj)
     of_bones = {name: values for name, values in weights.items() if name in bones}

@@ -50,7 +50,7 @@ class FACEPIPE_OT_message(bpy.types.Operator):  # noqa: N801  (Blender's way to 
 
 
 class FaceHook(bpy.types.USDHook):
-    """Faces of facepipe in USD files. After an error the file is as Blender alone writes or reads it."""
+    """Faces of facepipe in USD files. After an error the file is as Blender writes or reads it without facepipe."""
 
     bl_idname = "facepipe"
     bl_label = "facepipe"
@@ -61,7 +61,7 @@ class FaceHook(bpy.types.USDHook):
 
     @staticmethod
     def on_export(export_context: Any) -> bool:
-        """Turn what Blender wrote of faces into faces."""
+        """Turn Blender's prims of faces into faces."""
         scene = export_context.get_depsgraph().scene
         FaceHook.failure, FaceHook.warnings = None, ()
         if not scene.facepipe_usd:
@@ -78,7 +78,7 @@ class FaceHook(bpy.types.USDHook):
 
     @staticmethod
     def on_import(import_context: Any) -> bool:
-        """Bring back what Blender drops of faces."""
+        """Restore what Blender drops of faces."""
         try:
             stage = import_context.get_stage()
             known = hasattr(import_context, "get_prim_map")  # from Blender 4.4 on

@@ -1,4 +1,4 @@
-"""Faces of a stage that Blender has imported: what Blender dropped of them is brought back."""
+"""Faces of a stage that Blender has imported: restores what Blender dropped."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
 
 
 def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
-    """Prim path -> what Blender made of it, as far as names say: the newest object called so that is of no face yet."""
+    """Prim path -> Blender's object for it, found by name: the newest one of that name that belongs to no face yet."""
     free: dict[str, list[Any]] = {}
     for obj in sorted(bpy.data.objects, key=lambda one: str(one.name), reverse=True):
         if record_of(obj) is None and obj.type in ("ARMATURE", "MESH"):

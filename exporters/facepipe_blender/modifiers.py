@@ -15,9 +15,9 @@ from facepipe.core.arrays import FloatArray
 
 @contextlib.contextmanager
 def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
-    """The mesh object as its modifiers but Armature, as far as the viewport shows them, leave each of its shape keys.
+    """The mesh object with its modifiers applied to each shape key: all but Armature that the viewport shows.
 
-    That is a copy, gone after the block; the object itself where there are none, or where they can't be applied.
+    It is a copy, removed after the block; the object itself where there are no modifiers, or they can't be applied.
 
     :param warnings: gets a line for what is not applied
     """

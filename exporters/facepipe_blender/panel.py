@@ -111,7 +111,7 @@ def _deliver(context: Any, face: FaceObjects, folder: Path, name: str, **options
 def _export_usd(context: Any, face: FaceObjects, path: Path) -> None:
     """Export the objects of a face alone, whatever is selected.
 
-    :raises InputError: a hidden object, which Blender exports not
+    :raises InputError: a hidden object, which Blender doesn't export
     :raises FacepipeError: a face that can't be written
     """
     objects = [obj for obj in (face.armature, *face.meshes) if obj is not None]

@@ -1,7 +1,7 @@
-"""What is kept in a .blend file of a face that was imported, since Blender has no place for all of it.
+"""The record of an imported face in a .blend file, since Blender has no place for all of it.
 
-A text block holds it: readable lines, and as a property the whole face as it came, of materials only the names. The
-objects of the face point to it.
+A text block holds it: readable lines, and as a property the whole face as imported, with only the names of materials.
+The objects of the face point to it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What Blender wrote of objects on a stage: their prims, places, UV names and materials."""
+"""Blender's prims on a stage: of which objects, with their places, UV names and materials."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class StageView:
 
 
 def _by_name(prims: Any, label: str) -> dict[str, Usd.Prim]:
-    """Prims by what Blender says that they are called in it; those of which it says nothing by their own name."""
+    """Prims by their names in Blender where it authored these, else by their own."""
     labelled: dict[str, Usd.Prim] = {}
     unlabelled: dict[str, Usd.Prim] = {}
     for prim in prims:
@@ -70,6 +70,6 @@ def _by_name(prims: Any, label: str) -> dict[str, Usd.Prim]:
 
 
 def _plain(name: str) -> str:
-    """A name as Blender writes it where it writes no others."""
+    """A name as Blender makes it an identifier."""
     text = re.sub(r"\W", "_", str(name))
     return f"_{text}" if text[:1].isdigit() else text

@@ -34,7 +34,7 @@ class AnimationWriter:
     warnings: list[str]
 
     def write(self, animation: Animation) -> Json | None:
-        """The glTF animation; None where nothing of it is in the file."""
+        """The glTF animation; None where the file has nothing that it moves."""
         times = np.zeros(1) if animation.times is None else np.asarray(animation.times, dtype=np.float64)
         if len(times) and times[0] < 0:
             self.warnings.append(f"{animation.name}: starts at {times[0]:g} s, moved to 0 s: glTF has no negative time")
@@ -161,7 +161,7 @@ def _channel(
 
 
 def _held(times: FloatArray, values: FloatArray) -> npt.NDArray[np.bool_] | None:
-    """The keys of a track that is held and changes within ticks only, as imports write STEP; None for all others."""
+    """The keys kept of a track that changes only within ticks, as imports write STEP; None for any other track."""
     changes = (np.diff(values, axis=0) != 0).any(axis=1)
     ticks = np.abs(np.diff(times) - TICK) < _NEAR
     if not changes.any() or (changes & ~ticks).any() or (changes[1:] & changes[:-1]).any():

@@ -22,7 +22,7 @@ _SAME = 1e-6  # smaller changes of a unit normal don't show
 
 
 def _with_normals(sculpts: Sequence[Sculpt], points: FloatArray, triangles: IntArray) -> list[Sculpt]:
-    """The sculpts with normal offsets: authored ones stay, others are how the smooth normals of the surface change.
+    """The sculpts with normal offsets: authored ones, else the change of the surface's smooth normals.
 
     :param points: (n, 3) of the mesh, in its own space as the sculpts are; `triangles` (t, 3) as authored
     """
@@ -100,9 +100,9 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
 
 
 def storage_error(baked: Baked, encoding: Encoding, smallest: float) -> float:
-    """Upper bound in metres of how far a point is off in the bind pose, whatever shapes are on together.
+    """Upper bound of a point's error in the bind pose, in metres, for any weights 0 to 1 of all shapes.
 
-    What quantisation does to the offsets of a point, and those left out, add up: along each axis those of one sign.
+    Errors of a point's offsets, quantised or left out, add up: along each axis those of one sign.
     """
     sums = np.zeros((2, 3, len(baked.points)))
     for block in baked.morphs():
@@ -114,7 +114,7 @@ def storage_error(baked: Baked, encoding: Encoding, smallest: float) -> float:
 
 
 def weight_error(baked: Baked, encoding: Encoding) -> float:
-    """How far at most the skin weights of a point are off as stored, all of them together."""
+    """Largest error of a point's skin weights as stored, summed over its joints."""
     if baked.influences is None:
         return 0.0
     weights = baked.influences.weights

@@ -106,7 +106,7 @@ class Buffers:
         return self._add_dense(dense, "vertex", rows.normalized, extent)
 
     def add_bytes(self, data: bytes) -> int:
-        """A buffer view of its own, for what is no accessor; its index."""
+        """A buffer view of its own for bytes without an accessor; its index."""
         return self._append(_Key("bytes", 0, str(len(self._views))), data)[0]
 
     def finish(self) -> tuple[list[Json], list[Chunk]]:
@@ -206,7 +206,7 @@ def _rows(array: Array, stride: int) -> Chunk:
 
 
 def _bytes(array: Array) -> Chunk:
-    """The bytes of an array where they are; copied where their order has to change."""
+    """A view of an array's bytes; a copy where their order has to change."""
     return _little(array).data.cast("B") if array.size else b""
 
 

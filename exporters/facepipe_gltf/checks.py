@@ -1,4 +1,4 @@
-"""What must hold of a face before it is exported."""
+"""Checks of a face before it is exported."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class _Writer:
         return self._assemble(scene, skins, animations, meshes, shapes)
 
     def _meshes(self, parts: FaceParts, shapes: Sequence[str]) -> list[Baked]:
-        """All meshes of the face or a level, those that have faces, with a node for each."""
+        """The meshes of the face or a level that have faces, with a node for each."""
         meshes = [bake(parts, mesh, shapes, self.space, self.options) for mesh in parts.meshes]
         meshes = [baked for baked in meshes if len(baked.corners.faces)]
         for baked in meshes:
@@ -241,7 +241,7 @@ class _Writer:
         return [f"display colours of {listed_meshes(names)}: the materials' colours are shown"] if names else []
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
-        """The errors of `ExportReport.error_mm` together, in mm; None where there is none."""
+        """The sum of the errors of `ExportReport.error_mm`, in mm; None for an exact file."""
         options = self.options
         encoding, smallest = Encoding(options.quantize), options.drop_deltas / 1000
         stored = [storage_error(one, encoding, smallest) for one in meshes] if options.quantize or smallest else []

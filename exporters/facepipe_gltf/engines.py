@@ -1,7 +1,7 @@
-"""What each engine's glTF reader takes: one table.
+"""What each engine's glTF reader supports: one table.
 
-Tested with three.js, Babylon.js, Blender, Godot 3 and assimp, which stands for any engine. What Unity's glTFast and
-Unreal's Interchange take is what their documentation lists: KHR_mesh_quantization by both, meshopt by glTFast.
+Tested with three.js, Babylon.js, Blender, Godot 3 and assimp, which stands for any engine. Unity's glTFast and Unreal's
+Interchange follow their documentation: both read KHR_mesh_quantization, glTFast meshopt too.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _refused(flag: str, engine: Engine, why: str) -> InputError:
 def engine_warnings(
     engine: Engine, nodes: Sequence[Mapping[str, Any]], skins: Sequence[Mapping[str, Any]]
 ) -> list[str]:
-    """Lines about the names of nodes that the engine changes, and of joints that it can't take."""
+    """A line for each kind of node name that the engine changes, or of joint name that it can't read."""
     joints = {joint for skin in skins for joint in skin["joints"]}
     names = {str(node["name"]): renamed(engine, str(node["name"]), i in joints) for i, node in enumerate(nodes)}
     nameless = [f"'{nodes[i]['name']}'" for i in sorted(joints) if not names[str(nodes[i]["name"])]]
@@ -111,7 +111,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def renamed(engine: Engine, name: str, joint: bool = False) -> str:
-    """What the engine calls a node, or a joint, of this name."""
+    """The engine's name for a node, or a joint, of this name."""
     if joint and engine.joint_name is not None:
         return engine.joint_name(name)
     for pattern, instead in engine.changed_names:

@@ -1,4 +1,4 @@
-"""Skin weights as glTF wants them: few joints a vertex, each once, weights that sum to 1."""
+"""Skin weights as glTF requires: few joints a vertex, each once, weights that sum to 1."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def merge(skin: Skin, points: IntArray | slice = _EVERY) -> tuple[IntArray, Floa
 
 
 def float_weights(weights: FloatArray) -> FloatArray:
-    """float32 weights whose exact sum is 1 but for one rounding: the largest takes what rounding left over."""
+    """float32 weights whose exact sum is 1 to one rounding: the largest takes up the rounding of the others."""
     rounded = weights.astype(np.float32)
     rest = 1.0 - rounded[:, 1:].sum(axis=1, dtype=np.float64)
     rounded[:, 0] = rest

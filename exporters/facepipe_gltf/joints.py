@@ -65,7 +65,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
 
 
 def _node_names(skeleton: Skeleton) -> list[str]:
-    """The source's names of the joints; else the last part of each path, or all of it where that is not unique."""
+    """The joints' names in the source; else the last part of each path, or the whole path where that is ambiguous."""
     if skeleton.joint_names:
         return list(skeleton.joint_names)
     times = Counter(skeleton.names)

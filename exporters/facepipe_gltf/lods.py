@@ -29,7 +29,7 @@ def lower_levels(face: HasParts) -> tuple[FaceParts, ...]:
 def link_level(
     nodes: list[Json], meshes: list[Json], finest: Sequence[Baked], lower: Sequence[Baked], number: int
 ) -> None:
-    """Name the last nodes of a document and their meshes as a level, and give the first nodes their numbers.
+    """Name the last nodes of a document and their meshes as a level, and list their numbers in the first nodes.
 
     :param finest: what the first nodes show; `lower`: what the last ones do
     """

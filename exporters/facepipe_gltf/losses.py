@@ -21,9 +21,9 @@ _STILL = 1e-13  # vertex matrices nearer to the identity than this are at rest b
 
 
 def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorded: FaceParts | None) -> tuple[str, ...]:
-    """Everything of the face that the file does not hold, one line a kind.
+    """What the file does not hold of the face, one line a kind.
 
-    :param recorded: what the file keeps of the face beside what glTF has a place for; None: nothing
+    :param recorded: what the file's record holds of the face; None: no record
     """
     written = {baked.mesh.name for baked in meshes}
     faceless = [mesh.name for mesh in parts.meshes if mesh.name not in written]
@@ -77,7 +77,7 @@ def _missing(own: Sequence[Slider] | Sequence[PhotoView], kept: Sequence[Slider]
 
 
 def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
-    """Lines about skin weights that had to change to keep the `most` largest influences."""
+    """A line for each mesh whose skin weights changed to keep the `most` largest influences."""
     lines = []
     for baked in meshes:
         if baked.influences is None or baked.mesh.skin is None:
@@ -96,7 +96,7 @@ def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
 
 
 def _materials(mesh: Mesh) -> set[str | None]:
-    """Those that some face shows: the mesh's own where the faces' own leave it one."""
+    """Materials that some face shows: the mesh's own where a face has none of its own."""
     by_face = [one for one in mesh.material_faces if len(one.faces)]
     covered = len(np.unique(np.concatenate([one.faces for one in by_face]))) if by_face else 0
     own = {mesh.material} if covered < len(mesh.face_vertex_counts) else set()
@@ -130,7 +130,7 @@ def listed_meshes(names: Sequence[str]) -> str:
 
 
 def influence_error(parts: FaceParts, meshes: Sequence[Baked], space: Space) -> float | None:
-    """Largest distance in metres that the influences left out move a point, over the face's poses and animations.
+    """Largest distance in metres that left-out influences move a point by, over the face's poses and animations.
 
     None where no influence is left out or there is no pose to measure at.
     """
@@ -199,9 +199,9 @@ def _joined(animations: Sequence[Animation]) -> list[Animation]:
 
 
 def _longest_shift(change: _Change, matrices: FloatArray) -> float:
-    """How far the change of weights moves points under (T, j, 4, 4) matrices of vertices.
+    """Largest distance that the change of weights moves points by, under (T, j, 4, 4) matrices of vertices.
 
-    The weights of a point change by amounts that sum to 0, so only what a joint does beyond the identity counts.
+    The changes of a point's weights sum to 0, so only a joint's difference from the identity counts.
     """
     followed = np.flatnonzero(change.weights.any(axis=1))
     moves = np.swapaxes(matrices[:, followed, :3] - np.eye(3, 4), -1, -2)

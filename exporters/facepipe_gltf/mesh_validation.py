@@ -97,7 +97,7 @@ def vertex_counts(document: RawDocument) -> Iterator[Problem]:
 
 
 def distinct_target_names(document: RawDocument) -> Iterator[Problem]:
-    """The names in extras.targetNames of a mesh are distinct: by one that stands twice an engine sets one target."""
+    """The names in extras.targetNames of a mesh are distinct: of two of one name an engine sets only one."""
     for i, mesh in enumerate(document.items("meshes")):
         extras = mesh.get("extras")
         names = extras.get("targetNames") if isinstance(extras, dict) else None
@@ -106,7 +106,7 @@ def distinct_target_names(document: RawDocument) -> Iterator[Problem]:
 
 
 def target_names(document: RawDocument) -> Iterator[Problem]:
-    """extras.targetNames, weights and the targets of every primitive of a mesh are as many."""
+    """extras.targetNames, weights and the targets of every primitive of a mesh have one count."""
     for i, mesh in enumerate(document.items("meshes")):
         where = f"/meshes/{i}"
         counts = [len(targets(one)) for place, one in primitives(document) if place.startswith(f"{where}/")]
@@ -146,7 +146,7 @@ def asset(document: RawDocument) -> Iterator[Problem]:
 
 
 def references(document: RawDocument) -> Iterator[Problem]:
-    """What nodes, scenes and skins name is there."""
+    """The objects that nodes, scenes and skins refer to exist."""
     sizes = {name: len(document.items(name)) for name in ("nodes", "meshes", "skins", "cameras")}
     for i, node in enumerate(document.items("nodes")):
         for key, name in (("mesh", "meshes"), ("skin", "skins"), ("camera", "cameras")):

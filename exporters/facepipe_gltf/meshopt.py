@@ -50,7 +50,7 @@ _NOT_INSTALLED = 4
 
 
 class _Stream(NamedTuple):
-    """What of a buffer view is compressed."""
+    """The part of a buffer view that is compressed."""
 
     data: bytes
     elements: int
@@ -59,12 +59,12 @@ class _Stream(NamedTuple):
 
 
 def compressed(document: Document) -> Document:
-    """The document with its vertices and triangles compressed: without loss, all is decoded again and compared.
+    """The document with vertices and triangles compressed without loss: everything is decoded again and compared.
 
-    The extension's own mode for triangles would turn them, and with them the polygons that readers make of them.
+    The extension's mode for triangles would rotate their corners, and change the polygons that readers make of them.
 
     :raises InputError: node, or its package meshoptimizer, is not installed
-    :raises ExportError: what is decoded is not what was encoded
+    :raises ExportError: the decoded data differ from the encoded
     """
     binary = b"".join(document.binary)
     streams = _streams(document.json, binary)
@@ -92,7 +92,7 @@ def compressed(document: Document) -> Document:
 
 
 def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
-    """What is compressed of each buffer view; of the others nothing. A list of triangles is a view of its own."""
+    """The streams to compress, by buffer view. A list of triangles is a view of its own."""
     lists = {one["bufferView"]: one for one in json_.get("accessors", []) if "bufferView" in one}
     streams = {}
     for number, view in enumerate(json_.get("bufferViews", [])):
@@ -108,7 +108,7 @@ def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
 
 
 def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
-    """Each stream compressed, checked by what the package's decoder makes of it."""
+    """Each stream compressed, and checked with the package's decoder."""
     header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
     answer = _run(b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)]))
     at = 0

@@ -63,7 +63,7 @@ def sculpts_of(mesh: Mesh, shapes: Sequence[str]) -> list[Sculpt]:
 
 
 def extras(sculpts: Sequence[Sculpt]) -> Json:
-    """What an engine needs to drive inbetweens: which shape and weight each stands for, and activation curves."""
+    """What an engine needs to drive inbetweens: the shape and weight of each, and activation curves."""
     inbetweens = {one.name: {"shape": one.shape, "weight": one.weight} for one in sculpts if one.is_inbetween}
     curves = {one.name: [list(knot) for knot in one.knots] for one in sculpts if len(one.knots) > 2}
     return {"inbetweens": inbetweens, "curves": curves} if inbetweens else {}
@@ -182,7 +182,7 @@ def table_of(morphs: Morphs, encoded: Encoded) -> Table:
 
 
 def rows_of(table: Table, vertices: Vertices) -> list[Rows]:
-    """What each target does to the vertices of one primitive."""
+    """The rows of each target for the vertices of one primitive."""
     source, moved, starts = _spread(table, vertices)
     values = table.values if source is None else table.values.take(source, axis=0)
     extents = _extents(values, starts, len(vertices.points))

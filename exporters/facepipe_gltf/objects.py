@@ -74,7 +74,7 @@ def _parts(hint: Any) -> list[Any]:
 
 
 def _object(kind: Any, data: Json) -> Any:
-    """The object of a pygltflib class that says what `data` says."""
+    """The object of a pygltflib class with the content of `data`."""
     if not _is_dataclass(kind):  # attributes of a primitive, of any name
         return kind(**data)
     values = dict(data)
@@ -90,7 +90,7 @@ def _object(kind: Any, data: Json) -> Any:
 
 
 def _stated(value: Any) -> Json:
-    """What an object of pygltflib states: JSON, or further objects.
+    """The fields that an object of pygltflib states: JSON, or further objects.
 
     :raises TypeError: an object of another kind
     """

@@ -40,7 +40,7 @@ class Options:
 
     @property
     def reader(self) -> Engine:
-        """What the file is for."""
+        """The engine that the file is for."""
         return ANY if self.engine is None else ENGINES[self.engine]
 
     @property
@@ -55,5 +55,5 @@ class Options:
 
     @property
     def with_target_normals(self) -> bool:
-        """Whether shapes without normals get them computed."""
+        """Whether normals are computed for shapes without."""
         return self.reader.target_normals if self.morph_normals is None else self.morph_normals

@@ -87,7 +87,7 @@ class Placement:
     def normal_offsets(self, offsets: FloatArray, normals: FloatArray, rows: IntArray) -> FloatArray:
         """(k, 3) offsets of unit normals; `normals` (k, 3) are those of the points `rows` in glTF space.
 
-        They follow the normals, and shrink as much as normalising shrinks those.
+        They turn with the normals, and shrink by the factor that normalising shrinks those by.
         """
         matrices = self._at(self._cofactors, rows)
         x, y, z = _apply(np.swapaxes(self._at(self.matrices[:, :3, :3], rows), -1, -2), normals).T

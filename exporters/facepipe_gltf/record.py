@@ -1,4 +1,4 @@
-"""What of a face has no place in glTF, put beside it so that `facepipe import gltf` brings back the same face."""
+"""The parts of a face that glTF has no place for, stored beside it so that `facepipe import gltf` restores the face."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def record_of(
     animations: Collection[str],
     colored: Collection[str],
 ) -> Record | None:
-    """What goes along with the face; None where it can't come back anyway, its joints baked into points.
+    """The record of the face; None where the face can't be restored, because its joints are baked into points.
 
     :param animations: names of those in the file
     :param colored: names of meshes whose display colours are in the file
@@ -69,7 +69,7 @@ def written(record: Record, buffers: Buffers) -> Json:
 def _husk(
     parts: FaceParts, meshes: Sequence[Baked], animations: Collection[str], colored: Collection[str]
 ) -> FaceParts:
-    """The face without what the file holds, and without what moves nothing in it."""
+    """The face without what the file holds elsewhere, and without sliders that move nothing in the file."""
     skinned = any(one.influences is not None for one in meshes)
     skeleton = parts.skeleton if skinned else replace(Skeleton(), name=parts.skeleton.name)
     joints = set(skeleton.joints)
@@ -136,7 +136,7 @@ def _single(array: FloatArray | None) -> FloatArray | None:
 
 
 def _keeps_polygons(baked: Baked) -> bool:
-    """Whether every polygon can be put together again: all of 3 or more corners, and no triangle left out."""
+    """Whether every polygon can be restored: all have 3 or more corners, and no triangle is left out."""
     counts = np.asarray(baked.mesh.face_vertex_counts)
     return bool(counts.min(initial=3) >= 3) and len(baked.corners.faces) == int((counts - 2).sum())
 
@@ -164,7 +164,7 @@ def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
 
 
 def _animation_husk(animation: Animation, joints: Collection[str], shapes: Collection[str]) -> Animation:
-    """The animation of what is in the file."""
+    """The animation, reduced to joints and shapes that are in the file."""
     moved = tuple(joint for joint in animation.joints if joint in joints)
     driven = tuple(shape for shape in animation.shapes if shape in shapes)
     held: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""What goes along with a face in a glTF file, so that it comes back as the face that it was.
+"""The record in a glTF file from which an import restores the face exactly.
 
 The record is a `FaceParts` whose large arrays are empty where the file holds them in accessors, with the matrices that
 took each mesh to glTF space. ``extras.facepipe`` of the document names the buffer view that it is in.
@@ -33,7 +33,7 @@ PER_POINT = np.zeros((0, 3))  # normals one a point; those of face corners are `
 
 @dataclass(frozen=True, kw_only=True)
 class MeshRecord:
-    """What brings a mesh of the file back to the stage."""
+    """What restores a mesh of the file to its mesh on the stage."""
 
     point_count: int
     matrix: FloatArray  # (4, 4) mesh space -> glTF space
@@ -45,7 +45,7 @@ class MeshRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """A face without what its file holds elsewhere."""
+    """A face without the data that its file holds elsewhere."""
 
     face: FaceParts  # its animations name neither joints nor shapes
     meshes: tuple[MeshRecord, ...]  # parallel to the face's
@@ -56,7 +56,7 @@ class Record:
 
 
 def content_digest(document: Json) -> str:
-    """A digest of what a document shows and calls it, whoever formatted its JSON: other data, other digest.
+    """A digest of a document's content and names, however its JSON is formatted: other data, other digest.
 
     Accessors, buffers and images are not in it.
     """
@@ -74,7 +74,7 @@ def _floats(value: object) -> object:
 
 
 def packed(record: Record) -> tuple[Json, bytes]:
-    """The record as one deflated block, and what a document says of it: its JSON, its length in front, then arrays."""
+    """The entry for a document's extras, and the record as one deflated block: the length of its JSON, JSON, arrays."""
     arrays = ArrayWriter()
     text = json.dumps(to_json(record, arrays), separators=(",", ":"), allow_nan=False).encode()
     block = struct.pack("<I", len(text)) + text + arrays.finish()

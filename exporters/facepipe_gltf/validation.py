@@ -108,7 +108,7 @@ _DATA = (mesh.accessors, mesh.finite, mesh.bounds)
 
 
 def errors(document: RawDocument, *, data: bool = True) -> Iterator[tuple[str, str]]:
-    """Where a document is wrong, and how.
+    """Errors of a document: place and message.
 
     :param data: the data of all accessors is checked too, which takes most of the time
     """
@@ -119,7 +119,7 @@ def errors(document: RawDocument, *, data: bool = True) -> Iterator[tuple[str, s
 
 
 def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:
-    """What is wrong with a .glb or .gltf.
+    """Findings of all checks in a .glb or .gltf.
 
     :param khronos: also run the Khronos validator; a note says so where it is not installed
     :raises InputError: no such file, or no glTF at all
@@ -128,7 +128,7 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
 
 
 def judged(document: RawDocument, checks: Iterable[Check], *, khronos: bool) -> tuple[Finding, ...]:
-    """What `checks` find in a document, and the Khronos validator in its file."""
+    """Findings of `checks` in a document, and of the Khronos validator in its file."""
     with np.errstate(all="ignore"):  # NaN and overflow are what some checks look for
         findings = [
             Finding(check=f"facepipe:{name}", severity=severity, where=f"{document.path.name} -> {at}", message=message)

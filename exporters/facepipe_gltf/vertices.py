@@ -62,7 +62,7 @@ class Vertices:
 
 
 class _Attribute(NamedTuple):
-    """What may split a point: an index into values (u, columns) at every corner."""
+    """An attribute that may split a point: an index into values (u, columns) at every corner."""
 
     indices: IntArray  # (c,)
     values: FloatArray

@@ -214,7 +214,7 @@ def _own_sidecars(target: Path) -> set[str]:
 
 
 def _sealed(document: Json) -> Json:
-    """The document, its record with a digest of what it goes along with."""
+    """The document, with a digest of its content in its record."""
     record = document.get("extras", {}).get("facepipe")
     if record is None:
         return document

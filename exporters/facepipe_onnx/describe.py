@@ -1,4 +1,4 @@
-"""What a graph means: the metadata of a face, its joints, meshes, sliders, inputs and outputs."""
+"""The metadata of a graph: face, joints, meshes, sliders, inputs and outputs."""
 
 from __future__ import annotations
 

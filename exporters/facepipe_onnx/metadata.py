@@ -80,7 +80,7 @@ class Kind(NamedTuple):
 
     @property
     def format(self) -> dict[str, object]:
-        """What the metadata says under ``format``."""
+        """The metadata's ``format``."""
         return {"name": self.name, "version": 1}
 
 
@@ -111,7 +111,7 @@ def operators(model: Any) -> list[str]:
 
 
 def metadata_faults(model: Any) -> Iterator[tuple[str, str]]:
-    """What is wrong with the metadata of a model: where, and what."""
+    """Errors of a model's metadata: place and message."""
     try:
         metadata = model_metadata(model)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""What the user can ask of the ONNX exporter."""
+"""Options of the ONNX exporter."""
 
 from __future__ import annotations
 

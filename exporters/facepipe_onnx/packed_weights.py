@@ -38,7 +38,7 @@ class PackedNodes(Nodes):
 
 
 def follow(nodes: PackedNodes, name: str, function: Callable[..., FloatArray], *sources: str) -> str:
-    """`name`, a value that a function of others is, with its samples where these have some."""
+    """`name`, a value that `function` computes from others, with samples where those have some."""
     if all(source in nodes.samples for source in sources):
         whole, packed = zip(*(nodes.samples[source] for source in sources), strict=True)
         nodes.samples[name] = (function(*whole), function(*packed))
@@ -69,7 +69,7 @@ def _packed_product(
 
 
 def _refitted(matrix: FloatArray, whole: FloatArray, packed: FloatArray) -> FloatArray:
-    """The matrix that makes of packed samples what the own one makes of whole ones, as nearly as it goes."""
+    """The matrix that maps packed samples as nearly as possible to what `matrix` makes of the whole ones."""
     steps = packed[1:] - packed[0]
     missing = (whole[1:] - whole[0]) @ matrix - steps @ matrix
     return np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing))

@@ -113,7 +113,7 @@ def _counts(rig: Rig, options: Options, sliders: Sequence[Slider] | None, model:
 
 
 def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | None) -> tuple[str, ...]:
-    """What a graph does not hold."""
+    """Lines on what the graph leaves out."""
     sculpted = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
     driven = sum(len(one.shapes) for one in parts.sliders) if options.sliders else 0
     beside = parts.slider_network is not None and not options.sliders

@@ -1,4 +1,4 @@
-"""The files of a face that the page loads, and what viewer.json says of it."""
+"""The files of a face that the page loads, and its entry in viewer.json."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _KEPT = 2  # versions of the face that may still be on their way to the page
 
 
 class Blending:
-    """Answers the page; `entry` is what viewer.json says of the blend."""
+    """Answers the page; `entry` is the blend's entry in viewer.json."""
 
     def __init__(self, path: Path, live: LiveBlend, folder: Path, server: Server) -> None:
         self._path, self._live, self._folder, self._server = path, live, folder, server

@@ -1,4 +1,4 @@
-"""What the user can ask of the viewer."""
+"""Options of the viewer."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def _check_start(path: Path, start: bytes, kind: str) -> None:
 
 
 def _write_content(folder: Path, server: Server, entries: Sequence[Json], blending: Blending | None) -> None:
-    """viewer.json, which lists for the page what there is."""
+    """viewer.json, the list of faces for the page."""
     content = {"faces": entries, "blend": None if blending is None else blending.entry}
     file = folder / "viewer.json"
     file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")

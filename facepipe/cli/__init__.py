@@ -124,7 +124,7 @@ def _run(words: list[str]) -> int:
 
 
 def _project() -> Project | None:
-    """The project that the line is typed in."""
+    """The project around the working folder."""
     folder = Path.cwd()
     named = "FACEPIPE_PROJECT" in os.environ
     if not named and not any((one / PROJECT).is_file() for one in (folder, *folder.parents)):
@@ -135,7 +135,7 @@ def _project() -> Project | None:
 
 
 def _note_roots(project: Project | None) -> None:
-    """Say that roots of a project are left out, where they are."""
+    """Warn where roots of an untrusted project are left out."""
     if project is None:
         return
     from facepipe.core.project import VARIABLE
@@ -153,7 +153,7 @@ def in_project(project: Project, words: Sequence[str], folder: Path, out: str = 
 
 
 def command_module(command: str) -> Any:
-    """What configures and runs a command: a module of its own, or its action's declaration; None for no command."""
+    """The module or action that configures and runs a command; None for no command."""
     if command in COMMANDS:
         return importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
     from facepipe.actions import find_action, groups
@@ -175,7 +175,7 @@ def paths_in(values: Iterable[object]) -> Iterator[Path]:
 
 
 def _trust_of(parsed: argparse.Namespace, project: Project | None) -> Trust:
-    """The policy in force with what the line and the project say; a host that calls `main` may have set one."""
+    """The trust policy of the line and the project, on top of one that a host which calls `main` may have set."""
     old = trust()
     roots, urls = roots_in(parsed.root) if "root" in parsed else (old.roots, old.urls)
     folders = () if project is None or old.confined else project.folders

@@ -1,7 +1,7 @@
 """The process that does tasks of `facepipe batch`: a line of JSON in for each, and one out; ends with its input.
 
-The first line says where: the folder that paths are relative to, the roots that all reads and writes are confined to,
-and the version of who asks.
+The first line has the settings: the folder that paths are relative to, the roots that confine all reads and writes, and
+the version of the asking process.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _GROWTH = 40.0  # MB at rest that a process may gain before it is replaced: libr
 
 
 def main(read: Callable[[list[str]], Line] | None = None) -> None:
-    """Answer requests until there are no more; where who asks has ended, end at once.
+    """Answer requests until there are no more; end at once where the asking process has ended.
 
     :param read: reads lines in place of `read_line`
     """
@@ -113,7 +113,7 @@ def _peak_mb() -> float | None:
 def read_line(words: list[str]) -> Line:
     """A line of the command line, with what it reads and writes.
 
-    :raises InputError: no such command, one that can't be a step, or as the command says of its words
+    :raises InputError: no such command, one that can't be a step, or wrong words for it
     """
     verb = words[0]
     module = command_module(verb)

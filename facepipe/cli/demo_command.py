@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Make everything, saying what was made."""
+    """Make all files, print what was made."""
     from facepipe.core.atomic import hidden_folder, replacing, replacing_folder, together
 
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Make a face stage of a real face: facepipe import KIND SOURCE OUT.
+"""Make a face stage from a file of another program: facepipe import KIND SOURCE OUT.
 
 examples:
   facepipe import ict ../shared/data/ict_facekit/ict_facekit.npz ict.usdc --identity-seed 7

@@ -203,7 +203,7 @@ def add_output(parser: argparse.ArgumentParser, help: str, *, positional: bool =
 
 
 def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Path:
-    """The output path, checked before any work; what a killed run left beside it is settled first.
+    """The output path, checked before any work; leftovers of a killed run beside it are cleaned up first.
 
     :raises InputError: none given, an existing file without --force, a missing folder, or an input
     """
@@ -217,7 +217,7 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
 
 
 def output_or_edited(arguments: argparse.Namespace, inputs: Sequence[Path]) -> Path:
-    """The output path, where there is none the result that `--edit` names; checked before any work.
+    """The output path, else the result that `--edit` names; checked before any work.
 
     :raises InputError: as `output_of`
     """

@@ -52,7 +52,7 @@ def _verb_of(words: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _flags(project: Project, command: str, modules: Modules, words: Sequence[str]) -> Iterator[str]:
-    """What the project says of a command, where the format that a line writes has it."""
+    """A project's defaults for a command, those that the format of the line's output has."""
     defaults = project.defaults.get(command, {})
     known, here = (_known(command, modules, ["--help"]), _known(command, modules, words)) if defaults else ((), ())
     for name, value in defaults.items():

@@ -1,4 +1,4 @@
-"""`facepipe regions`: the action; without a map the regions that there are."""
+"""`facepipe regions`: the action; without a map, the list of regions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`facepipe sliders`: lists the sliders of a face where nothing is to be done to them."""
+"""`facepipe sliders`: the action; without an option that changes sliders, their list."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _json(slider: Slider) -> dict[str, Any]:
 
 
 def _network_json(network: SliderNetwork) -> dict[str, Any]:
-    """What the list of sliders says of a face's network, for machines."""
+    """A face's network in the list of sliders, as JSON."""
     return {
         "activation": network.activation,
         "channels": [list(one) for one in network.channels],
@@ -121,7 +121,7 @@ def _network_json(network: SliderNetwork) -> dict[str, Any]:
 
 
 def _listed(network: SliderNetwork) -> str:
-    """What the list of sliders says of a face's network."""
+    """A face's network in the list of sliders, as text."""
     layers = " -> ".join(map(str, (len(network.sliders), *(len(bias) for bias in network.biases))))
     what = f"{len(network.channels)} channels and {len(network.shapes)} shapes"
     return f"learned network {layers} ({network.activation}) adds to {what}"

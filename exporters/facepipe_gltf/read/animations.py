@@ -85,7 +85,7 @@ def read_animations(
 
 
 def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
-    """When to sample an animation, and what that means for its keys as warnings."""
+    """When to sample an animation; warns of what this does to its keys."""
     if fps is not None:
         ends = [channel.sampler.times[[0, -1]] for channel in channels]
         document.budget.spend(int(min(8.0 * fps * float(np.ptp(ends)), 1e15)), value)

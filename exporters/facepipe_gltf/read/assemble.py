@@ -153,6 +153,6 @@ def _exact(mesh: Mesh) -> str | None:
 
 
 def _named(mesh: Mesh, name: str) -> Mesh:
-    """The mesh called `name`; of its labels what differs from that stays."""
+    """The mesh with `name`; a label that equals it is dropped."""
     exact, data = _exact(mesh), mesh.data_label
     return replace(mesh, name=name, label=exact if exact != name else None, data_label=data if data != exact else None)

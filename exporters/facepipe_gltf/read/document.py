@@ -56,7 +56,7 @@ class Budget:
         self.left += self.per_byte * size
 
     def check(self, size: int, value: Value) -> None:
-        """Check that there are `size` bytes left for a while, on behalf of `value`.
+        """Check that `size` bytes are left for temporary data, on behalf of `value`.
 
         :raises InputError: fewer
         """

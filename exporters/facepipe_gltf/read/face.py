@@ -66,7 +66,7 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
 
 
 def _with_recipe(face: FaceParts, document: Document, source: Path, options: Options) -> FaceParts:
-    """The face as an import, which notes how the face was made before it was exported."""
+    """The face with the recipe of an import, which keeps the recipe from before the export."""
     recipe = import_recipe("gltf", {source: document.files}, options)
     made = None if face.recipe is None else asdict(face.recipe)
     return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))

@@ -34,7 +34,7 @@ _IMPLEMENTED = {
 
 
 def material_names(document: Document) -> list[str]:
-    """What every material of the document is called, each otherwise; the last is that of primitives that have none."""
+    """Distinct names of all materials of the document; the last is for primitives without a material."""
     given = [given_name(value) or "" for value in document.entries("materials")]
     return list(handles([*given, _DEFAULT], "Material"))
 

@@ -59,7 +59,7 @@ def _warn(document: Document, value: Value, error: InputError | KeyError) -> Non
 
 
 def _ours(document: Document, geometry: Geometry, weld: Weld) -> tuple[Value | None, dict[int, int]]:
-    """What our exporter says of the mesh, and the point of each of its point numbers."""
+    """Our exporter's extras of the mesh, and the point of each of its point numbers."""
     extras, numbers = geometry.value.get("extras"), geometry.vertices.point_numbers
     ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
     if ours is None or not isinstance(ours.data, dict):
@@ -230,7 +230,7 @@ def _materials(
 
 
 def _is_white(document: Document, material: int) -> bool:
-    """Whether vertex colours are all the colour that a material has."""
+    """Whether a material has no colour but vertex colours."""
     surface = document.entries("materials")[material].get("pbrMetallicRoughness")
     if surface is None:
         return True

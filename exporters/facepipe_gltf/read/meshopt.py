@@ -74,7 +74,7 @@ def _attributes(data: bytes, count: int, size: int) -> Bytes:
 
 
 def _lane(data: bytes, at: int, groups: int, lane: Bytes) -> int:
-    """Reads one byte of the elements of a block into `lane`; where the next one's data begin."""
+    """Reads one byte of the elements of a block into `lane`; the position of the next byte's data."""
     heads = data[at : at + -(-groups // 4)]
     at += len(heads)
     if not any(heads):

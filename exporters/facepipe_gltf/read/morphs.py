@@ -33,7 +33,7 @@ class Role:
 
 
 def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Role, ...]:
-    """What each of a mesh's `count` targets is."""
+    """The role of each of a mesh's `count` targets."""
     originals = _target_names(document, mesh, count)
     folded = _inbetweens(document, mesh, originals)
     seen: Counter[str] = Counter()

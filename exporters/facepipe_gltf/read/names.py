@@ -37,7 +37,7 @@ class Names:
         self._known: dict[tuple[str, int], str] = {}
 
     def new(self, base: str) -> str:
-        """`base`, or what comes next to it that was not handed out before."""
+        """`base`, or the first numbered name after it that is free."""
         result = base
         while result in self._taken:
             self._next[base] += 1

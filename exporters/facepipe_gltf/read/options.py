@@ -1,4 +1,4 @@
-"""What may be set about reading a glTF file."""
+"""Options of the glTF reader."""
 
 from __future__ import annotations
 

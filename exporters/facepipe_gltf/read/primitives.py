@@ -243,7 +243,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
 
 
 def _pool_key(document: Document, primitive: Value) -> tuple[tuple[str, int], ...]:
-    """What says which vertices a primitive uses: its attributes and those of its targets."""
+    """A key of the vertices that a primitive uses: its attributes and those of its targets."""
     sets = [primitive.require("attributes"), *members(primitive.get("targets"))]
     return tuple(
         (f"{i}{name}", document.index("accessors", attributes.require(name)))

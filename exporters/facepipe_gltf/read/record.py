@@ -1,4 +1,4 @@
-"""Our own glTF files as the faces that they were: what the file holds, put into the record beside it."""
+"""Faces restored from our own glTF files: the file's data put into its record."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
     """The face of the record, with what was `read` of the file.
 
     :param read: as in the file, its meshes not placed
-    :raises InputError: the file is not what the record goes along with
+    :raises InputError: the file does not fit the record
     """
     face = record.face
     counts = [len(read.meshes), len(face.meshes), len(record.meshes)]
@@ -287,7 +287,7 @@ def _point_normals(husk: Mesh, read: Mesh) -> FloatArray | None:
 
 
 def _check_points(mesh: Mesh) -> None:
-    """:raises InputError: what the record says of points or faces doesn't fit them"""
+    """:raises InputError: data of the record that don't fit the points or faces"""
     count = len(mesh.points)
     for name, mask in mesh.regions.items():
         if np.shape(mask) != (count,) or not np.isfinite(mask).all():

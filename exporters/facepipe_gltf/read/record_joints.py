@@ -80,7 +80,7 @@ def _animation(
 
 
 def _rows(husk: Animation, read: Animation) -> IntArray:
-    """The samples read that are the record's own: where inbetweens bend there are more."""
+    """The samples that are keys of the record: inbetweens add more between them."""
     if husk.times is None:
         return np.zeros(1, np.int64)
     times = np.asarray(husk.times, np.float64)

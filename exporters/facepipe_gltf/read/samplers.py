@@ -98,7 +98,7 @@ def _unit(sampler: Sampler, quaternions: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Channel:
-    """What moves one property of a node."""
+    """The track of one property of a node."""
 
     node: int
     path: str  # translation, rotation, scale, weights
@@ -110,7 +110,7 @@ class Channel:
 
 
 def sample_times(channels: Sequence[Channel], fps: float | None) -> FloatArray:
-    """(t,) seconds to sample all `channels` at: their keys and what stands between them, or whole frames of `fps`."""
+    """(t,) seconds to sample all `channels` at: their keys and times added between them, or whole frames of `fps`."""
     if fps is not None:
         first = min(channel.sampler.times[0] for channel in channels)
         last = max(channel.sampler.times[-1] for channel in channels)
@@ -128,13 +128,13 @@ def frame_rate(times: FloatArray) -> float:
 
 
 def on_frames(times: FloatArray, rate: float) -> FloatArray:
-    """`times`, those that are a whole frame in float32 exactly so; as they are where two would become one."""
+    """`times`, rounded to whole frames where float32 makes no difference; unchanged where two would become one."""
     found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
     return found if (np.diff(found) > 0).all() else times
 
 
 def lines_error(channels: Sequence[Channel], times: FloatArray) -> str:
-    """How far lines between the samples at `times` are from the channels, at most, for people."""
+    """Largest distances of the lines between samples at `times` from the channels, as text."""
     largest: dict[str, float] = {}
     for channel in channels:
         off = float(_deviation(channel, times[:-1], times[1:], 1).max(initial=0.0))

@@ -42,7 +42,7 @@ class Joints:
     skins: tuple[BoundSkin, ...]
 
     def holding(self, nodes: Nodes, node: int) -> tuple[int, FloatArray] | None:
-        """The joint that a node hangs on, itself or the nearest above, and node space -> joint space."""
+        """The joint that carries a node, itself or the nearest above, and node space -> joint space."""
         below = identity()
         while node >= 0:
             if node in self.of_node:

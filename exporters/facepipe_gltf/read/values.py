@@ -1,4 +1,4 @@
-"""JSON of a glTF file as values that know where they stand, so that every error names its trail."""
+"""JSON of a glTF file as values that know their place, so that every error names its trail."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def missing_bones(present: Sequence[str]) -> tuple[str, ...]:
 
 
 def standing_place(figure: Figure, hips: int | None) -> FloatArray:
-    """(3,) by which the face moves so that a body on the ground holds it; sideways only where the body is all new."""
+    """(3,) offset that puts the face on a body that stands on the ground; sideways only where the whole body is new."""
     if hips is not None:
         return np.array([0.0, _HIPS * figure.height - figure.joints[hips, 1], 0.0])
     return np.array([-figure.middle[0], figure.height - figure.high[1], -figure.middle[2]])

@@ -107,8 +107,8 @@ def _reduced(name: str) -> tuple[str, str]:
 def bones_of(joints: Sequence[str]) -> dict[str, int]:
     """Human bone -> number among the names of joints, by the convention that knows most of them; the first of several.
 
-    One that knows neither three names nor the head is none; neither is a root the hips that no spine hangs below: rigs
-    of heads have one too.
+    A convention that knows neither three names nor the head doesn't count. A joint called root without a spine below
+    it is not the hips: rigs of heads have one too.
     """
     bones: dict[str, int] = {}
     numbers: dict[tuple[str, str], int] = {}
@@ -152,7 +152,7 @@ def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
 
 @cache
 def _conventions() -> tuple[Mapping[str, Sequence[tuple[str, str]]], ...]:
-    """Of each convention: human bone -> the names it may have, reduced; the last counts most."""
+    """For each convention: human bone -> its possible names, reduced; the last takes precedence."""
     tables = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
     return tuple(
         {
@@ -203,7 +203,7 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
 
 
 def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
-    """:raises InputError: a body below a head that no name gives: turning it would turn nothing"""
+    """:raises InputError: bones of a body, but no joint named like a head: turning the head would move nothing"""
     if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
         problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)

@@ -56,7 +56,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Expressions:
-    """`VRMC_vrm.expressions`, and what of the table or of the face is not in it."""
+    """`VRMC_vrm.expressions`, and lines on presets and shapes that it leaves out."""
 
     json: Json
     lost: tuple[str, ...]
@@ -109,7 +109,7 @@ def _expression(weights: Mapping[str, float], targets: Mapping[str, Sequence[Tar
 
 
 def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
-    """The face with a shape for each slider called as one of ARKit's shapes that it lacks, and what to say of them.
+    """The face with a shape for each slider named like a missing ARKit shape, and a line on these for the report.
 
     A shape is what its slider does at its largest value, from the face as it is set.
     """
@@ -143,7 +143,7 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
 
 
 def _summary(names: Sequence[str], off: float) -> tuple[str, ...]:
-    """What the report says of the shapes."""
+    """The line on these shapes for the report."""
     if not names:
         return ()
     some = first_names(names, _LISTED)

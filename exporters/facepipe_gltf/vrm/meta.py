@@ -1,4 +1,4 @@
-"""`VRMC_vrm.meta`: what the model is called, who made it, and what one may do with it."""
+"""`VRMC_vrm.meta`: the model's name, authors and permissions."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def meta_of(options: Options, name: str, attribution: str) -> Json:
 
 
 def problems(meta: Json) -> list[tuple[str, str]]:
-    """What is wrong with a meta object: field and text."""
+    """Errors of a meta object: field and message."""
     faults = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
     for field, value in meta.items():
         expected = _expected(field, value)
@@ -72,7 +72,7 @@ def problems(meta: Json) -> list[tuple[str, str]]:
 
 
 def _expected(field: str, value: Any) -> str | None:
-    """What the value should be; None where it is."""
+    """What is expected instead of the value; None where the value is right."""
     if field in _CHOICES:
         return None if value in _CHOICES[field] else " or ".join(_CHOICES[field])
     if field in _FLAGS:

@@ -1,4 +1,4 @@
-"""The node tree of a document that is being made: nodes are added and hung elsewhere, what they show stays in place."""
+"""The node tree of a document in the making: nodes are added and get other parents, meshes stay in place."""
 
 from __future__ import annotations
 

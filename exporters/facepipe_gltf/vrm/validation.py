@@ -26,7 +26,7 @@ _RANGES = ("rangeMapHorizontalInner", "rangeMapHorizontalOuter", "rangeMapVertic
 
 
 def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Finding, ...]:
-    """What is wrong with a .vrm.
+    """Findings of all checks in a .vrm.
 
     :param khronos: also run the Khronos validator; a note says so where it is not installed
     :raises InputError: no such file, or no glTF at all
@@ -144,7 +144,7 @@ def _bind(document: RawDocument, where: str, bind: Any) -> Iterator[Problem]:
 
 
 def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
-    """What turns the eyes is there."""
+    """The bones or expressions that turn the eyes exist."""
     look_at = vrm.get("lookAt")
     if look_at is None:
         return
@@ -162,7 +162,7 @@ def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
 
 
 def _human_bones(vrm: Json) -> dict[str, Any]:
-    """Bone -> what the file gives as its node."""
+    """Bone -> its node in the file, unchecked."""
     humanoid = vrm.get("humanoid")
     bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
     return {

@@ -142,7 +142,7 @@ def _human_nodes(
 
 
 def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FaceParts, Figure, list[str]]:
-    """The face as it looks along +Z and, above a body that is added, as high as a standing person's; what was done."""
+    """The face, turned to look along +Z and, above an added body, at a person's height; what was changed."""
     changes = []
     placed, degrees = turned_to_front(parts, figure_of(parts, humanoid.bones))
     if degrees:
@@ -160,7 +160,7 @@ def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FacePar
 
 
 def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Literal["bone", "expression"] | None:
-    """What turns the eyes: their bones where these move points, else shapes; None for neither."""
+    """How the eyes turn: by their bones where these move points, else by shapes; None for neither."""
     weighted = set[int]()
     for mesh in parts.meshes:
         if mesh.skin is not None:
@@ -177,7 +177,7 @@ def _first_person(tree: NodeTree) -> Json:
 
 
 def _scale_warnings(tree: NodeTree) -> list[str]:
-    """A line on nodes with scales that VRM has not (tpose.md): others than one positive number."""
+    """A line on nodes whose scale is not one positive number, which VRM requires (tpose.md)."""
     scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
     odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
     some = first_names(odd, 3)
@@ -185,7 +185,7 @@ def _scale_warnings(tree: NodeTree) -> list[str]:
 
 
 def _check(parts: FaceParts, bones: dict[str, int], tree: NodeTree) -> None:
-    """:raises ExportError: the face's own bones leave no place for those that are added"""
+    """:raises ExportError: the face's bones leave no place for the added ones"""
     wrong = misplaced(bones, tree.path)
     if wrong is not None:
         name = tree.nodes[bones[wrong.bone]]["name"]
