@@ -120,14 +120,11 @@ def _unfolded(points: FloatArray, start: FloatArray, axis: FloatArray) -> tuple[
     return along, np.linalg.norm(offset - along[:, None] * axis, axis=1)
 
 
-def graph_distances(
-    graph: Any, sources: Sequence[IntArray], starts: Sequence[FloatArray] | None = None, limit: float = np.inf
-) -> FloatArray:
+def graph_distances(graph: Any, sources: Sequence[IntArray], starts: Sequence[FloatArray] | None = None) -> FloatArray:
     """(sources, n) distances over a `surface_graph` from each set of points; infinite where no path leads.
 
     :param sources: point numbers of each set
     :param starts: distance at each point of a set before the path begins, 0 or more; default 0
-    :param limit: distances beyond it may be left infinite
     """
     from scipy.sparse import csr_array, vstack
     from scipy.sparse.csgraph import dijkstra
@@ -145,7 +142,7 @@ def graph_distances(
     whole.resize((count + len(sources), count + len(sources)))
     whole.indices, whole.indptr = whole.indices.astype(np.int32), whole.indptr.astype(np.int32)
     numbers = np.arange(count, count + len(sources))
-    found = dijkstra(whole, directed=True, indices=numbers, limit=limit + shift)[:, :count]
+    found = dijkstra(whole, directed=True, indices=numbers)[:, :count]
     return np.asarray(np.maximum(found - shift, 0.0))
 
 

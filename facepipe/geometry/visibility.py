@@ -14,20 +14,19 @@ _SLACK = 0.012  # of the surface's size, in depth
 _FACING = 0.1  # cosine between a point's normal and the direction that it is seen from
 
 
-def seen_from_outside(points: FloatArray, triangles: IntArray, directions: FloatArray | None = None) -> BoolArray:
-    """(n,) points that some direction sees from the front, with every triangle opaque.
+def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
+    """(n,) points that some of 60 directions all around sees from the front, with every triangle opaque.
 
     Depth maps of samples of the triangles, so that gaps much thinner than the surface (lips, lids) are closed.
 
     :param points: (n, 3)
     :param triangles: (t, 3), oriented outward
-    :param directions: (d, 3) unit vectors towards the eye; all around by default
     """
     normals = point_normals(points, triangles)
     samples = np.einsum("sc,tci->tsi", _SAMPLES, points[triangles]).reshape(-1, 3)
     size = float(np.ptp(samples, axis=0).max()) or 1.0
     seen = np.zeros(len(points), bool)
-    for towards in _sphere(_DIRECTIONS) if directions is None else directions:
+    for towards in _sphere(_DIRECTIONS):
         facing = np.flatnonzero((normals @ towards > _FACING) & ~seen)
         if len(facing):
             seen[facing] = _in_front(points[facing], samples, towards, size)

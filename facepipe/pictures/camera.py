@@ -31,7 +31,6 @@ class Frame:
     left: int = 0
     right: int = 0
     top: int = 0
-    bottom: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +87,8 @@ def portrait(points: FloatArray, view: View, frame: Frame) -> Camera:
     """
     axes = _axes(*angles(view))
     inner_width = max(frame.width - frame.left - frame.right, 1) * (1 - 2 * MARGIN)
-    inner_height = max(frame.height - frame.top - frame.bottom, 1) * (1 - 2 * MARGIN)
-    middle = (frame.left + frame.width - frame.right) / 2, (frame.top + frame.height - frame.bottom) / 2
+    inner_height = max(frame.height - frame.top, 1) * (1 - 2 * MARGIN)
+    middle = (frame.left + frame.width - frame.right) / 2, (frame.top + frame.height) / 2
     local = points @ axes.T if len(points) else np.zeros((1, 3))
     center = (local.min(axis=0) + local.max(axis=0)) / 2
     x, y, z = np.abs(local - center).T[0], np.abs(local - center).T[1], (local - center)[:, 2]

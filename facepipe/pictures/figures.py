@@ -117,14 +117,11 @@ class Axes:
         return [(value, f"{value:.3g}") for value in values if low * 0.999 <= value <= high * 1.001]
 
 
-def loss_chart(
-    history: Sequence[Mapping[str, float]], stages: Sequence[tuple[int, str]] = (), title: str = ""
-) -> Markup:
+def loss_chart(history: Sequence[Mapping[str, float]], title: str = "") -> Markup:
     """A curve for every term as SVG, the total the boldest; NaN and infinity leave gaps. A file of its own, too.
 
     :param history: by step, term -> weighted loss
-    :param stages: steps at which a part of the fit began, and its name
-    :param title: above the curves, in the place of stages
+    :param title: above the curves
     """
     terms = _terms(history)
     if not terms:
@@ -134,9 +131,7 @@ def loss_chart(
     colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(others)} | {TOTAL: "currentColor"}
     curves = [_curve(axes, terms[name], colors[name], 2.4 if name == TOTAL else 1.6) for name in reversed(terms)]
     height = max(_HEIGHT + 44, _TOP + _LINE * len(terms) + 8)
-    return _chart(
-        height, tag("text", title, x=0, y=14), *_grid(axes), *_stages(axes, stages), *curves, *_legend(terms, colors)
-    )
+    return _chart(height, tag("text", title, x=0, y=14), *_grid(axes), *curves, *_legend(terms, colors))
 
 
 def training_chart(curve: FloatArray) -> bytes:
@@ -193,18 +188,6 @@ def _grid(axes: Axes) -> Iterator[Markup]:
         yield tag("line", x1=column, x2=column, y1=_HEIGHT, y2=_HEIGHT + 4, stroke="currentColor", stroke_opacity=0.5)
         yield tag("text", text, x=column, y=_HEIGHT + 18, text_anchor="middle", fill_opacity=0.65)
     yield tag("text", "step", x=(_LEFT + right) // 2, y=_HEIGHT + 36, text_anchor="middle", fill_opacity=0.65)
-
-
-def _stages(axes: Axes, stages: Sequence[tuple[int, str]]) -> Iterator[Markup]:
-    """Dashed lines where parts of the fit begin; names take turns on two lines, for the sake of short parts."""
-    for number, (step, name) in enumerate(stages):
-        column, row = f"{axes.x(min(max(step, 0), max(axes.steps, 1))):.1f}", _TOP - (8 if number % 2 else 22)
-        if step > 0:
-            yield tag(
-                "line", x1=column, x2=column, y1=row - 10, y2=_HEIGHT, stroke="currentColor", stroke_opacity=0.5,
-                stroke_dasharray="4 4",
-            )  # fmt: skip
-        yield tag("text", name, x=column, y=row, dx=5, fill_opacity=0.65)
 
 
 def _curve(axes: Axes, losses: FloatArray, color: str, width: float) -> Markup:

@@ -69,9 +69,9 @@ def colors(shares: FloatArray) -> FloatArray:
     return np.where(known[:, None], found, NO_VALUE)
 
 
-def tick_step(low: float, high: float, wanted: int = 5) -> float:
-    """A step of 1, 2 or 5 times a power of ten that gives about `wanted` intervals."""
-    rough = (high - low) / wanted
+def tick_step(low: float, high: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that gives about 5 intervals."""
+    rough = (high - low) / 5
     power = 10.0 ** np.floor(np.log10(rough))
     return float(power * next(factor for factor in (1, 2, 5, 10) if factor * power >= rough * 0.999))
 

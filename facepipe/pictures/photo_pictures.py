@@ -224,10 +224,10 @@ class Shapes:
         for end in (points[0], points[-1]):
             self.disc((float(end[0]), float(end[1])), width / 2)
 
-    def disc(self, center: tuple[float, float], radius: float, fill: int = 255) -> None:
-        """A disc; with `fill` 0 it takes away what is there."""
+    def disc(self, center: tuple[float, float], radius: float) -> None:
+        """A disc."""
         x, y, reach = center[0] * FINE - 0.5, center[1] * FINE - 0.5, radius * FINE
-        self.pen.ellipse((x - reach, y - reach, x + reach, y + reach), fill=fill)
+        self.pen.ellipse((x - reach, y - reach, x + reach, y + reach), fill=255)
 
     def ring(self, center: tuple[float, float], radius: float, width: float) -> None:
         """A circle whose line has its middle at `radius`; what is inside stays as it is."""

@@ -47,10 +47,8 @@ class PhotoSheet:
     sliders: Mapping[str, float]  # name -> value, of the sliders that were free
     history: Sequence[Mapping[str, float]]  # by step: "total" and each weighted term; NaN: not known
     kept: int = 0  # step that the face is of
-    stages: tuple[tuple[int, str], ...] = ()  # step at which a part of the fit begins, its name
     seconds: float | None = None
     note: str = ""  # how the fit ended
-    title: str = "Photo fit"
 
 
 def photo_page(sheet: PhotoSheet) -> bytes:
@@ -61,7 +59,7 @@ def photo_page(sheet: PhotoSheet) -> bytes:
     :raises TopologyError: a mesh refers to points or materials that it does not have
     """
     _check(sheet)
-    title = f"{sheet.title}: {sheet.parts.name}"
+    title = f"Photo fit: {sheet.parts.name}"
     found = tag("section", *_expressions(sheet)), tag("section", *_losses(sheet))
     beside = tag("div", *found, class_="columns" if len(sheet.photos) == 1 else None)
     head = joined(tag("h1", title), tag("p", "  ·  ".join(facts(sheet)), class_="muted"))
@@ -158,7 +156,7 @@ def _expressions(sheet: PhotoSheet) -> Iterator[Markup]:
 
 def _losses(sheet: PhotoSheet) -> Iterator[Markup]:
     yield heading("Losses", "weighted terms, by step")
-    yield loss_chart(sheet.history, sheet.stages)
+    yield loss_chart(sheet.history)
 
 
 def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:

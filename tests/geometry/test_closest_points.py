@@ -58,7 +58,7 @@ def test_distances_from_a_ball_are_distance_less_radius() -> None:
     assert np.abs(error).max() < 1.01 * sagitta
 
 
-def test_places_lie_on_the_part_of_the_triangle_that_is_told() -> None:
+def test_places_lie_on_the_part_of_the_triangle_that_is_named() -> None:
     surface = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     points = np.array(
         [[-1.0, -1, 2], [2, -0.5, 0], [-0.2, 3, 1], [0.5, -1, 0], [1, 1, 1], [-1, 0.5, 0], [0.2, 0.3, -4]]

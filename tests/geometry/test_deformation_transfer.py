@@ -203,7 +203,7 @@ def test_points_with_flat_triangles_alone_move_as_in_the_sources() -> None:
     np.testing.assert_allclose((found - points)[SHEET:], ratio * (deformed - source)[SHEET:], atol=1e-9)
 
 
-def test_a_triangle_flat_in_one_source_is_told_by_the_other() -> None:
+def test_a_triangle_flat_in_one_source_is_known_by_the_other() -> None:
     points, whole = neutral(0), neutral(1)
     whole_deformed = moved(whole, 2, fixed())
     flat = neutral(4)

@@ -144,7 +144,7 @@ def test_weights_stay_in_their_bounds() -> None:
     assert any("bounds" in warning for warning in found.warnings)
 
 
-def test_what_was_not_scanned_tells_nothing() -> None:
+def test_what_was_not_scanned_shows_nothing() -> None:
     composites, seen = shown(personal()), np.ones((len(WEIGHTS), COUNT))
     seen[:, ::3] = 0.0
     damaged = composites + 50.0 * (seen == 0)[:, :, None]
@@ -193,7 +193,7 @@ def test_shapes_that_always_go_together_are_named() -> None:
     assert split(personal(), apart).rank.together == ()
 
 
-def test_what_one_composite_tells_of_two_shapes_is_shared() -> None:
+def test_what_one_composite_shows_of_two_shapes_is_shared() -> None:
     seen = split(personal()).observed
     assert max(seen[3:5]) < 0.95
     assert seen[2] > 0.95

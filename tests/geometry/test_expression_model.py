@@ -125,7 +125,7 @@ def test_seen_expressions_predict_others_better_than_the_mean_and_than_the_neutr
     assert alone < 1.05 * mean
 
 
-def test_a_neutral_that_tells_is_trusted_and_one_that_doesn_t_is_not() -> None:
+def test_a_neutral_that_shows_something_is_trusted_and_one_that_doesn_t_is_not() -> None:
     for shown_in_neutral, low, high in ((3.0, 0.0, 0.4), (0.0, 0.8, 1.1)):
         neutrals, deltas, _ = people(14, shown_in_neutral=shown_in_neutral)
         model = model_of(neutrals, deltas)

@@ -53,6 +53,6 @@ def test_the_ratio_is_that_of_exact_fits() -> None:
     assert mirror_ratio(flat * [-1, 1, 1], flat) == pytest.approx(1.0, abs=1e-3)  # a half-turn does what a mirror does
 
 
-def test_three_points_tell_nothing() -> None:
+def test_three_points_decide_nothing() -> None:
     with pytest.raises(InputError, match="3 known"):
         mirror_ratio(SOLID[:3], SOLID[:3])

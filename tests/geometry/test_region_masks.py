@@ -62,7 +62,7 @@ def test_without_regions_everything_is_rest() -> None:
 
 
 @pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
-def test_a_mask_that_is_no_share_is_told_with_its_point(value: float) -> None:
+def test_a_mask_that_is_no_share_is_reported_with_its_point(value: float) -> None:
     masks = np.full((2, 5), 0.5)
     masks[1, 3] = value
     with pytest.raises(InputError, match="region 1 -> point 3"):

@@ -129,7 +129,7 @@ def test_what_the_model_lacks_is_left_to_the_residual() -> None:
     assert np.linalg.norm(found.residual, axis=1).max() > 1.0
 
 
-def test_an_anchor_on_the_wrong_place_is_told() -> None:
+def test_an_anchor_on_the_wrong_place_is_reported() -> None:
     surface = _surface()
     points, triangles = _scan()
     anchors = _anchors()

@@ -224,7 +224,7 @@ def test_normals_of_clouds_are_those_of_the_ball(noise: float) -> None:
     assert not found.lone.any()
 
 
-def test_each_piece_of_a_cloud_faces_outward_and_lone_points_are_told() -> None:
+def test_each_piece_of_a_cloud_faces_outward_and_lone_points_are_reported() -> None:
     big, small = ball(20)[0], ball(12)[0] * 0.5 + 9.0
     found = cloud_normals(np.concatenate([big, small, [[30.0, 0.0, 0.0]]]))
     outward = np.concatenate([big, small - 9.0])

@@ -157,7 +157,7 @@ def test_a_problem_that_is_not_convex_is_refused() -> None:
         {"locked": {0: np.array([1.0])}},
     ],
 )
-def test_bad_input_is_told(changes: dict[str, object]) -> None:
+def test_bad_input_is_reported(changes: dict[str, object]) -> None:
     given_arrays: dict[str, object] = {"gram": np.eye(4), "linear": np.zeros(4)}
     with pytest.raises(InputError):
         fit_simplex(groups=2, sources=2, **(given_arrays | changes))  # type: ignore[arg-type]

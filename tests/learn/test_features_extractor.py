@@ -262,7 +262,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", list(WRONG))
-def test_wrong_signature_is_told_when_the_file_is_loaded(name: str, tmp_path: Path) -> None:
+def test_wrong_signature_is_reported_when_the_file_is_loaded(name: str, tmp_path: Path) -> None:
     kind, model, what = WRONG[name]
     with pytest.raises(InputError, match=what) as caught:
         load_extractor(save(model, tmp_path / "wrong.onnx"), kind)
@@ -290,7 +290,7 @@ DESCRIPTIONS = {
 
 
 @pytest.mark.parametrize("name", list(DESCRIPTIONS))
-def test_wrong_description_is_told(name: str, tmp_path: Path) -> None:
+def test_wrong_description_is_reported(name: str, tmp_path: Path) -> None:
     values, what = DESCRIPTIONS[name]
     path = beside(save(arcface_like(16), tmp_path / "face.onnx"), **values)
     with pytest.raises(InputError, match=what):
@@ -303,7 +303,7 @@ def test_the_file_beside_goes_before_the_metadata(tmp_path: Path) -> None:
     assert load_extractor(beside(path, kind="identity", trained_on="those")).trained_on == "those"
 
 
-def test_metadata_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_metadata_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     model = arcface_like(16)
     with pytest.raises(InputError, match="does not say what it gives"):
         load_extractor(save(model, tmp_path / "silent.onnx"))
@@ -312,7 +312,7 @@ def test_metadata_that_cannot_be_read_is_told(tmp_path: Path) -> None:
         load_extractor(save(model, tmp_path / "bad.onnx"))
 
 
-def test_labels_and_names_that_do_not_fit_are_told(tmp_path: Path) -> None:
+def test_labels_and_names_that_do_not_fit_are_reported(tmp_path: Path) -> None:
     content = save(bisenet_like(16), tmp_path / "c.onnx")
     for labels, what in (
         (["nose"], "11 channels, expected 1 as its labels say"),
@@ -380,7 +380,7 @@ def test_exported_program_gives_what_the_network_gives(dynamic: bool, tmp_path: 
 
 
 @pytest.mark.usefixtures("trusted")
-def test_exported_programs_that_cannot_be_used_are_told(tmp_path: Path) -> None:
+def test_exported_programs_that_cannot_be_used_are_reported(tmp_path: Path) -> None:
     _, path = exported(tmp_path / "net.pt2")
     with pytest.raises(InputError, match="2 outputs for identity"):
         load_extractor(path, "identity")

@@ -74,7 +74,7 @@ def test_file_round_trip_and_initialisers_among_the_inputs(tmp_path: Path) -> No
     np.testing.assert_allclose(module(torch.from_numpy(image))[0].numpy(), expected, atol=1e-5)
 
 
-def test_damaged_files_are_told_in_one_line(tmp_path: Path) -> None:
+def test_damaged_files_give_one_line(tmp_path: Path) -> None:
     whole = arcface_like().SerializeToString()
     contents = {"half": whole[: len(whole) // 2], "text": b"not ONNX at all", "empty": b"", "zeros": bytes(64)}
     contents["graphless"] = onnx.ModelProto(ir_version=8).SerializeToString()

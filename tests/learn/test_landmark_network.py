@@ -140,7 +140,7 @@ def test_a_flag_a_helmet_and_patches_are_no_faces() -> None:
     assert find_landmarks(gray) == []
 
 
-def test_the_file_is_small_and_tells_where_it_comes_from() -> None:
+def test_the_file_is_small_and_says_where_it_comes_from() -> None:
     import onnx
 
     path = landmark_model()

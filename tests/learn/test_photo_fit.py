@@ -184,7 +184,7 @@ def test_other_faces(make: Callable[[], FaceParts]) -> None:
     assert len(fit.sliders) > 30
 
 
-def test_bad_arguments_are_told_in_a_line() -> None:
+def test_bad_arguments_give_one_line() -> None:
     own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
     (image,), (marks,) = own.images, own.landmarks
     spoilt = image.copy()
@@ -229,7 +229,7 @@ def test_whole_pixels_are_landmarks_of_any_integer_type() -> None:
     np.testing.assert_array_equal(found, marks)
 
 
-def test_starts_that_do_not_fit_are_told_in_a_line() -> None:
+def test_starts_that_do_not_fit_give_one_line() -> None:
     own, options = portrait(), PhotoFitOptions(iterations=1, size=64)
     true = own.state
     lost, far = true.poses.copy(), true.poses.copy()

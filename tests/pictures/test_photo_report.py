@@ -93,7 +93,7 @@ def test_same_sheet_same_bytes() -> None:
 def test_names_are_text_and_no_file_is_loaded() -> None:
     hostile = "<script>alert(1)</script>\"'&"
     one = replace(one_photo(name=hostile), expressions={hostile: 0.5})
-    made = sheet(one, one, sliders={hostile: 0.7}, title=hostile, note=hostile, stages=((3, hostile),))
+    made = sheet(one, one, sliders={hostile: 0.7}, note=hostile)
     parts = replace(face(sliders=(slider(hostile, group=hostile),)), name=hostile)
     page = shown(replace(made, parts=parts, history=[{"total": 1.0, hostile: 0.5}] * 9))
     assert "<script" not in page
@@ -364,7 +364,7 @@ def test_losses_that_are_not_known_leave_gaps() -> None:
     ],
 )
 def test_histories_of_any_kind(history: list[dict[str, float]]) -> None:
-    drawn = loss_chart(history, [(0, "first"), (1, "second"), (9, "third")])
+    drawn = loss_chart(history)
     assert drawn.endswith("</svg>")
     assert "nan" not in drawn
     assert "inf" not in drawn
@@ -372,7 +372,7 @@ def test_histories_of_any_kind(history: list[dict[str, float]]) -> None:
         assert f"{name}<title>" in drawn
 
 
-def test_the_loss_that_is_told_is_that_of_the_face() -> None:
+def test_the_loss_that_is_shown_is_that_of_the_face() -> None:
     history = [{"total": NAN}, {"total": 2.0}, {"total": 1.0}, {"total": 1.5}]
     assert "loss 1.5 at step 3" in facts(sheet(history=history, kept=3))
     assert "loss 1 at step 2" in facts(sheet(history=history, kept=2))

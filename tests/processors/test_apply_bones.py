@@ -147,7 +147,9 @@ def test_coefficients_at_a_limit_are_within_it_whatever_the_rounding(
 
 
 @pytest.mark.parametrize("precision", ["float16", "float32"])
-def test_what_is_beyond_a_limit_is_told_or_brought_back(precision: Precision, tmp_path: Path, capsys: Capsys) -> None:
+def test_what_is_beyond_a_limit_is_reported_or_brought_back(
+    precision: Precision, tmp_path: Path, capsys: Capsys
+) -> None:
     parts = limited(0.1)
     assert parts.bone_limits is not None
     save_parts(parts, tmp_path / "face.usda")

@@ -110,7 +110,7 @@ def test_rigs_are_trained_and_carried_from_it(tmp_path: Path, capsys: pytest.Cap
     }
 
 
-def test_what_can_not_be_baked_is_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_can_not_be_baked_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     head, bare, other = tmp_path / "head.usda", tmp_path / "bare.usda", tmp_path / "other.usda"
     save_parts(turning_face(), head)
     still = tuple(replace(mesh, blendshapes=()) for mesh in turning_face().meshes)

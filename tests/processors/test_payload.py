@@ -212,7 +212,7 @@ def test_a_payload_that_unfolds_to_more_than_a_reader_allocates_is_refused() -> 
         read_header(data, "there.fpb")
 
 
-def test_other_joints_are_told_apart() -> None:
+def test_other_joints_are_reported_apart() -> None:
     assert "made for other joints (11, hash" in refusal(SMALL, JOINTS[:-1])
     assert "made for other joints" in refusal(SMALL, (JOINTS[1], JOINTS[0], *JOINTS[2:]))
     assert "made for other joints" in refusal(SMALL, (*JOINTS[:-1], "root/jaw"))
@@ -426,7 +426,7 @@ def test_the_result_is_a_layer_with_a_recipe_or_standalone(tiny: Path, tmp_path:
     assert (tmp_path / "twice.usda").read_bytes() == (tmp_path / "over.usda").read_bytes()
 
 
-def test_info_tells_what_a_payload_holds(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_shows_what_a_payload_holds(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "clip.fpb"
     tiny_payload(path, 2, times=np.array([0.5, 2.0]), precision="float16")
     found = json.loads(done(capsys, "apply-bones", tiny, "--info", path, "--json"))

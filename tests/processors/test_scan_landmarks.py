@@ -66,7 +66,7 @@ def test_one_ray_alone_gives_a_point_on_it() -> None:
 # ---- surfaces to look at
 
 
-def test_pictures_tell_the_depth_of_a_ball() -> None:
+def test_pictures_show_the_depth_of_a_ball() -> None:
     points, triangles = ball(40)
     one = replace(view(4), eye=5.0 * view(4).axes[2])
     picture, depth = draw_surface(surface_look(points, triangles, None), one)
@@ -223,7 +223,7 @@ def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
 
 
 @pytest.mark.slow
-def test_what_shows_no_face_is_told() -> None:
+def test_what_shows_no_face_is_reported() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
     back = scan.triangles[(scan.points[scan.triangles][:, :, 2] < 0).all(axis=1)]
     with pytest.raises(FitError, match="back: no face found"):

@@ -227,7 +227,7 @@ READ_FAULTS: dict[str, tuple[Callable[[Face], None], str]] = {
 
 
 @pytest.mark.parametrize("name", READ_FAULTS)
-def test_damaged_lists_on_a_stage_are_told_in_one_line(name: str, tmp_path: Path) -> None:
+def test_damaged_lists_on_a_stage_give_one_line(name: str, tmp_path: Path) -> None:
     damage, message = READ_FAULTS[name]
     save_parts(tiny(LEFT, RIGHT, WIDTH), tmp_path / "face.usda")
     face = facepipe.open(tmp_path / "face.usda")

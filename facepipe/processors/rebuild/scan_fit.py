@@ -87,20 +87,17 @@ def in_place(scan: Scan, place: Similarity) -> Scan:
     return replace(scan, points=moved.points, triangles=moved.triangles, normals=moved.normals, colors=None)
 
 
-def scan_distances(
-    template: Template, points: FloatArray, scan: Scan, place: Similarity, reach_mm: float | None = None
-) -> FloatArray:
+def scan_distances(template: Template, points: FloatArray, scan: Scan, place: Similarity) -> FloatArray:
     """(n,) millimetres from whole points (n, 3) to the scan, NaN where it doesn't show them.
 
-    A point is shown where it can be seen from outside and the nearest place of the scan is within reach, faces the same
-    way and is not on the scan's border.
+    A point is shown where it can be seen from outside and the nearest place of the scan is within the reach of
+    registrations, faces the same way and is not on the scan's border.
 
     :param place: from the scan's coordinates to those of the points
-    :param reach_mm: that of a registration by default
     :raises InputError: a scan that can't be used
     """
-    reach = RegistrationOptions().reach_mm if reach_mm is None else reach_mm
-    by_row = row_distances(template, points[template.rows], scan_target(scan)[0], place, reach)
+    target, reach_mm = scan_target(scan)[0], RegistrationOptions().reach_mm
+    by_row = row_distances(template, points[template.rows], target, place, reach_mm)
     return np.where(template.row_of >= 0, by_row[template.row_of], np.nan)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -76,22 +75,20 @@ class FindScanLandmarks:
     disagree, or meet off the surface, are left out. It needs torch.
 
     :param draw: draws a surface: ``(look, view) -> picture, depth``, like `facepipe.pictures.surface_view.draw_surface`
-    :param model: an ONNX network of the kind ``landmarks``; default the one that comes with facepipe
     """
 
     draw: Draw
-    model: Path | None = None
 
     @one_thread()
     def __call__(self, scan: Scan) -> FoundScanLandmarks:
         """Search `scan`.
 
         :raises FitError: no face on it
-        :raises InputError: no surface, no torch, or a file that is no landmark network
+        :raises InputError: no surface, or no torch
         """
         from facepipe.learn.networks.files import LandmarkSession, landmark_model
 
-        network = LandmarkSession(self.model or landmark_model())
+        network = LandmarkSession(landmark_model())
         cleaned = CleanScan()(scan).scan
         look = _look(cleaned)
         search = _Search(look=look, cloud=cleaned.is_cloud, draw=self.draw, network=network, size=network.size)

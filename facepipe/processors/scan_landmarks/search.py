@@ -24,6 +24,7 @@ _INSIDE = 0.22  # of a side: what views turn about lies behind the surface
 Draw = Callable[[Look, Pinhole], tuple[FloatArray, FloatArray]]
 # Landmarks (b, 68, 2) and presence (b,) of crops (b, 3, S, S).
 Network = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+_AROUND = 36  # views from all around
 _SEARCHED = 224  # pixels a side
 _SIDES = (0.28, 0.38, 0.52, 0.72, 1.0)  # of crops, shares of the picture's
 _STRIDE = 0.25  # of a crop's side
@@ -100,10 +101,10 @@ def axis_views(middle: FloatArray, radius: float) -> list[Pinhole]:
     return views
 
 
-def sphere_views(middle: FloatArray, radius: float, count: int = 36) -> list[Pinhole]:
+def sphere_views(middle: FloatArray, radius: float) -> list[Pinhole]:
     """From all around, evenly (Fibonacci's spiral)."""
-    height = 1 - 2 * (np.arange(count) + 0.5) / count
-    turn = np.pi * (1 + 5**0.5) * np.arange(count)
+    height = 1 - 2 * (np.arange(_AROUND) + 0.5) / _AROUND
+    turn = np.pi * (1 + 5**0.5) * np.arange(_AROUND)
     flat = np.sqrt(1 - height**2)
     directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], axis=1)
     return [_view(middle, radius, one, np.eye(3)[np.abs(one).argmin()]) for one in directions]

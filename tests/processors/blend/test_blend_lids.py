@@ -77,7 +77,7 @@ def test_faces_whose_lids_stay_outside_have_no_depth() -> None:
     assert found.worst_depth_mm <= TOLERANCE
 
 
-def test_a_lid_pushed_into_the_eyeball_is_told_at_rest() -> None:
+def test_a_lid_pushed_into_the_eyeball_is_reported_at_rest() -> None:
     _, solution = solved()
     point, move = pushed(solution, 2.5)
     points = solution.neutral.points.copy()

@@ -254,7 +254,7 @@ def test_what_can_t_come_is_refused() -> None:
         ({"flipped_triangles": 21}, "flipped triangles 21, expected at most 20"),
     ],
 )
-def test_the_gate_refuses_each_miss_and_tells_why(change: dict[str, float], reason: str) -> None:
+def test_the_gate_refuses_each_miss_and_says_why(change: dict[str, float], reason: str) -> None:
     made = create_database(sources(3), EXACT).database
     add_faces(made, [source(4)], qualities={"p4": GOOD})
     bad = replace(GOOD, **change)
@@ -426,7 +426,7 @@ SEEN = (
 
 
 @pytest.mark.slow
-def test_seen_expressions_tell_how_an_actor_makes_others() -> None:
+def test_seen_expressions_show_how_an_actor_makes_others() -> None:
     """Actors with their own ways: from 21 of 53 expressions the others come nearer than by neutral and mean."""
     from scan_actors import Actor, ict_face
 

@@ -42,7 +42,7 @@ def rebuilt(path: Path, quality: dict[str, float] | None) -> Path:
     return path
 
 
-def test_create_add_and_info_tell_the_same(
+def test_create_add_and_info_report_the_same(
     faces: list[Path], database: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = done(capsys, "database", "add", database, *faces[3:], "--json")
@@ -155,7 +155,7 @@ def test_remove_takes_faces_out_in_place_or_elsewhere(
     assert "version 2: remove 1" in text
 
 
-def test_bad_lines_are_told_in_one(faces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_lines_give_one_line(faces: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for words in (
         ("create", faces[0], "-o", tmp_path / "x.fpdb"),
         ("create", faces[0], faces[0], "-o", tmp_path / "x.fpdb"),

@@ -62,7 +62,7 @@ def test_the_recipe_names_sources_targets_and_options(folder: Path, capsys: Caps
     assert recipe.options["threshold_mm"] == 50.0
 
 
-def test_json_has_every_figure_and_a_missed_target_is_told_and_authored(folder: Path, capsys: Capsys) -> None:
+def test_json_has_every_figure_and_a_missed_target_is_reported_and_authored(folder: Path, capsys: Capsys) -> None:
     line = ("rig.usda", "--target", "shapes", "-o", "a.usda", "--max-iterations", "3", "--rounds", "0", "--json")
     code, out, err = run(capsys, "fit-bones", *line)
     report = json.loads(out)

@@ -259,7 +259,7 @@ def test_residuals_of_poses_with_shear_scale_and_loose_meshes(tmp_path: Path) ->
     check_sparse(face, "goal", goal, 0.5)
 
 
-def test_points_that_follow_no_joint_are_told_where_a_residual_can_not_move_them() -> None:
+def test_points_that_follow_no_joint_are_reported_where_a_residual_can_not_move_them() -> None:
     skin = small().meshes[0].skin
     assert skin is not None
     weights = np.array(skin.joint_weights)
@@ -451,7 +451,7 @@ def test_limits_that_let_a_joint_vanish() -> None:
         fitted(small(), FitBones(limits=flat), target(np.ones((45, 3))))
 
 
-def test_shear_is_told_and_the_coefficients_hold_it() -> None:
+def test_shear_is_reported_and_the_coefficients_hold_it() -> None:
     rest = np.array(small().skeleton.rest_transforms)
     rest[1, :3, :3] = rest[1, :3, :3] @ np.diag([1.0, 2.0, 1.0])
     bind = np.array(small().skeleton.bind_transforms)

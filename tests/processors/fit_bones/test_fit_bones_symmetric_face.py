@@ -104,7 +104,7 @@ def test_the_recipe_keeps_it_and_an_edit_takes_it_back(folder: Path, capsys: Cap
     assert not read_kept("b.usda", FitBonesToTargets).values["symmetric"]
 
 
-def test_joints_without_a_partner_are_told(folder: Path, capsys: Capsys) -> None:
+def test_joints_without_a_partner_are_reported(folder: Path, capsys: Capsys) -> None:
     joints = ("cheek_L", "cheek_L/lip_L", "cheek_L/lip_R")
     saved(replace(pairs(), skeleton=replace(pairs().skeleton, joints=joints)), Path("single.usda"))
     line = ("--target", "aside.usda", "--threshold-mm", "100", "--symmetric", "-o", "a.usda", "--json")

@@ -140,7 +140,7 @@ def test_meshes_that_a_file_lacks_do_not_count(suffix: str, tmp_path: Path) -> N
     assert found.notes == (f"{path}: lacks meshes, which don't count: Teeth",)
 
 
-def test_a_single_mesh_of_another_name_is_the_one_that_the_word_tells(tmp_path: Path) -> None:
+def test_a_single_mesh_of_another_name_is_the_one_that_the_word_names(tmp_path: Path) -> None:
     wanted = posed(small())
     only = sculpt(small(), wanted, ["Teeth"])
     path = save_obj(replace(only, meshes=(replace_mesh(only.meshes[0], name="Cube.001"),)), tmp_path / "t.obj")
@@ -412,7 +412,7 @@ def test_caches_that_make_no_sense_are_refused(
 
 
 @pytest.mark.parametrize("factor", [100.0, 0.01])
-def test_targets_of_another_size_are_told(factor: float, tmp_path: Path) -> None:
+def test_targets_of_another_size_are_reported(factor: float, tmp_path: Path) -> None:
     """A sculpt in other units than it says; points that don't count have any size."""
     face = rig_face(tmp_path)
     wanted = posed(small())

@@ -255,7 +255,7 @@ def test_photos_turned_by_exif_are_seen_upright(person: Path, capsys: pytest.Cap
 
 
 @pytest.mark.usefixtures("studio")
-def test_photos_of_other_kinds_are_fitted_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_photos_of_other_kinds_are_fitted_and_reported(capsys: pytest.CaptureFixture[str]) -> None:
     image = Image.open("front.png").convert("RGB")
     grey = image.convert("LA")
     grey.putalpha(Image.new("L", image.size, 128))

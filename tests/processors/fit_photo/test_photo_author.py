@@ -389,7 +389,7 @@ def test_the_report(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
             assert own["eye_distance_px"] == pytest.approx(np.hypot(*(view.targets[36] - view.targets[45])))
 
 
-def test_sliders_of_expressions_are_told(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
+def test_sliders_of_expressions_are_reported(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
     """A slider over the shapes that photos add would put an expression into the identity."""
     source = facepipe.open(head)
     views = tuple(replace(view, expressions={"mouthSmileLeft": 0.5}) for view in fit.views)

@@ -54,7 +54,7 @@ def test_the_face_does_what_the_neural_rig_does(up_axis: Literal["Y", "Z"], unit
 
 
 @pytest.mark.parametrize("bones", [True, False])
-def test_points_left_out_of_shapes_are_told(bones: bool) -> None:
+def test_points_left_out_of_shapes_are_reported(bones: bool) -> None:
     parts = face()
     rig = neural_rig(parts, bones=bones)
     values = random_values(rig, 30)

@@ -97,7 +97,7 @@ def test_the_command_goes_on_in_the_encoder(
     assert (tmp_path / "new.fpnr").read_bytes() == (tmp_path / "whole.fpnr").read_bytes()
 
 
-def test_files_that_are_no_such_training_are_told(motion: Motion, killed: bytes, tmp_path: Path) -> None:
+def test_files_that_are_no_such_training_are_reported(motion: Motion, killed: bytes, tmp_path: Path) -> None:
     kept = tmp_path / "head.training"
     kept.write_bytes(b"something else")
     with pytest.raises(InputError, match=r"head.training: is no neural rig training"):

@@ -80,7 +80,7 @@ def test_keys_apart_are_straight_between(tmp_path: Path) -> None:
     assert np.allclose(ReadClips()([path], controls_of(chewing_face())).values[:, 1], [0.0, 0.25, 0.5, 0.75, 1.0])
 
 
-def test_clips_of_something_else_are_told(tmp_path: Path) -> None:
+def test_clips_of_something_else_are_reported(tmp_path: Path) -> None:
     path = declared(tmp_path / "take.usda", {"wings": [0.0, 1.0]})
     with pytest.raises(InputError, match=r"take.usda: moves wings, expected some of chew, smile"):
         ReadClips()([path], controls_of(chewing_face()))

@@ -190,7 +190,7 @@ def test_files_hold_it_beside_the_rig(
     assert (tmp_path / "one.fpnr").read_bytes() == (tmp_path / "two.fpnr").read_bytes()
 
 
-def test_encoders_that_do_not_fit_are_told(trained: TrainedEncoder, forward: NeuralRig, tmp_path: Path) -> None:
+def test_encoders_that_do_not_fit_are_reported(trained: TrainedEncoder, forward: NeuralRig, tmp_path: Path) -> None:
     encoder, path = trained.encoder, tmp_path / "head.fpnr"
     with pytest.raises(TopologyError, match=r"head.fpnr -> encoder: topology other"):
         save_neural_rig(replace(forward, topology="other"), path, {}, replace(encoder, topology="sha256:1"))
@@ -212,7 +212,7 @@ def test_encoders_that_do_not_fit_are_told(trained: TrainedEncoder, forward: Neu
             load_encoder(path)
 
 
-def test_points_and_controls_that_do_not_move_are_told(motion: Motion) -> None:
+def test_points_and_controls_that_do_not_move_are_reported(motion: Motion) -> None:
     still = motion.frames(np.flatnonzero(motion.values[:, 1] == 0.0))
     found = TrainEncoder(options=FEW)(still)
     assert found.report.left_out == ("look",)
@@ -242,7 +242,7 @@ def test_ridge_is_least_squares_over_rows_with_all_noise() -> None:
     assert np.allclose(offset, expected[4])
 
 
-def test_the_points_chosen_tell_more_than_points_drawn() -> None:
+def test_the_points_chosen_show_more_than_points_drawn() -> None:
     random = np.random.default_rng(3)
     places = random.uniform(-50, 50, (400, 3))
     middles = random.uniform(-50, 50, (12, 3))
@@ -284,7 +284,7 @@ def test_halves_of_the_order_are_boxes() -> None:
     assert near < 0.5 * np.ptp(places, axis=0).max()
 
 
-def test_the_command_trains_one_unless_told_not_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_trains_one_where_it_is_asked_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     face = tmp_path / "head.usda"
     save_parts(turning_face(), face)
     few = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 100, "--json")

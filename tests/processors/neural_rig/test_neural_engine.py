@@ -82,7 +82,7 @@ def test_controls_beyond_their_limits_are_held_there(far: float, tmp_path: Path)
             assert np.array_equal(held[name], expected), name
 
 
-def test_the_metadata_tells_names_ranges_and_defaults(tmp_path: Path) -> None:
+def test_the_metadata_shows_names_ranges_and_defaults(tmp_path: Path) -> None:
     one = made("bones", "Y", 0.01, tmp_path)
     beside = json.loads((tmp_path / "False.onnx.json").read_text())
     for metadata in (one.matrices.metadata, beside):
@@ -171,7 +171,7 @@ def test_flags_that_do_not_go_together(tmp_path: Path, capsys: pytest.CaptureFix
         assert message in failed(capsys, "export", head, *words, "-o", tmp_path / "rig.onnx", folder=tmp_path)
 
 
-def test_what_shapes_leave_out_makes_a_smaller_file_and_is_told(
+def test_what_shapes_leave_out_makes_a_smaller_file_and_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     head, file, out = tmp_path / "head.usda", tmp_path / "head.fpnr", tmp_path / "rig.glb"

@@ -120,7 +120,7 @@ def test_limits_hold_whatever_the_targets_are(rig: NeuralRig) -> None:
     assert any(end in column for column, pair in zip(found.T, ends, strict=True) for end in pair)
 
 
-def test_bad_targets_are_told_in_one_line() -> None:
+def test_bad_targets_give_one_line() -> None:
     rig = untrained_rig(None)
     good = rig.points(frames(rig))
     bad = good.copy()

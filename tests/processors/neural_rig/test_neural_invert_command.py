@@ -190,7 +190,7 @@ def test_of_several_animations_the_one_that_is_played_counts(rig: NeuralRig, tmp
     assert np.array_equal(found.points[0], alone.points[0])
 
 
-def test_a_missed_threshold_and_bad_input_are_told(
+def test_a_missed_threshold_and_bad_input_are_reported(
     rig: NeuralRig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save_neural_rig(rig, tmp_path / "one.fpnr", {})

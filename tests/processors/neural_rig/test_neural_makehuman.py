@@ -90,7 +90,7 @@ def test_three_deforms_it_as_our_evaluator(made: Made, writing: Writing) -> None
         assert 1e3 * np.abs(np.array(answer[mesh.name]["positions"]) - own).max() < TOLERANCE * made.height
 
 
-def test_a_quantised_file_is_within_the_error_that_is_told(made: Made, writing: Writing) -> None:
+def test_a_quantised_file_is_within_the_error_that_is_reported(made: Made, writing: Writing) -> None:
     files, sizes, bound = [], [], 0.0
     for quantize in (False, True):
         glb, report = writing(made.parts, f"{quantize}.glb", quantize=quantize)

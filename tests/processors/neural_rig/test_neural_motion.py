@@ -88,6 +88,6 @@ def test_examples_that_do_not_fit_are_refused(change: object, error: type[Except
         replace(motion, **change(motion))  # type: ignore[operator]
 
 
-def test_nothing_asked_for_is_told() -> None:
+def test_nothing_asked_for_is_reported() -> None:
     with pytest.raises(InputError, match="no frame, expected some of spread, sweep or together"):
         SampleMotion(options=SampleMotionOptions(spread=0, sweep=0, together=0))(chewing_face(), "head.usda")

@@ -36,7 +36,7 @@ def test_a_recipe_gives_the_same_bytes_again(
     assert out.read_bytes() == first
 
 
-def test_every_source_that_changes_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_source_that_changes_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, out = saved(tmp_path, face(), bones=True), tmp_path / "neural.usda"
     applied(tmp_path, capsys, "-o", out)
     save_neural_rig(replace(rig, linear=2.0 * rig.linear), tmp_path / "head.fpnr", {})
@@ -65,7 +65,7 @@ def test_a_changed_rig_is_cooked_to_the_bytes_that_apply_writes(
     assert out.read_bytes() == cooked != first
 
 
-def test_inspect_tells_the_rig_and_whether_it_is_what_was_applied(
+def test_inspect_shows_the_rig_and_whether_it_is_what_was_applied(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig, out = saved(tmp_path, face(), bones=True), tmp_path / "neural.usda"

@@ -113,7 +113,7 @@ def test_without_controls_they_are_found(rig: NeuralRig) -> None:
     assert found.report.error_mean_mm < 0.7 * min(found.report.transfer_mean_mm, found.report.copy_mean_mm)
 
 
-def test_what_does_not_fit_is_told(rig: NeuralRig) -> None:
+def test_what_does_not_fit_is_reported(rig: NeuralRig) -> None:
     subject, seen = Subject.of(second_face(), "second.usda"), motion(FRAMES)
     retarget = RetargetNeuralRig()
     with pytest.raises(InputError, match=r"second\.usda: 1 frames, expected two or more"):
@@ -192,7 +192,7 @@ def test_noise_that_is_taken_off_leaves_what_is_likely() -> None:
     assert float(uneven[:, 1].mean()) == pytest.approx(3.0, abs=0.05)
 
 
-def test_bones_that_go_further_are_told_from_few_frames(rig: NeuralRig) -> None:
+def test_bones_that_go_further_are_reported_from_few_frames(rig: NeuralRig) -> None:
     """A person who opens 1.4 times as far beside other shapes; one control that no frame moves stays as it was."""
     jaw, eye = turning_face().sliders
     jaw = replace(jaw, channels=tuple((*one[:2], 1.4 * one[2]) for one in jaw.channels))
@@ -213,7 +213,7 @@ def test_bones_that_go_further_are_told_from_few_frames(rig: NeuralRig) -> None:
     assert off(whole, unseen) < 0.2 * off(base, unseen)
 
 
-def test_what_points_share_is_told_beside_what_is_their_own() -> None:
+def test_what_points_share_is_reported_beside_what_is_their_own() -> None:
     """What all points share is found, though maps of their own do almost the same; least squares mistakes it."""
     random = np.random.default_rng(1)
     inputs, ways = random.random((15, 4)), random.normal(size=(200, 3))

@@ -117,7 +117,7 @@ def test_files_hold_all_of_it_and_the_same_training_gives_the_same_bytes(
     assert (tmp_path / "one.fpnr").read_bytes() == (tmp_path / "two.fpnr").read_bytes()
 
 
-def test_bad_files_are_told(trained: TrainedNeuralRig, tmp_path: Path) -> None:
+def test_bad_files_are_reported(trained: TrainedNeuralRig, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"suffix '.npz', expected .fpnr"):
         save_neural_rig(trained.rig, tmp_path / "one.npz", {})
     save_neural_rig(replace(trained.rig, linear=trained.rig.linear[:1]), tmp_path / "less.fpnr", {})
@@ -138,7 +138,7 @@ def test_still_controls_are_left_out_and_named(motion: Motion) -> None:
         )
 
 
-def test_a_basis_leaves_no_more_than_it_is_told() -> None:
+def test_a_basis_leaves_no_more_than_it_may() -> None:
     random = np.random.default_rng(0)
     true = random.normal(size=(5, 40, 3))
     deltas = np.tensordot(random.normal(size=(30, 5)), true, axes=1)
@@ -152,7 +152,7 @@ def test_a_basis_leaves_no_more_than_it_is_told() -> None:
     assert left <= 2.0
 
 
-def test_the_command_writes_a_rig_and_tells_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_rig_and_shows_its_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     face = tmp_path / "head.usda"
     save_parts(turning_face(), face)
     drawn = ("--plot", tmp_path / "curve.svg", "--checkpoint", tmp_path / "head.training")

@@ -270,9 +270,7 @@ def _two_clips(stage: Usd.Stage) -> None:
         ),
     ],
 )
-def test_stages_that_do_not_fit_are_told_in_one_line(
-    sampled: Motion, tmp_path: Path, change: Change, message: str
-) -> None:
+def test_stages_that_do_not_fit_give_one_line(sampled: Motion, tmp_path: Path, change: Change, message: str) -> None:
     path = changed(bake(sampled, tmp_path / "rom.usda"), change)
     with pytest.raises(FacepipeError, match=message) as caught:
         ReadMotion()(path)
@@ -280,7 +278,7 @@ def test_stages_that_do_not_fit_are_told_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_prims_that_have_no_controls_are_told(sampled: Motion, tmp_path: Path) -> None:
+def test_prims_that_have_no_controls_are_reported(sampled: Motion, tmp_path: Path) -> None:
     path = bake(sampled, tmp_path / "rom.usda")
     for prim, message in (
         ("/Rig/Eye", "no custom attribute that is a number"),

@@ -74,7 +74,7 @@ def test_the_size_is_found_with_the_rest(files: Files, capsys: pytest.CaptureFix
     assert np.abs(fit_similarity(found, truth()).apply(found) - truth()).max() < 0.15
 
 
-def test_the_recipe_tells_what_it_was_made_of(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_recipe_shows_what_it_was_made_of(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     (files.folder / "fits").mkdir()
     out = files.folder / "fits" / "out.usda"
     words = files.words("--prior", 0.2, "--unit", "cm", "--json")
@@ -134,7 +134,7 @@ def test_a_cloud_does_nearly_as_well(files: Files, capsys: pytest.CaptureFixture
     assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.2
 
 
-def test_a_scan_of_half_the_face_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scan_of_half_the_face_is_reported(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """The file is written, and the exit code says that a limit was missed."""
     scan, landmarks = scan_domes.scan(PERSON)
     at_home = scan_domes.POSE.undo(scan.points)
@@ -149,7 +149,7 @@ def test_a_scan_of_half_the_face_is_told(files: Files, capsys: pytest.CaptureFix
     assert np.linalg.norm(fitted(files) - truth(), axis=1).mean() < 0.5  # the model knows the other half
 
 
-def test_a_landmark_on_the_wrong_place_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_landmark_on_the_wrong_place_is_reported(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     scan, landmarks = scan_domes.scan(PERSON)
     points = landmarks.points.copy()
     points[33] += 2.5
@@ -159,7 +159,7 @@ def test_a_landmark_on_the_wrong_place_is_told(files: Files, capsys: pytest.Capt
     assert np.abs(fitted(files) - truth()).max() < 0.3
 
 
-def test_landmarks_on_other_parts_of_the_face_are_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_landmarks_on_other_parts_of_the_face_are_reported(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """The nose's on the chin, an eye's on the mouth, the mouth's on a brow, and the size is not known."""
     scan, landmarks = scan_domes.scan(PERSON)
     points = landmarks.points.copy()
@@ -244,7 +244,7 @@ def _apart(files: Files) -> None:
         (lambda files: None, ("--picture", "sheet.jpg"), "expected .png"),
     ],
 )
-def test_bad_input_is_told_in_one_line_and_nothing_written(
+def test_bad_input_gives_one_line_and_nothing_written(
     spoil: Callable[[Files], None],
     more: tuple[str, ...],
     text: str,

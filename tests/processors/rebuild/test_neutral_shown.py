@@ -108,7 +108,7 @@ def test_the_picture_shows_what_the_scan_does(
     assert np.nanmean(scan_distances(shown.template, shown.points, shown.scan, shown.place)) < 0.05
 
 
-def test_bad_weights_are_told_in_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_weights_give_one_line(drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = ("--template", drawer / "head.usda", "--database", drawer / "faces.fpdb", "-o", tmp_path / "out.usda")
     for word, text in (("eyeBlink=1", "no such shape, expected one of"), ("browUp=3", "above 0, up to 2"), ("x", "x")):
         assert text in failed(capsys, "fit-neutral", drawer / "anna.ply", *files, "--weights", word, folder=tmp_path)
@@ -184,7 +184,7 @@ def test_a_refined_neutral_is_without_it_too(drawer: Path, tmp_path: Path) -> No
     check_brows(found)
 
 
-def test_fitted_together_and_refined_it_is_told_by_its_shapes(drawer: Path, tmp_path: Path) -> None:
+def test_fitted_together_and_refined_it_is_known_by_its_shapes(drawer: Path, tmp_path: Path) -> None:
     shutil.copytree(drawer, tmp_path, dirs_exist_ok=True)
     (tmp_path / "anna.toml").write_text("joint = true\n" + PROJECT + "[options.refinement]\n")
     found = rebuilt(tmp_path)

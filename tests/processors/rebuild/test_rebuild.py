@@ -225,7 +225,7 @@ def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys:
         ),
     ],
 )
-def test_bad_projects_are_told_before_the_first_fit(
+def test_bad_projects_are_reported_before_the_first_fit(
     project: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
     project.write_text(PROJECT.replace(old, new))

@@ -85,7 +85,7 @@ def test_a_table_of_refinement_asks_for_it(folder: Path) -> None:
         ("[[[", "anna.toml: is not TOML ("),
     ],
 )
-def test_mistakes_are_told_in_one_line(folder: Path, text: str, message: str) -> None:
+def test_mistakes_give_one_line(folder: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as error:
         read_project(_project(folder, text))
     assert str(error.value).startswith(f"{folder}/" + message.format(folder=folder))

@@ -25,7 +25,7 @@ from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 
 
-def test_the_recipes_tell_what_the_stages_were_made_of(stages: Files) -> None:
+def test_the_recipes_show_what_the_stages_were_made_of(stages: Files) -> None:
     recipes = {name: facepipe.open(stages[f"{name}.usda"]).parts().recipe for name in ("personal", "open", "actor")}
     verbs = {"personal": "personal-template", "open": "register-scan", "actor": "split-shapes"}
     for name, recipe in recipes.items():
@@ -163,7 +163,7 @@ def _words(files: Files, stage: str) -> Iterator[object]:
         ("split", _nothing, ("--noise", "-1"), "option noise"),
     ],
 )
-def test_bad_input_is_told_in_one_line_and_nothing_written(
+def test_bad_input_gives_one_line_and_nothing_written(
     files: Files,
     stage: str,
     spoil: Callable[[Files], None],

@@ -96,7 +96,7 @@ def test_a_region_goes_to_its_scan_and_all_else_stays(folder: Path, capsys: pyte
     assert validate(folder / "out.usda") == ()
 
 
-def test_the_recipe_tells_what_was_refined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_recipe_shows_what_was_refined(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = done(capsys, *_words(folder, "--region", "bump", "right", "--detail-mm", 7, "--json"))
     recipe = facepipe.open(folder / "out.usda").parts().recipe
     assert recipe is not None
@@ -132,7 +132,7 @@ def test_the_same_call_writes_the_same_bytes(folder: Path, capsys: pytest.Captur
     assert written[0] == written[1]
 
 
-def test_a_picture_and_a_text_tell_of_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_picture_and_a_text_show_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = done(capsys, *_words(folder, "--region", "right", "--picture", folder / "out.png"))
     assert "refined" in out
     assert "right: " in out
@@ -147,7 +147,7 @@ def test_a_picture_and_a_text_tell_of_it(folder: Path, capsys: pytest.CaptureFix
         (("--landmarks", "few.json"), "few.json"),
     ],
 )
-def test_bad_input_is_told_in_one_line(
+def test_bad_input_gives_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str], more: tuple[str, ...], message: str
 ) -> None:
     assert message in failed(capsys, *_words(folder, *more), folder=folder)

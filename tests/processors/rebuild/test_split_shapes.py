@@ -37,7 +37,7 @@ def test_shapes_become_the_persons_own(stages: Files) -> None:
     assert np.array_equal(whole_points(actor.parts()), whole_points(personal.parts()))
 
 
-def test_the_table_tells_of_each_shape(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_has_a_row_for_each_shape(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """One expression alone: what it does not show stays to the bit, and that is no failure."""
     words = ("split-shapes", files["open.usda"], "--personal", files["personal.usda"], "-o", files["actor.usda"])
     out = done(capsys, *words, quiet=False)
@@ -81,7 +81,7 @@ def test_a_correction_by_hand_is_split(files: Files, capsys: pytest.CaptureFixtu
     assert 0.78 < sizes[1] / sizes[0] < 0.9
 
 
-def test_what_shapes_leave_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_shapes_leave_is_reported(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     """Two expressions of the same weights that move in opposite ways: written, and exit code 1."""
     face = facepipe.open(files["open.usda"])
     own, recipe = whole_face(face.parts(), "open"), face.parts().recipe
@@ -96,7 +96,7 @@ def test_what_shapes_leave_is_told(files: Files, capsys: pytest.CaptureFixture[s
     assert files["actor.usda"].exists()
 
 
-def test_a_personal_template_that_changed_is_told(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_personal_template_that_changed_is_reported(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
     text = files["personal.usda"].read_text(encoding="utf-8")
     files["personal.usda"].write_text(text + "\n# touched\n", encoding="utf-8")
     code, _, err = run(capsys, *files.split())

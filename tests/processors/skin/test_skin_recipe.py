@@ -64,7 +64,7 @@ def test_a_recipe_gives_back_what_skins_the_same_face_again(folder: Path, way: s
     np.testing.assert_array_equal(weights_of(found), weights_of(first))
 
 
-def test_every_source_that_changes_is_told(folder: Path) -> None:
+def test_every_source_that_changes_is_reported(folder: Path) -> None:
     out = skin(folder, "--joints", str(folder / "joints.json"))
     assert not read_kept(out, Skin).warnings
     (folder / "joints.json").write_text(json.dumps(JOINTS) + "\n")

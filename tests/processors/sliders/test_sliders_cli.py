@@ -76,7 +76,7 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # ---- listing
 
 
-def test_a_face_tells_its_sliders(folder: Path, capsys: Capsys) -> None:
+def test_a_face_shows_its_sliders(folder: Path, capsys: Capsys) -> None:
     lines = done(capsys, "sliders", "face.usda").splitlines()
     assert lines[0] == "face.usda: 3 sliders in 2 groups"
     table = [re.sub(" {2,}", "  ", line.strip()) for line in lines[1:]]
@@ -89,7 +89,7 @@ def test_a_face_tells_its_sliders(folder: Path, capsys: Capsys) -> None:
     ]
 
 
-def test_machines_are_told_all(folder: Path, capsys: Capsys) -> None:
+def test_machines_get_all(folder: Path, capsys: Capsys) -> None:
     listed = {one["name"]: one for one in json.loads(done(capsys, "sliders", "face.usda", "--json"))["sliders"]}
     assert list(listed) == ["jawLeft", "jawRight", "open"]
     assert listed["jawLeft"]["mirror"] == "jawRight"
@@ -108,7 +108,7 @@ def test_machines_are_told_all(folder: Path, capsys: Capsys) -> None:
     }
 
 
-def test_a_face_without_sliders_is_told_so(folder: Path, capsys: Capsys) -> None:
+def test_a_face_without_sliders_has_a_line_that_says_so(folder: Path, capsys: Capsys) -> None:
     save_parts(tiny_face(), folder / "none.usda")
     assert done(capsys, "sliders", "none.usda") == "none.usda: 0 sliders in 0 groups\n"
     assert "sliders: none, expected some" in failed(capsys, "sliders", "none.usda", "--reset", "-o", "out.usda")
@@ -152,7 +152,7 @@ def test_replace_drops_what_the_table_lacks(folder: Path, capsys: Capsys) -> Non
     assert facepipe.open("out.usda").sliders == (Slider(name="new", shapes=(("jawOpen", 1.0),)),)
 
 
-def test_what_a_table_makes_doubtful_is_told(folder: Path, capsys: Capsys) -> None:
+def test_what_a_table_makes_doubtful_is_reported(folder: Path, capsys: Capsys) -> None:
     limits = np.tile(np.float32([1] * 3 + [0.25] * 3 + [2] * 3), (3, 1))
     parts = replace(tiny_face(), sliders=SLIDERS, bone_limits=BoneLimits(lower=-limits, upper=limits))
     save_parts(parts, folder / "limited.usda")
@@ -289,7 +289,7 @@ def test_mirror_sets_the_other_side(
     assert (found["jawLeft"], found["jawRight"]) == (left, right)
 
 
-def test_a_pose_beyond_limits_is_written_and_told(folder: Path, capsys: Capsys) -> None:
+def test_a_pose_beyond_limits_is_written_and_reported(folder: Path, capsys: Capsys) -> None:
     limits = np.tile(np.float32([0.25] * 3 + [1] * 3 + [2] * 3), (3, 1))
     parts = replace(tiny_face(), sliders=SLIDERS, bone_limits=BoneLimits(lower=-limits, upper=limits))
     save_parts(parts, folder / "limited.usda")
@@ -316,7 +316,7 @@ def test_a_pose_beyond_limits_is_written_and_told(folder: Path, capsys: Capsys) 
         (("--set", "open=1", "--name", "talk"), "has a clip 'talk' already, expected another name"),
     ],
 )
-def test_wrong_words_are_told_and_nothing_is_written(
+def test_wrong_words_are_reported_and_nothing_is_written(
     words: tuple[str, ...], message: str, folder: Path, capsys: Capsys
 ) -> None:
     talk = Animation(name="talk", times=np.array([0.0, 1.0]), shapes=("jawOpen",), shape_weights=np.zeros((2, 1)))
@@ -367,7 +367,7 @@ def test_recipes_make_the_same_again(folder: Path, capsys: Capsys) -> None:
 
 
 @pytest.mark.parametrize("options", ["{}", '{"drop": 3}', "[]", '{"values": {"a": "b"}}'])
-def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) -> None:
+def test_damaged_recipes_are_reported(options: str, folder: Path, capsys: Capsys) -> None:
     done(capsys, "sliders", "face.usda", "--set", "open=1", "-o", "set.usda")
     text = (folder / "set.usda").read_text()
     changed = re.sub(r"(recipe:options = )'.*'", lambda found: f"{found[1]}'{options}'", text)

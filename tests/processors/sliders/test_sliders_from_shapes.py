@@ -402,7 +402,7 @@ def test_the_command_makes_them_and_its_recipe_makes_them_again(folder: Path, ca
 @pytest.mark.parametrize(
     "options", ['{"shapes": 3}', '{"shapes": "*", "drop": false, "limits": {}, "options": {"pairs": 1}}']
 )
-def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) -> None:
+def test_damaged_recipes_are_reported(options: str, folder: Path, capsys: Capsys) -> None:
     done(capsys, "sliders", "face.usdc", "--from-shapes", "jawOpen", "-o", "made.usda")
     stage = facepipe.open("made.usda").stage
     stage.GetDefaultPrim().GetAttribute("facepipe:recipe:options").Set(options)
@@ -425,7 +425,7 @@ def test_damaged_recipes_are_told(options: str, folder: Path, capsys: Capsys) ->
         (("--from-shapes", "nothing", "-o", "out.usda"), "option from-shapes: 'nothing' matches none"),
     ],
 )
-def test_wrong_words_are_told_and_nothing_is_written(
+def test_wrong_words_are_reported_and_nothing_is_written(
     words: tuple[str, ...], message: str, folder: Path, capsys: Capsys
 ) -> None:
     assert message in failed(capsys, "sliders", "face.usdc", *words)

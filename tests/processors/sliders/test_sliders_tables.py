@@ -235,7 +235,7 @@ BAD: dict[str, tuple[str | bytes, str, str]] = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_damaged_tables_are_told_in_one_line(name: str, tmp_path: Path) -> None:
+def test_damaged_tables_give_one_line(name: str, tmp_path: Path) -> None:
     text, suffix, message = BAD[name]
     with pytest.raises(InputError) as caught:
         resolved(tmp_path, text, suffix)
