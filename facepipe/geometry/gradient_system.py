@@ -160,7 +160,7 @@ class MovingSystem:
 
         :param edge_vectors: (q, c) those of `edges`; all others are 0
         :param bridge_vectors: (b, c) those of `bridges`, leader to follower; all others are 0
-        :param anchored: (c,) offset of the anchor, of no matter where it is not pinned
+        :param anchored: (c,) offset of the anchor, ignored where it is not pinned
         """
         count = len(self._main.edges)
         main = self._main.solve(edge_vectors[:count], anchored)

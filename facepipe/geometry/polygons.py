@@ -99,7 +99,7 @@ def flipped_triangles(before: FloatArray, after: FloatArray, triangles: IntArray
 def turned_triangles(normals: FloatArray, points: FloatArray, triangles: IntArray) -> BoolArray:
     """(t,) which of `triangles` (t, 3) at `points` (n, 3) face away from the reference `normals` (t, 3).
 
-    The length of the reference normals is of no matter; those of length 0, and triangles without area, are not counted.
+    The length of the reference normals does not count; those of length 0, and triangles without area, are not counted.
     """
     return np.asarray(np.einsum("ti,ti->t", np.asarray(normals, np.float64), triangle_normals(points, triangles)) < 0)
 

@@ -36,7 +36,7 @@ class DifferentiableRig:
         :param network: of the face, which adds to what the sliders do
         :param expressions_last: add blendshapes after skinning, in the space of the skeleton, as
             photo-to-face-sliders [0242] does; by default they come first, as in DESIGN section 7, USD and glTF
-        :raises InputError: a slider or network of a joint, channel or shape that the rig has not
+        :raises InputError: a slider or network of a joint, channel or shape that the rig lacks
         """
         rig.require_linear("the differentiable rig")
         self.joints, self.shapes, self.point_count = rig.joints, rig.shapes, len(rig.points)

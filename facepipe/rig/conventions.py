@@ -117,8 +117,8 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
 
 
 def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
-    """The convention that the most of `shapes` are called as, and how many are, whatever their spelling; None for
-    fewer than three names."""
+    """The convention that most of `shapes` follow, and how many do, whatever their spelling; None for fewer than
+    three names."""
     counts = {
         kind: len({table.keys[key] for shape in shapes if (key := _known(table, shape)) is not None})
         for kind, table in CONVENTIONS.items()

@@ -99,8 +99,8 @@ def parts(count: int) -> list[slice]:
 class AnchoredPoisson:
     """Minimises ``sum_t area_t |grad x - g_t|^2 + sum_i area_i |x_i - p_i|^2 / length^2`` over the neutral.
 
-    Gradients decide what is finer than the length, points what is coarser: where a whole piece is, above all, of which
-    gradients know nothing.
+    Gradients decide what is finer than the length, points what is coarser, above all where a whole piece is: gradients
+    leave that free.
 
     :ivar gradient: sparse (2t, n), rows 2i and 2i + 1 in the plane of triangle i
     """

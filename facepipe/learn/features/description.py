@@ -55,7 +55,7 @@ def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description
     """The description of a network: ``<path>.json``, or else `metadata`, or else what is usual for `kind`.
 
     :param metadata: JSON text in the file itself
-    :param kind: that it is wanted for; None: what it says itself
+    :param kind: that it is wanted for; None: what the file itself says
     :raises InputError: no description where `kind` is None, another kind, or values that can't be
     """
     if kind is not None and kind not in KINDS:

@@ -200,7 +200,7 @@ class Normalize(nn.Module):  # type: ignore[misc]
 def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None) -> Extractor:
     """The network in an ONNX file, or a torch.export program (``.pt2``: trusted files only, loading can run code).
 
-    How it wants pictures and what its outputs are is said by ``<path>.json``, by the metadata ``facepipe.features``
+    How it wants pictures and what its outputs are stands in ``<path>.json``, by the metadata ``facepipe.features``
     of an ONNX file, or else it is what is usual for `kind`. It is tried on a grey picture.
 
     :param kind: what a call gives; None: the first that the file says

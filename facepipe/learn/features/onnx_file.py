@@ -19,7 +19,7 @@ _DOMAINS = ("", "ai.onnx")
 
 
 def read_model(path: Path) -> Any:
-    """The `onnx.ModelProto` in a file. Only its outside is checked: its nodes are by whoever runs them.
+    """The `onnx.ModelProto` in a file. Only its outside is checked: its nodes are checked by whoever runs them.
 
     :raises InputError: not readable, truncated, no ONNX, data in other files, or another operator set
     """

@@ -158,7 +158,7 @@ def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
 def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
     """What poses of a subject mean in a photo of that many pixels.
 
-    :raises InputError: the face has not the 68 landmarks
+    :raises InputError: the face lacks the 68 landmarks
     """
     points, _ = landmark_points(subject.parts)
     axes = np.stack(front_axes(subject.parts, subject.rig), axis=1)

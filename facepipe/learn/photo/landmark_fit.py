@@ -132,7 +132,7 @@ class LandmarkFit:
         """
         :param targets: (68, 2) landmarks of each photo, pixels
         :param rig: of the subject, where there is one already
-        :raises InputError: the face has not the 68 landmarks
+        :raises InputError: the face lacks the 68 landmarks
         """
         self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]

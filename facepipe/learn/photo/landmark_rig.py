@@ -38,7 +38,7 @@ class LandmarkRig:
 
     @classmethod
     def from_subject(cls, subject: Subject) -> LandmarkRig:
-        """:raises InputError: the face has not the 68 landmarks"""
+        """:raises InputError: the face lacks the 68 landmarks"""
         parts = subject.parts
         points, mesh = landmark_points(parts)
         rows = [_row(subject, points, number, mesh) for number in range(CONTOUR.stop)]

@@ -222,7 +222,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
 
 
 class _View:
-    """What a photo says of light, in which nothing but light and colours moves."""
+    """What a photo shows of light, in which nothing but light and colours moves."""
 
     def __init__(self, loss: JointLoss, at: Unknowns, view: int) -> None:
         photo, look = loss.photos[view], loss.look(at, view)

@@ -36,7 +36,7 @@ class Subject:
         sliders must not contain the photo's smile. So do mixes of others, and sides of what a slider does on both.
 
         :param expressions: shapes that are expressions; None: those with ARKit's names
-        :raises InputError: a shape that the face has not, a network that doesn't fit it, or no slider to fit
+        :raises InputError: a shape that the face lacks, a network that doesn't fit it, or no slider to fit
         """
         rig = build(parts)
         unknown = [name for name in expressions or () if name not in rig.shapes]

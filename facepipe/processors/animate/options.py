@@ -14,8 +14,7 @@ class AnimateOptions:
 
     fps: float | None = option(
         None,
-        "frames per second of CLIP; by default what it says, or 60 (a timecode counts frames, not how many "
-        "make a second)",
+        "frames per second of CLIP; by default its own, or 60 (a timecode counts frames, not how many make a second)",
         1.0,
         1000.0,
     )

@@ -213,7 +213,7 @@ def rebase_animations(animations: Sequence[Animation], old: Skeleton, new: Skele
     do animations without joint transforms. Shear, which comes of unequal scales at rest, is lost as SkelAnimation can't
     hold it.
 
-    :raises InputError: a joint that the skeleton has not, or a quaternion of length 0
+    :raises InputError: a joint that the skeleton lacks, or a quaternion of length 0
     :raises TopologyError: a singular rest transform
     """
     rests = [np.asarray(one.rest_transforms, dtype=np.float64) for one in (old, new)]

@@ -170,7 +170,7 @@ def _held(
     tolerance: float,
     done: Callable[[], object],
 ) -> tuple[FloatArray, FloatArray, list[StoredError | None]]:
-    """The basis of deltas, what it says of all people's (m, e, q), and how far that is off for those who came."""
+    """The basis of deltas, what it gives for all people's (m, e, q), and how far that is off for those who came."""
     model = database.expressions if database else None
     basis = model.basis if model else no_basis(facts[0].topology.point_count)
     rows = [] if model is None else list(model.deltas[:, [model.names.index(name) for name in names]])

@@ -172,7 +172,7 @@ def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> _
 def _sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
     """(T, n, 3) world points of an animation of a face, and its times (T,).
 
-    :raises InputError: no such animation, or joints and shapes that the face has not
+    :raises InputError: no such animation, or joints and shapes that the face lacks
     """
     times = next((animation.times for animation in face.animations if animation.name == name), None)
     frames = [face.sample(name, number) for number in range(1 if times is None else len(times))]

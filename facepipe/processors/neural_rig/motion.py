@@ -37,7 +37,7 @@ class Motion:
     points: FloatArray  # (f, n, 3) millimetres
     rest: FloatArray  # (n, 3) millimetres, of all controls at their defaults
     blocks: IntArray  # (f,)
-    bones: Rig | None = None  # in millimetres, without shapes; None: nothing is known of joints
+    bones: Rig | None = None  # in millimetres, without shapes; None: joints are unknown
     coefficients: FloatArray | None = None  # (f, j, 9) of the bones, translations in millimetres
     source: str = "rig"  # of the frames: facepipe's own rig, "rig and clips", or "samples" of a stage
     between: int = 0  # other frames, left out where clips were cut into blocks

@@ -33,7 +33,7 @@ _LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the c
 def check_fit(face: Face, fit: PhotoFit, photos: Sequence[Photo]) -> None:
     """Check all of a fit but its slider values, which `SetSliders` checks, and its history.
 
-    :raises InputError: NaN or infinity, another number of photos than views, shapes or materials that the face has not,
+    :raises InputError: NaN or infinity, another number of photos than views, shapes or materials that the face lacks,
         expressions or tints out of range, or arrays of another shape
     """
     if not photos or len(photos) != len(fit.views):

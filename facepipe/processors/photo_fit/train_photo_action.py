@@ -7,7 +7,7 @@ then from renders in random light and colours; then, without known answers, from
 are, PHOTO.landmarks.json or STEM.landmarks.json beside a photo or found by facepipe's own network. Photos without a
 face, or with several, are left out, with a warning.
 
-OUT is one ONNX file; what it was trained on and its joint loss on pictures that it has not seen are in its metadata
+OUT is one ONNX file; what it was trained on and its joint loss on pictures that it never saw are in its metadata
 `facepipe.photo`. It is for faces with the same sliders and expressions. Training takes minutes on one core; the same
 line gives the same file. It needs `pip install 'facepipe[train]'`.
 

@@ -57,7 +57,7 @@ DEFAULT_COMPOSITES: dict[str, dict[str, float]] = {
 def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) -> dict[str, float]:
     """The weights of a composite by the names that a face's `shapes` have, in their order.
 
-    :raises InputError: no weight, one out of 0 to 2, or a shape that the face has not
+    :raises InputError: no weight, one out of 0 to 2, or a shape that the face lacks
     """
     if not composite:
         raise InputError(where, "names no shape, expected a weight for each shape that it shows")
@@ -98,7 +98,7 @@ class ShownShapes:
         known yet, and the residual takes up how that person differs.
 
         :param weights: by names as `resolved` finds them
-        :raises InputError: a shape that the template has not, or a weight out of 0 to 2
+        :raises InputError: a shape that the template lacks, or a weight out of 0 to 2
         """
         if not weights:
             return cls()

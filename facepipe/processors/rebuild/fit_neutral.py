@@ -74,7 +74,7 @@ class FitNeutral:
 
         :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is
             without them
-        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template has not, or
+        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or
             a scan that can't be used
         :raises TopologyError: a database of another topology
         :raises FitError: a scan that does not show this face
@@ -109,9 +109,7 @@ class FitNeutral:
         size = UNITS[self.options.unit]
         if abs(free.scale / size - 1.0) > 0.3:
             size_of = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
-            raise InputError(
-                scan.name, f"is said to be in {self.options.unit}, but has the size of a face in {size_of}"
-            )
+            raise InputError(scan.name, f"was given in {self.options.unit}, but has the size of a face in {size_of}")
         held = robust_similarity(landmarks.points[known] * size, reference[known], scale=False)
         return replace(held, scale=size), ()
 

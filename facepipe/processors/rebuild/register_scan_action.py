@@ -1,10 +1,10 @@
 """Put a person's face on the scan of an expression: the whole expression as one shape over the personal template.
 
-SCAN is a mesh or a cloud of points, of any pose and unit. What it shows is said by --weights, or by the name of a
-composite (default: SCAN's name): jaw_open, smile, laugh, brows_up ... as docs/rebuild.md lists them. From there the
-weights are found anew. Landmarks are read from --landmarks, else from SCAN's name with .landmarks.json, else found on
-the scan, which needs `pip install 'facepipe[train]'`. With the neutral's scan, painted markers that both have are
-followed, and scans of one size stay so.
+SCAN is a mesh or a cloud of points, of any pose and unit. --weights says what it shows, or the name of a composite does
+(default: SCAN's name): jaw_open, smile, laugh, brows_up ... as docs/rebuild.md lists them. From there the weights are
+found anew. Landmarks are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
+which needs `pip install 'facepipe[train]'`. With the neutral's scan, painted markers that both have are followed, and
+scans of one size stay so.
 
 OUT is an override layer over --personal with the expression as a shape called --name; `facepipe split-shapes` takes
 it, as it is or corrected by hand. Exit code 1: done, but the face lies on the scan worse than the quality gate of
@@ -144,7 +144,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         return resolved(self.weights, shapes, f"composite {self.composite}" if self.composite else "--weights")
 
     def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
-        """The neutral, with the place of its scan where one is given, and what there is to say of that."""
+        """The neutral, with the place of its scan where one is given, and warnings."""
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.rebuild.composites import ShownShapes, resolved
         from facepipe.processors.rebuild.register_scans import NeutralScan, placed_neutral

@@ -45,7 +45,7 @@ def landmark_file(scan: Path, given: Path | None) -> Path | None:
 
 
 def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[str, ...]]:
-    """Landmarks from a file, or found on the scan, and what there is to say of that.
+    """Landmarks from a file, or found on the scan, and warnings.
 
     :raises FacepipeError: a file that can't be used, or no landmarks found
     """

@@ -146,7 +146,7 @@ def _labels(surface: Surface) -> IntArray:
 def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
     """(n,) 0 to 1 for whole points: the sum of the soft masks of the regions `names`, 1 all over where none is named.
 
-    :raises InputError: a region that the face has not, with the names of those that it has
+    :raises InputError: a region that the face lacks, with the names of those that it has
     """
     if not names:
         return np.ones(parts.point_count)

@@ -137,7 +137,7 @@ def _placed(camera: PhotoCamera, pixels: IntArray, depth: FloatArray) -> FloatAr
 
 
 def _gaps(points: FloatArray, camera: PhotoCamera, depth: FloatArray) -> FloatArray:
-    """(n,) how far points lie behind the depth map of a camera; NaN where it knows nothing."""
+    """(n,) how far points lie behind the depth map of a camera; NaN where it has no depth."""
     where = camera.project(points)
     inside = np.isfinite(where).all(axis=1) & (where >= 0).all(axis=1)
     inside &= (where[:, 0] < camera.width) & (where[:, 1] < camera.height)

@@ -123,7 +123,7 @@ class ScanPhotos:
         return replace(made, report=report)
 
     def _scan(self, name: str, photos: list[Photo], structure: Structure, step: Step) -> PhotoScan:
-        """The scan of photos that have a camera, without what there is to say of the others."""
+        """The scan of photos that have a camera, without warnings on the others."""
         options = self.options
         subject, structure = find_subject(structure)
         if self.cameras is None:

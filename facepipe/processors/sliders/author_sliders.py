@@ -60,7 +60,7 @@ class AuthorSliders:
         """Author them.
 
         :param recipe: authored with the result; None leaves what the face has
-        :raises InputError: names that USD can't hold, joints, channels, shapes or mirrors that the face has not, or
+        :raises InputError: names that USD can't hold, joints, channels, shapes or mirrors that the face lacks, or
             limits of the face that cross
         """
         for rule in self.table.rules:
@@ -175,7 +175,7 @@ class AuthorNetwork:
         """Author it.
 
         :param recipe: authored with the result; None leaves what the face has
-        :raises InputError: a damaged network, or one of sliders, joints, channels or shapes that the face has not
+        :raises InputError: a damaged network, or one of sliders, joints, channels or shapes that the face lacks
         """
         parts, network = face.parts(), self.network
         try:

@@ -34,7 +34,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class DistilReport(Report):
-    """What was learnt, and how far off it is on slider vectors that it has not seen."""
+    """What was learnt, and how far off it is on slider vectors that it never saw."""
 
     sliders: tuple[str, ...]  # that the network takes
     channels: int  # that it adds to

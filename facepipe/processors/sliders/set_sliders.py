@@ -59,8 +59,8 @@ class SetSliders:
         """Author values and pose.
 
         :param recipe: authored with the result; None leaves what the face has
-        :raises InputError: sliders that the face has not, values out of range, no twin to mirror to, sliders that drive
-            joints, channels or shapes that the face has not, or a clip of that name
+        :raises InputError: sliders that the face lacks, values out of range, no twin to mirror to, sliders that drive
+            joints, channels or shapes that the face lacks, or a clip of that name
         """
         changed, report = self.changed(face)
         authored = author_changes(face, replace(changed, recipe=recipe or changed.recipe))
@@ -68,7 +68,7 @@ class SetSliders:
         return replace(report, authored=authored)
 
     def changed(self, face: Face) -> tuple[FaceParts, SetSlidersReport]:
-        """The face with its values and the pose, for who authors more beside them; and what the report says of that.
+        """The face with its values and the pose, for who authors more beside them, and the report of that.
 
         :raises InputError: as a call does
         """
@@ -113,7 +113,7 @@ class SetSliders:
 def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
     """The pose that sliders make at their values: of all joints and shapes that any of them, or their network, drives.
 
-    :raises InputError: no sliders, or some that drive joints or channels that the face has not
+    :raises InputError: no sliders, or some that drive joints or channels that the face lacks
     """
     if not sliders:
         raise InputError("sliders", "none, expected some (`facepipe sliders FACE --from TABLE` authors them)")

@@ -238,7 +238,7 @@ def _apart(files: Files) -> None:
         (lambda files: files["scan.ply"].unlink(), (), "scan.ply"),
         (lambda files: files["faces.fpdb"].unlink(), (), "faces.fpdb"),
         (lambda files: files["head.usda"].unlink(), (), "head.usda"),
-        (lambda files: None, ("--unit", "mm"), "is said to be in mm, but has the size of a face in cm"),
+        (lambda files: None, ("--unit", "mm"), "was given in mm, but has the size of a face in cm"),
         (lambda files: None, ("--landmarks", "none.json"), "none.json"),
         (lambda files: None, ("--prior", "0"), "option prior"),
         (lambda files: None, ("--picture", "sheet.jpg"), "expected .png"),

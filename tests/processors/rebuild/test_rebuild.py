@@ -220,7 +220,7 @@ def test_a_neutral_alone_gives_the_shapes_of_the_template(project: Path, capsys:
         pytest.param(
             'unit = "cm"',
             'unit = "mm"',
-            "neutral.ply: is said to be in mm, but has the size of a face in cm",
+            "neutral.ply: was given in mm, but has the size of a face in cm",
             id="unit",
         ),
     ],

@@ -69,7 +69,7 @@ def start_metadata(trained: Trained, options: StartOptions) -> dict[str, Any]:
 
 
 def held_out(trained: Trained) -> dict[str, Any]:
-    """The joint loss on pictures that training has not seen, by term."""
+    """The joint loss on pictures that training never saw, by term."""
     return {
         "pictures": trained.held_out,
         "before": _rounded(trained.before),

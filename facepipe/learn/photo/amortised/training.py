@@ -197,7 +197,7 @@ def row(found: Output, number: int) -> Output:
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A network, and what it is worth on pictures that it has not seen."""
+    """A network, and what it is worth on pictures that it never saw."""
 
     network: StartNetwork
     subject: Subject
