@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from recovery_targets import RecoveryTarget
 
     from facepipe.learn.photo.amortised.guess import Guess
+    from facepipe.learn.photo.descent import Unknowns
     from facepipe.learn.photo.joint_loss import JointLoss
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.subject import Subject
-    from facepipe.learn.photo.unknowns import Unknowns
     from facepipe.photo_options import PhotoFitOptions
 
 STARTS = (("landmarks", "defaults"), ("landmarks", "guess"), ("raw", "defaults"), ("raw", "guess"), ("raw", "truth"))

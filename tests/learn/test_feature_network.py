@@ -21,8 +21,8 @@ from facepipe import heads
 from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.features.crops import sample_crop
+from facepipe.learn.features.description import CLASSES
 from facepipe.learn.features.extractor import Extractor, load_extractor
-from facepipe.learn.features.semantics import CLASSES
 from facepipe.learn.light import ambient, distant
 from facepipe.learn.rasterise import rasterise
 from facepipe.learn.surfaces import opaque_surfaces

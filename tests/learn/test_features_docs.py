@@ -15,10 +15,17 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.learn.features.crops import ARCFACE_TEMPLATE, TEMPLATE
-from facepipe.learn.features.description import DEFAULT_SIZES, DEFAULTS, KINDS, describe
+from facepipe.learn.features.description import (
+    CELEBAMASK,
+    CLASSES,
+    DEFAULT_SIZES,
+    DEFAULTS,
+    KINDS,
+    class_matrix,
+    describe,
+)
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.features.operators import OPERATORS
-from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 
 TEXT = (REPOSITORY / "docs/features.md").read_text(encoding="utf-8")
 EXAMPLES = blocks(TEXT, "json")

@@ -16,8 +16,8 @@ from with_torch import torch
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
 from facepipe.learn.features.crops import TEMPLATE, arcface_crop, face_crop
+from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix
 from facepipe.learn.features.extractor import load_extractor
-from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
 
 MEAN, STD = (0.4, 0.5, 0.6), (0.2, 0.25, 0.3)
 

@@ -10,9 +10,8 @@ import pytest
 from with_torch import torch
 
 from facepipe.learn.light import DARK
-from facepipe.learn.photo.descent import Descent, descend
+from facepipe.learn.photo.descent import Descent, Unknowns, descend
 from facepipe.learn.photo.landmark_fit import State
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.photo_options import PhotoFitOptions
 
 Loss = Callable[[Unknowns], dict[str, torch.Tensor]]

@@ -10,10 +10,9 @@ from photo_people import Portrait, joint_loss, model, portrait
 from with_torch import torch
 
 from facepipe.learn.light import DARK
-from facepipe.learn.photo.descent import Descent
+from facepipe.learn.photo.descent import Descent, Unknowns
 from facepipe.learn.photo.fit import fit_result
 from facepipe.learn.photo.result import FittedView
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.view_image import view_image
 
 SIZE = 128

@@ -21,7 +21,7 @@ from landmark_export import to_onnx
 from with_torch import torch
 
 from facepipe.learn.features.crops import TEMPLATE, to_crop
-from facepipe.learn.features.semantics import CLASSES
+from facepipe.learn.features.description import CLASSES
 from facepipe.learn.networks.files import LandmarkSession
 from facepipe.pictures.scene import build_scene
 

@@ -11,13 +11,13 @@ from with_torch import torch
 
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import DARK, KeyLight, ambient, distant
+from facepipe.learn.photo.descent import Unknowns
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.subject import Subject
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions

@@ -1,4 +1,4 @@
-"""What a feature network says about itself, in its metadata or in a JSON file beside it."""
+"""What a feature network's file gives about it, in metadata or JSON beside it, and the classes of a face's pixels."""
 
 from __future__ import annotations
 
@@ -9,21 +9,69 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
 
+# In the order of the photo fit's source; left and right are the person's.
+CLASSES = (
+    *("background", "face", "hair", "leftBrow", "rightBrow", "leftEye", "rightEye"),
+    *("nose", "upperLip", "teeth", "lowerLip"),
+)
+
+# The channels of BiSeNet networks for face parsing, trained on CelebAMask-HQ.
+CELEBAMASK = (
+    *("background", "skin", "l_brow", "r_brow", "l_eye", "r_eye", "eye_g", "l_ear", "r_ear", "ear_r"),
+    *("nose", "mouth", "u_lip", "l_lip", "neck", "neck_l", "cloth", "hair", "hat"),
+)
+
+# Glasses, ears and earrings are on the face; the neck and what is worn are behind it.
+_OF_OTHERS = {
+    "skin": "face",
+    "eye_g": "face",
+    "l_ear": "face",
+    "r_ear": "face",
+    "ear_r": "face",
+    "neck": "background",
+    "neck_l": "background",
+    "cloth": "background",
+    "hat": "background",
+    "l_brow": "leftBrow",
+    "r_brow": "rightBrow",
+    "l_eye": "leftEye",
+    "r_eye": "rightEye",
+    "u_lip": "upperLip",
+    "mouth": "teeth",
+    "l_lip": "lowerLip",
+}
 Kind = Literal["content", "identity", "attributes", "landmarks"]
 Crop = Literal["face", "arcface"]
 Order = Literal["RGB", "BGR"]
 Triple = tuple[float, float, float]
-
 KINDS: tuple[Kind, ...] = get_args(Kind)
 PROPERTY = "facepipe.features"  # key of the metadata in an ONNX file
-
 _MAX_BYTES = 1 << 20
 _SIZES = (8, 2048)
 _IMAGENET: tuple[Triple, Triple] = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 _HALF: tuple[Triple, Triple] = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+DEFAULT_SIZES: Mapping[Kind, int] = {"content": 512, "identity": 112, "attributes": 224, "landmarks": 224}
+
+
+def class_matrix(labels: Sequence[str]) -> FloatArray:
+    """(11, n) 1 where a channel named by `labels` (n,) is one of `CLASSES`, 0 elsewhere; several may be one class.
+
+    :raises InputError: a label that is neither of `CLASSES` nor of `CELEBAMASK`
+    """
+    matrix = np.zeros((len(CLASSES), len(labels)))
+    for channel, label in enumerate(labels):
+        name = _OF_OTHERS.get(label, label)
+        if name not in CLASSES:
+            expected = ", ".join(dict.fromkeys([*CLASSES, *CELEBAMASK]))
+            raise InputError("labels", f"{label!r}, expected one of {expected}")
+        matrix[CLASSES.index(name), channel] = 1
+    return matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +96,6 @@ DEFAULTS: Mapping[Kind, Description] = {
     "attributes": Description(kinds={"attributes": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
     "landmarks": Description(kinds={"landmarks": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
 }
-DEFAULT_SIZES: Mapping[Kind, int] = {"content": 512, "identity": 112, "attributes": 224, "landmarks": 224}
 
 
 def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description:

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from facepipe.core.errors import InputError
-from facepipe.learn.features.description import Description, Kind
-from facepipe.learn.features.semantics import CELEBAMASK, CLASSES, class_matrix
+from facepipe.learn.features.description import CELEBAMASK, CLASSES, Description, Kind, class_matrix
 
 Features: TypeAlias = Tensor | tuple[Tensor, ...]
 _SLACK = 1e-3  # of probabilities at their bounds and in their sum

@@ -14,7 +14,7 @@ from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.light import DARK
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.photo.descent import Descent, descend
+from facepipe.learn.photo.descent import Descent, Unknowns, descend
 from facepipe.learn.photo.fit_input import check_extractors, check_photos, check_start
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
@@ -23,7 +23,6 @@ from facepipe.learn.photo.lighting import in_better_light, lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.learn.photo.subject import Subject
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions

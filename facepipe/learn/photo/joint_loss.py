@@ -25,10 +25,10 @@ from facepipe.learn.features.description import Kind
 from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.features.signatures import Features
 from facepipe.learn.light import KeyLight, hue_cost
+from facepipe.learn.photo.descent import Unknowns
 from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
 from facepipe.learn.photo.landmark_rig import CONTOUR
 from facepipe.learn.photo.shadows import Shadows
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo_options import PhotoFitOptions
 

@@ -16,12 +16,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from facepipe.learn.light import DARK, KeyLight, ambient, basis, hue_cost, shade
-from facepipe.learn.photo.descent import Adam
+from facepipe.learn.photo.descent import Adam, Unknowns
 from facepipe.learn.photo.joint_loss import JointLoss, color_loss, single
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp, sphere, visibility
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.photo.working_photo import to_srgb
 
 _ROUNDS = 4

@@ -16,6 +16,7 @@ from facepipe.learn.photo.amortised.network import SIZE, Output, held
 from facepipe.learn.photo.amortised.pictures import Crop, Picture
 from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.amortised.renders import People
+from facepipe.learn.photo.descent import Unknowns
 from facepipe.learn.photo.fit import pose_space, priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit
@@ -24,7 +25,6 @@ from facepipe.learn.photo.lighting import relight
 from facepipe.learn.photo.seen_surface import SeenSurface
 from facepipe.learn.photo.shadows import Shadows, shadows_of_lamp
 from facepipe.learn.photo.subject import Subject
-from facepipe.learn.photo.unknowns import Unknowns
 from facepipe.learn.rig import DifferentiableRig
 from facepipe.photo_options import PhotoFitOptions
 
