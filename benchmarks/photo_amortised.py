@@ -195,7 +195,7 @@ def _total(loss: JointLoss, at: Unknowns) -> float:
 def _slider_error(made: RecoveryTarget, subject: Subject, shares: np.ndarray) -> float:
     from recovery_measures import MOVES_MM, slider_reach
 
-    reach = slider_reach(subject.parts, subject.rig, made.sliders)
+    reach = slider_reach(subject.parts, made.sliders)
     mm = 1000 * subject.parts.meters_per_unit
     values = subject.slider_values(shares)
     errors = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts, Slider
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.occlusion import ambient_occlusion
-from facepipe.rig import Rig
+from facepipe.rig import Rig, build
 
 if TYPE_CHECKING:
     from facepipe.learn.photo.result import FittedCamera, PhotoFit
@@ -53,7 +53,7 @@ def recovery(parts: FaceParts, rig: Rig, target: RecoveryTarget, fit: PhotoFit) 
     face, mm = face_points(parts), 1000 * parts.meters_per_unit
     neutral, points = posed(parts, rig, fit.sliders, {}), posed(parts, rig, fit.sliders, view.expressions)
     seen = FaceLandmarks.of(parts).project(points, render_camera(view.camera))
-    reach = slider_reach(parts, rig, target.sliders)
+    reach = slider_reach(parts, target.sliders)
     moving = [name for name, distance in reach.items() if distance * mm > MOVES_MM]
     errors = slider_errors(parts.sliders, fit.sliders, target.sliders, moving)
     nothing = slider_errors(parts.sliders, {}, target.sliders, moving)
@@ -84,16 +84,16 @@ def aligned_error(found: FloatArray, truth: FloatArray) -> float:
     return mean_distance(fit_similarity(found, truth, scale=False).apply(found), truth)
 
 
-def slider_reach(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> dict[str, float]:
+def slider_reach(parts: FaceParts, values: Mapping[str, float]) -> dict[str, float]:
     """How far, in stage units, each slider of a person moves the point of the head that it moves farthest.
 
     Each goes alone from its minimum to its maximum, the others keep `values`. All points of the first mesh count, those
     of ears and neck too.
     """
-    count = len(parts.meshes[0].points)
+    rig = build(replace(parts, meshes=parts.meshes[:1]))
 
     def head(name: str, value: float) -> FloatArray:
-        return posed(parts, rig, {**values, name: value}, {})[:count]
+        return posed(parts, rig, {**values, name: value}, {})
 
     return {
         one.name: float(np.linalg.norm(head(one.name, one.maximum) - head(one.name, one.minimum), axis=1).max())

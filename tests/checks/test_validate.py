@@ -519,8 +519,13 @@ def test_a_foreign_stage_is_checked_too(tmp_path: Path) -> None:
         '#usda 1.0\n(metersPerUnit=1\nupAxis="Y"\ndefaultPrim="A")\ndef Xform "A" {\n'
         'def Skeleton "S" (prepend apiSchemas=["SkelBindingAPI"]) {\nuniform token[] joints=["a"]\n}\n}\n'
     )
-    found = {one.check for one in validate_stage(tmp_path / "other.usda")}
-    assert {"facepipe:FacePrim", "facepipe:SkelRoot", "facepipe:JointTransformCount"} <= found
+    found = {(one.check, one.where.rpartition(" -> ")[2]) for one in validate_stage(tmp_path / "other.usda")}
+    assert {one for one in found if one[0].startswith("facepipe:")} == {
+        ("facepipe:FacePrim", "</>"),
+        ("facepipe:SkelRoot", "</A/S>"),
+        ("facepipe:JointTransformCount", "</A/S.bindTransforms>"),
+        ("facepipe:JointTransformCount", "</A/S.restTransforms>"),
+    }
 
 
 @pytest.mark.parametrize(("name", "content"), [("a.usda", b"nonsense"), ("a.txt", b"")])

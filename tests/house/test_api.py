@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import pkgutil
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,19 @@ from facepipe.api import given, names
 from facepipe.stage import save_parts
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def heads(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("heads")
     for seed, name in enumerate("ab"):
-        save_parts(make(seed), f"{name}.usda")
+        save_parts(make(seed), folder / f"{name}.usda")
+    return folder
+
+
+@pytest.fixture
+def folder(heads: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with copies of those faces in it."""
+    shutil.copytree(heads, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 

@@ -205,7 +205,11 @@ def test_a_level_is_validated_too(levels: Face, tmp_path: Path) -> None:
         stage.GetPrimAtPath("/Lips/Face_lod2").GetAttribute("faceVertexIndices").Set([0, 1, 99999])
     sets.SetVariantSelection("lod0")
     stage.GetRootLayer().Save()
-    assert any("Face_lod2" in one.where for one in facepipe.validate(tmp_path / "whole.usda"))
+    assert {(one.check, one.where) for one in facepipe.validate(tmp_path / "whole.usda")} == {
+        ("facepipe:MeshTopology", "whole.usda -> </Lips/Face_lod2>"),
+        ("facepipe:MeshTopology", "whole.usda -> </Lips/Face_lod2.faceVertexIndices>"),
+        ("facepipe:PrimvarCount", "whole.usda -> </Lips/Face_lod2.primvars:st>"),
+    }
 
 
 def test_levels_are_made_again(tmp_path: Path, capsys: Capsys) -> None:

@@ -33,7 +33,10 @@ def test_every_attribute_states_range_and_units() -> None:
 @pytest.mark.parametrize("name", [value for name, value in vars(tokens).items() if name.endswith("_API")])
 def test_registered_on_import(name: str) -> None:
     definition = Usd.SchemaRegistry().FindAppliedAPIPrimDefinition(name)
-    assert definition is not None
+    layer = Sdf.Layer.FindOrOpen(str(facepipe_schemas.path() / "generatedSchema.usda"))
+    declared = [attribute.name for attribute in layer.GetPrimAtPath(f"/{name}").properties]
+    assert declared
+    assert sorted(definition.GetPropertyNames()) == sorted(declared)
 
 
 def test_registered_through_the_plugin_path() -> None:

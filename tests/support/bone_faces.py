@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -135,8 +136,18 @@ def skeletonless(parts: FaceParts) -> FaceParts:
 
 def save_sources(folder: Path) -> Path:
     """rig.usda with a clip, a goal within its reach, limits."""
-    rig = build(small())
-    saved(replace(small(), animations=(clip(rig),)), folder / "rig.usda")
-    saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 1))), folder / "goal.usda")
-    (folder / "limits.json").write_text('{"joints": {"*": {"t": [-1, 1], "s": [0.5, 2]}}, "units": "stage"}')
+    for name, data in _sources().items():
+        (folder / name).write_bytes(data)
     return folder
+
+
+@functools.cache
+def _sources() -> dict[str, bytes]:
+    rig = build(small())
+    with tempfile.TemporaryDirectory() as folder:
+        files = [
+            saved(replace(small(), animations=(clip(rig),)), Path(folder, "rig.usda")),
+            saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 1))), Path(folder, "goal.usda")),
+        ]
+        limits = b'{"joints": {"*": {"t": [-1, 1], "s": [0.5, 2]}}, "units": "stage"}'
+        return {file.name: file.read_bytes() for file in files} | {"limits.json": limits}

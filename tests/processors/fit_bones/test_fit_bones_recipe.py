@@ -55,16 +55,23 @@ def start(parts: FaceParts, seed: int) -> PayloadContent:
     )
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder: rig, goals, a clip, limits, coefficients to start from."""
-    monkeypatch.chdir(save_sources(tmp_path))
-    rig = build(small())
-    saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 2))), Path("other.usda"))
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rig, goals, a clip, limits, coefficients to start from."""
+    folder, rig = save_sources(tmp_path_factory.mktemp("sources")), build(small())
+    saved(sculpt(small(), rig.evaluate(coefficients=pose(rig, 2))), folder / "other.usda")
     frames = np.stack([pose(rig, 3, share) for share in (0.2, 0.4)])
     nod = Animation(name="nod", times=np.array([0.0, 0.1]), joints=rig.joints, coefficients=frames)
-    saved(replace(small(), animations=(nod,)), Path("clip.usda"))
-    Path("start.fpb").write_bytes(encode(start(small(), 4)).data)
+    saved(replace(small(), animations=(nod,)), folder / "clip.usda")
+    (folder / "start.fpb").write_bytes(encode(start(small(), 4)).data)
+    return folder
+
+
+@pytest.fixture
+def folder(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with copies of those."""
+    shutil.copytree(sources, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
@@ -312,8 +319,12 @@ def test_digests_cover_the_buffers_of_a_gltf(folder: Path) -> None:
     before = source_digest(Path("goal.gltf"))
     Path("my goal.bin").write_bytes(b"\1" * 8)
     assert source_digest(Path("goal.gltf")) != before
+    Path("my goal.bin").write_bytes(b"\0" * 8)
+    assert source_digest(Path("goal.gltf")) == before
     Path("goal.gltf").write_text("[]")
-    source_digest(Path("goal.gltf"))
+    alone = source_digest(Path("goal.gltf"))
+    Path("my goal.bin").write_bytes(b"\1" * 8)
+    assert source_digest(Path("goal.gltf")) == alone != before
 
 
 # --- damaged recipes

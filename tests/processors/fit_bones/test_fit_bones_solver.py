@@ -227,7 +227,8 @@ def test_limits_that_exclude_rest_are_kept_from_the_start() -> None:
     lower, upper = rest_coefficients(3) - 0.5, rest_coefficients(3) + 0.5
     lower[1, 0] = 0.2
     found = BoneFit(rig, lower=lower, upper=upper, threshold=1e-6).fit(rig.evaluate())
-    assert found.coefficients[1, 0] >= 0.2
+    assert found.coefficients[1, 0] == pytest.approx(0.2, abs=1e-9)
+    assert ((lower <= found.coefficients) & (found.coefficients <= upper)).all()
 
 
 def test_scales_stay_positive_without_limits() -> None:
