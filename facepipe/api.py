@@ -48,10 +48,11 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, o
     from facepipe.heads import make
     from facepipe.stage import Face, open_face, save_parts
 
+    if out is not None:
+        _check(Path(out), (), overwrite=overwrite)
     parts = make(seed, textures=textures)
     if out is None:
         return Face.from_parts(parts)
-    _check(Path(out), (), overwrite=overwrite)
     save_parts(parts, out)
     return open_face(out)
 
