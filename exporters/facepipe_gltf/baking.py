@@ -15,7 +15,7 @@ from facepipe_gltf.encoding import Encoding, decode
 from facepipe_gltf.influences import Influences, limit
 from facepipe_gltf.morphs import Morphs, Sculpt, blocks, sculpts_of, without_small
 from facepipe_gltf.options import Options
-from facepipe_gltf.placement import Placement, Space, place, smooth_normals
+from facepipe_gltf.placement import Placement, Space, place
 from facepipe_gltf.vertices import Corners, corners_of
 
 _SAME = 1e-6  # smaller changes of a unit normal don't show
@@ -132,9 +132,9 @@ def _normals(
         authored = placement.normals(mesh.normals)
         empty = ~authored.any(axis=1)
         if empty.any():
-            authored[empty] = smooth_normals(points, corners.points)[empty]
+            authored[empty] = point_normals(points, corners.points)[empty]
         return authored, None
-    smooth = smooth_normals(points, corners.points)
+    smooth = point_normals(points, corners.points)
     if corners.normals is None:
         return smooth, None
     at_corner = np.zeros(len(corners.normals), np.int64)

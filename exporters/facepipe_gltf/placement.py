@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.polygons import point_normals
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe_gltf.influences import merge
 
@@ -144,11 +143,6 @@ def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
         if parent >= 0:
             worlds[..., joint, :, :] = worlds[..., parent, :, :] @ local[..., joint, :, :]
     return worlds
-
-
-def smooth_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """(n, 3) area-weighted unit normals of (n, 3) points in glTF space."""
-    return point_normals(points, triangles) if len(triangles) else np.tile([0.0, 1.0, 0.0], (len(points), 1))
 
 
 def _unless_near(lengths: FloatArray, expected: FloatArray) -> FloatArray:

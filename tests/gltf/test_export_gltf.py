@@ -27,7 +27,7 @@ from node import node_packages, three_load
 from placed_faces import FACES, placed_face, similarity
 
 from facepipe.importers import load
-from facepipe.parts import FaceParts, Skeleton, Skin
+from facepipe.parts import FaceParts, Mesh, Skeleton, Skin
 from facepipe.rig import coefficient_matrices
 from facepipe.stage import Face
 
@@ -251,3 +251,12 @@ def test_real_head_with_bones(poses: int, options: dict[str, bool], influences: 
     file, report = writing(parts, influences=influences, **options)
     assert report.counts["joints"] == 77
     check_agreement(parts, file, poses=poses, influences=influences)
+
+
+def test_a_triangle_has_its_three_points(writing: Writing) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])
+    mesh = Mesh(name="Sheet", points=points, face_vertex_counts=[3], face_vertex_indices=[0, 1, 2])
+    file, _ = writing(FaceParts(name="Face", meshes=(mesh,), meters_per_unit=1.0))
+    (primitive,) = file.list("meshes")[0]["primitives"]
+    np.testing.assert_array_equal(file.decoded(primitive["attributes"]["POSITION"]), points.astype(np.float32))
+    assert file.decoded(primitive["indices"]).ravel().tolist() == [0, 1, 2]

@@ -195,6 +195,18 @@ def test_a_normal_map_with_green_down_is_turned(writing: Writing) -> None:
     assert (pixels == expected).all()
 
 
+@pytest.mark.parametrize(
+    ("scale", "strength"), [((1, 1, 1, 1), {}), ((2, 2, 2, 2), {}), ((3, 3, 2, 2), {"scale": 1.5})]
+)
+def test_normal_maps_are_as_strong_as_their_scale(
+    scale: tuple[float, ...], strength: dict[str, float], writing: Writing
+) -> None:
+    """A texture without scale and bias is read as glTF reads it."""
+    file, _ = writing(face(Material(name="skin", normal=textured(picture("n.png", PACKED), scale=scale))))
+    entry = file.list("materials")[0]["normalTexture"]
+    assert {key: value for key, value in entry.items() if key == "scale"} == strength
+
+
 def cube() -> Mesh:
     """A cube with a UV square and a flat normal on every side: each corner point has three vertices."""
     points = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

@@ -87,6 +87,10 @@ def with_placed_texture(**place: object) -> Callable[[Builder], None]:
     return edit
 
 
+def with_extensions(builder: Builder) -> None:
+    builder.root["materials"][0]["extensions"] = {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_sheen": {}}
+
+
 def with_mean_normals(builder: Builder) -> None:
     turned = np.zeros((54, 3))
     turned[48] = 0.5  # the twin of a vertex at the seam
@@ -106,6 +110,7 @@ def with_mean_normals(builder: Builder) -> None:
         (with_a_ninth_uv_set, ["the attribute 'TEXCOORD_8' is left out"]),
         (with_one_side_of_two, ["only some of its materials are double-sided"]),
         (with_tinted_material, ["vertex colours tint a material"]),
+        (with_extensions, ["the extension 'KHR_materials_sheen' is left out"]),
         (with_mean_normals, ["normal offsets differ at seams"]),
         (with_placed_texture(offset=[0, 0], scale=[1, 1], rotation=0), []),
         (with_placed_texture(offset=[0.5, 0]), ["texture offsets, scales and rotations are left out"]),
@@ -130,6 +135,7 @@ def test_no_material_is_white_and_rough_metal(tmp_path: Path) -> None:
     (material,) = parts.materials
     assert parts.meshes[0].material == material.name
     assert (material.diffuse_color, material.metallic, material.roughness) == ((1.0, 1.0, 1.0), 1.0, 1.0)
+    assert material.occlusion == 1.0
     save(write(replace(parts, meters_per_unit=0.01), WriteOptions()), tmp_path / "again.glb")
     (again,) = read_gltf(tmp_path / "again.glb").json["materials"]
     surface = again["pbrMetallicRoughness"]  # what glTF 2.0 takes where nothing is said

@@ -159,6 +159,9 @@ def test_the_frame_of_a_face_turns_with_it() -> None:
     assert moved is not None
     assert np.abs(moved.axes - upright.axes @ turn(5).T).max() < 1e-9
     assert moved.side == pytest.approx(0.01 * upright.side)
+    edges = upright.middle + 0.7 * upright.side * np.stack([-upright.axes[0], upright.axes[1]])
+    pixels, _ = upright.view(0.0, 0.0, 200, 1.4).project(edges)  # 10 radii away: a sphere of this size just fits
+    np.testing.assert_allclose(pixels, [[0, 100], [100, 0]], atol=1.0)
     assert face_frame(np.full((68, 3), np.nan)) is None
     assert face_frame(points * [1, 0, 0]) is None
 

@@ -74,17 +74,15 @@ def many_opinions(depth: int = DEPTH) -> dict[str, str]:
     return {"bomb.usda": text + prim(f"a{depth}") + prim(f"b{depth}")}
 
 
-def implied_classes() -> dict[str, str]:
+def implied_classes(arc: str = "references") -> dict[str, str]:
     """The asset's classes are empty; the layer that refers to it fills them in, from one class to the next."""
     asset = prim("a0", "", "".join(prim(name, "inherits = </_c0>") for name in "xy"))
     rest = "".join(
         prim(f"k{i}", "", "".join(prim(name, f"inherits = </_c{i}>") for name in "xy")) + prim(f"_c{i}")
         for i in range(1, DEPTH)
     )
-    classes = "".join(
-        prim(f"_c{i}", "", prim("in", f"references = @./asset.usda@</k{i + 1}>")) for i in range(DEPTH - 1)
-    )
-    return {"bomb.usda": prim("a0", "references = @./asset.usda@") + classes, "asset.usda": asset + prim("_c0") + rest}
+    classes = "".join(prim(f"_c{i}", "", prim("in", f"{arc} = @./asset.usda@</k{i + 1}>")) for i in range(DEPTH - 1))
+    return {"bomb.usda": prim("a0", f"{arc} = @./asset.usda@") + classes, "asset.usda": asset + prim("_c0") + rest}
 
 
 def doubling_sublayers() -> dict[str, str]:
@@ -128,6 +126,7 @@ def endless_clips() -> dict[str, str]:
 BOMBS: dict[str, Callable[[], dict[str, str]]] = {
     **{arc: lambda arc=arc: doubling(arc) for arc in ARCS},
     **{f"chain of {arc}": lambda arc=arc: chain(arc) for arc in ARCS},
+    "implied classes behind payloads": lambda: implied_classes("payload"),
     **{
         one.__name__: one
         for one in (

@@ -31,7 +31,7 @@ def joints_as_recorded(record: Record, read: Skeleton) -> None:
     if not count:
         return
     found = _stage_matrices(record, read.rest_transforms, read.parents < 0)
-    size = max(float(np.abs(skeleton.rest_transforms).max()), 1e-30)
+    size = float(np.abs(skeleton.rest_transforms).max())
     if float(np.abs(found - skeleton.rest_transforms).max()) > _SAME * size:
         raise InputError("facepipe", "joints moved by another program since facepipe wrote the file")
 

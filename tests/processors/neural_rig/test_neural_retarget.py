@@ -120,8 +120,11 @@ def test_what_does_not_fit_is_reported(rig: NeuralRig) -> None:
         retarget(rig, subject, seen.points[:1], seen.values[:1])
     with pytest.raises(TopologyError, match=r"second\.usda -> controls: shape .* expected"):
         retarget(rig, subject, seen.points, seen.values[:5])
-    with pytest.raises(InputError, match="NaN"):
-        retarget(rig, subject, np.where(seen.points == seen.points.max(), np.nan, seen.points), seen.values)
+    points, values = (np.where(array == array.max(), np.nan, array) for array in (seen.points, seen.values))
+    with pytest.raises(InputError, match=r"second\.usda -> points: .*NaN"):
+        retarget(rig, subject, points, seen.values)
+    with pytest.raises(InputError, match=r"second\.usda -> controls: .*NaN"):
+        retarget(rig, subject, seen.points, values)
     with pytest.raises(TopologyError, match="other meshes than those of the neural rig"):
         retarget(replace(rig, topology="else"), subject, seen.points, seen.values)
     with pytest.raises(TopologyError, match="joints that are not those of the neural rig"):
