@@ -16,6 +16,9 @@ from facepipe.core.errors import FacepipeError, InputError
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
 BoolArray = npt.NDArray[np.bool_]
+Float32Array = npt.NDArray[np.float32]
+ByteArray = npt.NDArray[np.uint8]
+AnyArray = npt.NDArray[Any]
 
 
 def require_finite(value: object, *where: str, error: type[FacepipeError] = InputError) -> None:

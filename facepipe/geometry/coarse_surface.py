@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, small_holes
 from facepipe.geometry.vectors import group_sums, unit_vectors
 
@@ -67,7 +66,7 @@ def disc_look(points: FloatArray, normals: FloatArray, radii: FloatArray, colors
     )
 
 
-def part_look(look: Look, kept: npt.NDArray[np.bool_]) -> Look:
+def part_look(look: Look, kept: BoolArray) -> Look:
     """The triangles whose points are all `kept` (n,)."""
     triangles = look.triangles[kept[look.triangles].all(axis=1)]
     used, triangles = np.unique(triangles, return_inverse=True)

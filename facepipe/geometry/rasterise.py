@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 KeyArray = npt.NDArray[np.uint64]
 
@@ -35,7 +35,7 @@ class ScreenTriangles:
     limits: FloatArray  # (2, s) least and largest nearness of the corners
     gradient: FloatArray  # (2, s) of nearness per pixel in x and y
 
-    def select(self, keep: npt.NDArray[np.bool_]) -> ScreenTriangles:
+    def select(self, keep: BoolArray) -> ScreenTriangles:
         """Those whose triangle is marked in `keep` (t,)."""
         return self.take(np.flatnonzero(keep[self.ids]))
 
@@ -57,7 +57,7 @@ class Raster:
         return np.where(self.key == 0, -1, ids)
 
     @property
-    def nearness(self) -> npt.NDArray[np.float32]:
+    def nearness(self) -> Float32Array:
         """(rows, width) nearness, 0 where there is none. In perspective it is 1 / depth."""
         return (self.key >> np.uint64(32)).astype(np.uint32).view(np.float32)
 
@@ -132,7 +132,7 @@ def rasterise(screen: ScreenTriangles, width: int, height: int, *, rows: tuple[i
     return Raster(key=key)
 
 
-def depths(screen: ScreenTriangles, width: int, height: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def depths(screen: ScreenTriangles, width: int, height: int) -> tuple[Float32Array, Float32Array]:
     """(height, width) nearness of what is nearest at the centre of every pixel, and of what is farthest.
 
     Where there is nothing, they are 0 and infinity.
@@ -199,7 +199,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _crosses_centers(positions: FloatArray) -> npt.NDArray[np.bool_]:
+def _crosses_centers(positions: FloatArray) -> BoolArray:
     """(t,) whether the extent of corners (3, t) on one axis has a pixel's centre in it."""
     low, high = _extent(positions)
     return np.asarray(np.ceil(low - 0.5) < np.ceil(high - 0.5))
@@ -271,7 +271,7 @@ def _columns(
 
 def _fragments(
     screen: ScreenTriangles, width: int, top: int, bottom: int
-) -> Iterator[tuple[IntArray, IntArray, npt.NDArray[np.float32], IntArray]]:
+) -> Iterator[tuple[IntArray, IntArray, Float32Array, IntArray]]:
     """Chunks of fragments in a band of rows: owners of spans; flat pixel number, nearness and span of each fragment."""
     for spans in spans_of(screen, width, top, bottom):
         for part in _pieces(spans.count, FRAGMENTS_PER_CHUNK):

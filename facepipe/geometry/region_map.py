@@ -9,13 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
 
 _TAPS = 8  # lookups a side of a footprint, at most
 _SLACK = 1e-6  # in UV: what exporters leave of an exact 0 or 1
-Image8 = npt.NDArray[np.uint8]
 
 UNKNOWN = -1
 _OPAQUE = 128  # alpha from here on: painted
@@ -30,15 +29,15 @@ class RegionMasks(NamedTuple):
 
 
 def region_masks(
-    image: Image8,
-    colors: Image8,
+    image: ByteArray,
+    colors: ByteArray,
     uv: FloatArray,
     face_vertex_counts: IntArray,
     face_vertex_indices: IntArray,
     point_count: int,
     sampling: MapSampling,
     *,
-    background: Image8 | None = None,
+    background: ByteArray | None = None,
     where: str = "region map",
 ) -> RegionMasks:
     """Masks of the regions whose colours a map shows at the points of a mesh.
@@ -74,7 +73,7 @@ def region_masks(
 class _Lookup:
     """A map being sampled; remembers the texels of unknown colour and the UVs that hit them."""
 
-    def __init__(self, image: Image8, palette: Palette) -> None:
+    def __init__(self, image: ByteArray, palette: Palette) -> None:
         self.image, self.palette = image, palette
         self.unknown: list[tuple[IntArray, IntArray]] = []  # (texels, rows of the UVs), parallel
 
@@ -119,7 +118,7 @@ def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatA
     return np.clip(place, 0.0, 1.0), np.asarray(inside.all(axis=1))
 
 
-def _unknown_color(where: str, image: Image8, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
+def _unknown_color(where: str, image: ByteArray, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
     """The colour that hits the most points, with how many, where, and the nearest that the legend has."""
     texels, rows = (np.concatenate(group) for group in zip(*lookup.unknown, strict=True))
     colors, of_hit = np.unique(image.reshape(-1, image.shape[2])[texels, :3], axis=0, return_inverse=True)
@@ -143,7 +142,7 @@ def hex_color(color: npt.ArrayLike) -> str:
 
 
 def _check_arrays(
-    image: Image8, colors: Image8, uv: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray
+    image: ByteArray, colors: ByteArray, uv: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray
 ) -> None:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4) or not image.size:
         raise InputError("region map", f"{image.dtype} of shape {image.shape}, expected uint8 (height, width, 3 or 4)")
@@ -168,8 +167,8 @@ class TexelShares(NamedTuple):
 class Palette:
     """The colours of a map and how loosely they are meant."""
 
-    colors: Image8  # (k, 3), all different
-    background: Image8 | None = None  # (3,) colour of unpainted texels, beside transparent ones
+    colors: ByteArray  # (k, 3), all different
+    background: ByteArray | None = None  # (3,) colour of unpainted texels, beside transparent ones
     tolerance: float  # distance in RGB, 0..255 a channel
     edge: int  # texels over which a painted border may run
 
@@ -179,7 +178,7 @@ class Palette:
         rows = [self.colors.reshape(-1, 3), *([] if self.background is None else [self.background.reshape(1, 3)])]
         return np.concatenate(rows).astype(np.float64)
 
-    def labels(self, texels: Image8) -> tuple[IntArray, BoolArray]:
+    def labels(self, texels: ByteArray) -> tuple[IntArray, BoolArray]:
         """Of (m, 3|4) texels: the nearest colour within the tolerance, k for unpainted or UNKNOWN; which are exact."""
         packed = texels.astype(np.uint32) @ (1 << 8 * np.arange(texels.shape[1], dtype=np.uint32))
         _, first, back = np.unique(packed, return_index=True, return_inverse=True)
@@ -193,7 +192,7 @@ class Palette:
         return label[back.ravel()], (least == 0)[back.ravel()]
 
 
-def texel_shares(image: Image8, texels: IntArray, palette: Palette) -> TexelShares:
+def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelShares:
     """The regions that some texels of `image` (h, w, 3|4) stand for.
 
     A colour of the palette is that one. Another is the nearest within the tolerance; but where that one is not found
@@ -223,7 +222,7 @@ def texel_shares(image: Image8, texels: IntArray, palette: Palette) -> TexelShar
 
 
 def _settled(
-    colors: Image8, label: IntArray, exact: BoolArray, near: IntArray, sure: BoolArray, palette: Palette
+    colors: ByteArray, label: IntArray, exact: BoolArray, near: IntArray, sure: BoolArray, palette: Palette
 ) -> FloatArray:
     """Shares (m, k + 1) of the palette's colours and the unpainted; rows of 0 are unknown.
 
@@ -254,7 +253,7 @@ def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[In
     return rows * width + columns, squared
 
 
-def _mixes(colors: Image8, near: IntArray, palette: Palette) -> FloatArray:
+def _mixes(colors: ByteArray, near: IntArray, palette: Palette) -> FloatArray:
     """Shares (m, k + 1) of the palette's colours and the background in `colors` (m, 3); rows of 0 are no mix.
 
     :param near: (m, s) labels around each; only these colours can be mixed
@@ -268,7 +267,7 @@ def _mixes(colors: Image8, near: IntArray, palette: Palette) -> FloatArray:
     return shares[back.ravel()]
 
 
-def _mix(color: Image8, choice: IntArray, palette: Palette) -> FloatArray:
+def _mix(color: ByteArray, choice: IntArray, palette: Palette) -> FloatArray:
     """Shares of the palette's rows `choice` in one colour; 0 where their nearest mix is beyond the tolerance."""
     from scipy.optimize import nnls
 

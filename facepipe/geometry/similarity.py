@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.vectors import group_sums
 
@@ -111,7 +110,7 @@ def fit_similarities(
     return Similarities(rotation=rotation, translation=to_centre - moved, scale=factor)
 
 
-def _rotations(covariance: FloatArray, spread: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+def _rotations(covariance: FloatArray, spread: BoolArray) -> tuple[FloatArray, FloatArray]:
     """The rotation (g, 3, 3) of each covariance (g, 3, 3), and the trace (g,) of Umeyama's D S; 0: left at identity.
 
     ``R = U S V^T`` of the covariance ``U D V^T``, with ``S = diag(1, 1, det U det V)``: the nearest rotation, no

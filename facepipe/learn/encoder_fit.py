@@ -8,14 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.geometry.ridge import ridge
 from facepipe.learn.encoder_network import EncoderNetwork, EncoderSize, as_tensor, first_weights
 from facepipe.learn.one_thread import one_thread
@@ -101,7 +99,7 @@ class EncoderDescent:
         self._ended = False
         self.steps = 0
 
-    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, Array]], object]) -> None:
+    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, AnyArray]], object]) -> None:
         """Go on to the end, and restore the best network.
 
         :param done: called once for each step, of those before too
@@ -135,12 +133,12 @@ class EncoderDescent:
             self._best, self._best_step, self._kept = error, self.steps, self._network.copied()
         self._ended = self.steps - self._best_step >= self._limits.patience or self.steps == self._limits.steps
 
-    def state(self) -> dict[str, Array]:
+    def state(self) -> dict[str, AnyArray]:
         """All that going on takes."""
         numbers = np.array([self.steps, self._best, self._best_step, self._ended], dtype=np.float64)
         return {**state_of(self._network.learned, self._kept, self._optimiser, self._random), "numbers": numbers}
 
-    def go_on(self, state: Mapping[str, Array]) -> None:
+    def go_on(self, state: Mapping[str, AnyArray]) -> None:
         """Be as `state` says.
 
         :raises KeyError, RuntimeError, ValueError: the state of another network
@@ -148,9 +146,6 @@ class EncoderDescent:
         steps, self._best, best_step, ended = (float(one) for one in state["numbers"])
         self.steps, self._best_step, self._ended = int(steps), int(best_step), bool(ended)
         self._kept = restore_state(state, self._network.learned, self._optimiser, self._random, self.steps)
-
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,8 +175,8 @@ def train_encoder(
     seed: int,
     limits: EncoderLimits,
     done: Callable[[], object] = lambda: None,
-    state: Mapping[str, Array] | None = None,
-    keep: Callable[[Mapping[str, Array]], object] = lambda _: None,
+    state: Mapping[str, AnyArray] | None = None,
+    keep: Callable[[Mapping[str, AnyArray]], object] = lambda _: None,
 ) -> FittedEncoder:
     """A network of least squared error beside a straight map, which it begins as.
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.training_state import restore_state, restoring, state_of
 
@@ -114,11 +113,11 @@ class Descent:
         return self._now.step
 
     @property
-    def curve(self) -> Array:
+    def curve(self) -> AnyArray:
         """(checks, 3): step, then what is left of the learned and of the checked samples, RMS in shares of all."""
         return np.array(self._now.curve, dtype=np.float64).reshape(-1, 3)
 
-    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, Array]], object]) -> None:
+    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, AnyArray]], object]) -> None:
         """Go on to the end, and restore the best network.
 
         :param done: called once for each step, of those before too
@@ -163,13 +162,13 @@ class Descent:
         if error < now.best:
             now.best, now.best_step, self._kept = error, now.step, self._network.copied()
 
-    def state(self) -> dict[str, Array]:
+    def state(self) -> dict[str, AnyArray]:
         """All that going on takes."""
         numbers = np.array([self._now.step, self._now.best, self._now.best_step, self._now.summed])
         found = state_of(self._network.parameters, self._kept, self._optimiser, self._random)
         return found | {"numbers": numbers, "curve": self.curve}
 
-    def go_on(self, state: Mapping[str, Array]) -> None:
+    def go_on(self, state: Mapping[str, AnyArray]) -> None:
         """Be as `state` says.
 
         :raises KeyError, RuntimeError, ValueError: the state of another network
@@ -184,9 +183,6 @@ class Descent:
             summed=summed,
             curve=curve,
         )
-
-
-Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,8 +218,8 @@ def train(
     sparsity: float = 0.0,
     device: str = "cpu",
     done: Callable[[], object] = lambda: None,
-    state: Mapping[str, Array] | None = None,
-    keep: Callable[[Mapping[str, Array]], object] = lambda _: None,
+    state: Mapping[str, AnyArray] | None = None,
+    keep: Callable[[Mapping[str, AnyArray]], object] = lambda _: None,
 ) -> Trained:
     """A network of `width` hidden units for `samples`, of least squared error: linear parts by least squares.
 

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
-
-Array = npt.NDArray[Any]
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")  # of Adam
 
 
 def state_of(
     parameters: list[Tensor], kept: list[Tensor], optimiser: torch.optim.Optimizer, random: torch.Generator
-) -> dict[str, Array]:
+) -> dict[str, AnyArray]:
     """Parameters, the best of them so far, Adam's moments and the draws to come.
 
     :param optimiser: Adam or AdamW, one step or more on its way
     """
-    state: dict[str, Array] = {"random": random.get_state().numpy().astype(np.int32)}
+    state: dict[str, AnyArray] = {"random": random.get_state().numpy().astype(np.int32)}
     for number, (one, best) in enumerate(zip(parameters, kept, strict=True)):
         state |= {f"now.{number}": one.detach().cpu().numpy().copy(), f"best.{number}": best.cpu().numpy()}
         own = optimiser.state[one]
@@ -46,7 +43,7 @@ def restoring() -> Iterator[None]:
 
 
 def restore_state(
-    state: Mapping[str, Array],
+    state: Mapping[str, AnyArray],
     parameters: list[Tensor],
     optimiser: torch.optim.Optimizer,
     random: torch.Generator,

@@ -7,9 +7,8 @@ import zlib
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.payload.layout import (
     CRC,
@@ -99,7 +98,7 @@ def _rounded(content: PayloadContent, exact: FloatArray) -> FloatArray:
     return rounded
 
 
-def _refuse(content: PayloadContent, exact: FloatArray, sound: npt.NDArray[np.bool_], expected: str) -> None:
+def _refuse(content: PayloadContent, exact: FloatArray, sound: BoolArray, expected: str) -> None:
     if sound.all():
         return
     frame, joint, channel = np.argwhere(~sound)[0]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
@@ -16,8 +15,6 @@ from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
 from facepipe.pictures.scatter import open_share, smoothed, spread
 from facepipe.pictures.shade import Shaded, Shader
-
-Image8 = npt.NDArray[np.uint8]
 
 SAMPLES_PER_BAND = 1_000_000
 _SMOOTH = 0.94  # cosine between triangles, below which a pixel that shows both shades each of them
@@ -37,7 +34,7 @@ class Spots:
     share: FloatArray  # (m,) of the pixel
 
 
-def draw(shader: Shader, size: int, background: npt.NDArray[np.float32], samples: int, mm: float) -> Image8:
+def draw(shader: Shader, size: int, background: Float32Array, samples: int, mm: float) -> ByteArray:
     """(size, size, 3) sRGB pixels of the scene.
 
     :param background: (size, size, 3) linear, which is drawn on
@@ -108,9 +105,7 @@ def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
     )
 
 
-def _plain(
-    shader: Shader, triangles: IntArray, nearness: npt.NDArray[np.float32], center: IntArray
-) -> npt.NDArray[np.bool_]:
+def _plain(shader: Shader, triangles: IntArray, nearness: Float32Array, center: IntArray) -> BoolArray:
     """(p,) pixels with triangles (p, s) that are one smooth surface, which can be shaded at once."""
     covered = (triangles >= 0).all(axis=1)
     surface = shader.scene.surface
@@ -140,7 +135,7 @@ def _edges(triangles: IntArray, pixel: IntArray, width: int, samples: int) -> Sp
     return Spots(pixel=pixel[which], triangle=shown, x=column + x, y=row + y, share=count / samples**2)
 
 
-def _paint(picture: npt.NDArray[np.float32], shader: Shader, spots: Spots, size: int, mm: float) -> None:
+def _paint(picture: Float32Array, shader: Shader, spots: Spots, size: int, mm: float) -> None:
     """Put what is solid over the background (size * size, 3)."""
     if not len(spots.pixel):
         return
@@ -160,11 +155,11 @@ class _Window:
     shape: tuple[int, int]
     place: IntArray  # (m,) of the spots, row by row
 
-    def image(self, values: FloatArray) -> npt.NDArray[np.float32]:
+    def image(self, values: FloatArray) -> Float32Array:
         """Sums of the spots' values (m,) in pixels."""
         return np.bincount(self.place, values, int(np.prod(self.shape))).reshape(self.shape).astype(np.float32)
 
-    def read(self, image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def read(self, image: Float32Array) -> Float32Array:
         """(m, ...) the spots' values of an image."""
         return image.reshape(-1, *image.shape[2:])[self.place]
 

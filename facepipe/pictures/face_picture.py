@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.geometry.colors import from_srgb
@@ -155,7 +154,7 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
         image.save(temporary, format="PNG", compress_level=3)  # a twelfth larger than with 6, in half the time
 
 
-def _behind(options: PictureOptions) -> npt.NDArray[np.float32]:
+def _behind(options: PictureOptions) -> Float32Array:
     """(size, size, 3) linear background: the backdrop, one colour, or a blend from the middle to the corners."""
     if options.backdrop is not None:
         return from_srgb(np.asarray(options.backdrop, dtype=np.float32)).astype(np.float32)

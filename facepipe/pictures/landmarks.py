@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.geometry.rasterise import rasterise, screen_triangles
@@ -95,7 +94,7 @@ def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
     return np.concatenate(points), np.concatenate(numbers)
 
 
-def _visible(scene: Scene, screen: FloatArray, points: IntArray, size: tuple[int, int]) -> npt.NDArray[np.bool_]:
+def _visible(scene: Scene, screen: FloatArray, points: IntArray, size: tuple[int, int]) -> BoolArray:
     """(l,) points with nothing opaque clearly in front of them."""
     width, height = size
     solid = scene.triangles[~scene.see_through]

@@ -16,7 +16,7 @@ from functools import reduce
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, IntArray
 from facepipe.geometry.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.shade import Shader
@@ -26,7 +26,7 @@ _TOGETHER = 2.0  # pixels in depth between fragments that may belong to one shee
 _AT_ONCE = 400  # triangles; what they hide of those after them is left out
 
 
-def hidden(screen: ScreenTriangles, nearness: Floats, samples: int, top: int) -> BoolArray:
+def hidden(screen: ScreenTriangles, nearness: Float32Array, samples: int, top: int) -> BoolArray:
     """(s,) whether all pixels that a triangle may cover in a band of rows show something nearer.
 
     :param screen: triangles, in samples
@@ -57,13 +57,13 @@ def _pixels(positions: npt.NDArray[np.floating], samples: int, start: int, count
     return np.asarray(np.clip(positions // samples - start, 0, count - 1), np.int64)
 
 
-def _halved(cells: Floats) -> Floats:
+def _halved(cells: Float32Array) -> Float32Array:
     """The least of two by two cells, or fewer at the far borders."""
     even = np.pad(cells, [(0, side % 2) for side in cells.shape], mode="edge")
     return least(even, 2)
 
 
-def least(values: Floats, side: int) -> Floats:
+def least(values: Float32Array, side: int) -> Float32Array:
     """The least in each square of values (h * side, w * side): (h, w)."""
     pieces = [values[y::side, x::side] for y, x in np.ndindex(side, side)]
     return np.asarray(reduce(np.minimum, pieces))
@@ -75,14 +75,14 @@ class Fragments:
 
     pixel: IntArray  # (f,) in the band
     triangle: IntArray  # (f,)
-    nearness: Floats  # (f,)
-    share: Floats  # (f,) of the pixel's samples that it covers before everything solid
-    x: Floats  # (f,) pixels
-    y: Floats  # (f,)
+    nearness: Float32Array  # (f,)
+    share: Float32Array  # (f,) of the pixel's samples that it covers before everything solid
+    x: Float32Array  # (f,) pixels
+    y: Float32Array  # (f,)
 
 
 def fragments(
-    screen: ScreenTriangles, spans: Spans, nearest: Floats, behind: Floats, samples: int, top: int
+    screen: ScreenTriangles, spans: Spans, nearest: Float32Array, behind: Float32Array, samples: int, top: int
 ) -> Fragments:
     """What the triangles of some spans cover.
 
@@ -129,19 +129,19 @@ def fragments(
 class _Planes:
     """Nearness of triangles in rows of pixels, g of them, in samples from the first one of each row."""
 
-    start: Floats  # (g,)
-    slope: Floats  # (g,) to the right
-    down: Floats  # (g,)
-    low: Floats  # (g,) least and most anywhere in the triangle
-    high: Floats  # (g,)
+    start: Float32Array  # (g,)
+    slope: Float32Array  # (g,) to the right
+    down: Float32Array  # (g,)
+    low: Float32Array  # (g,) least and most anywhere in the triangle
+    high: Float32Array  # (g,)
 
-    def nearness(self, group: IntArray, right: Floats) -> Callable[[int, int], Floats]:
+    def nearness(self, group: IntArray, right: Float32Array) -> Callable[[int, int], Float32Array]:
         """(k,) nearness x and y samples beside and below those that are (k,) samples to the right in rows `group`."""
         slope, down, low, high = (each[group] for each in (self.slope, self.down, self.low, self.high))
         start = self.start[group] + right * slope
         return lambda x, y: np.clip(start + (x * slope + y * down), low, high)
 
-    def most(self, group: IntArray, right: Floats, samples: int) -> Floats:
+    def most(self, group: IntArray, right: Float32Array, samples: int) -> Float32Array:
         """(k,) bound of the nearness in pixels that start (k,) samples to the right in rows `group`."""
         corner = self.start + (np.maximum(self.slope, 0) + np.maximum(self.down, 0)) * (samples - 1)
         return np.asarray(np.minimum(corner[group] + right * self.slope[group], self.high[group]))
@@ -170,20 +170,17 @@ def _by_pixel_row(spans: Spans, samples: int) -> tuple[IntArray, IntArray, IntAr
     return starts, stops, np.flatnonzero(new)
 
 
-Floats = npt.NDArray[np.float32]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Layers:
     """Fragments of see-through triangles, and how much of what is solid comes past them."""
 
     pixel: IntArray  # (f,) ascending, from front to back in each
     triangle: IntArray  # (f,)
-    x: Floats  # (f,) pixels, in the middle of what is covered
-    y: Floats  # (f,)
-    weight: Floats  # (f,) share of the pixel that it covers and whose light comes past the layers before it
+    x: Float32Array  # (f,) pixels, in the middle of what is covered
+    y: Float32Array  # (f,)
+    weight: Float32Array  # (f,) share of the pixel that it covers and whose light comes past the layers before it
     veiled: IntArray  # (v,) pixels with layers
-    passed: Floats  # (v,) share of the light from behind all layers
+    passed: Float32Array  # (v,) share of the light from behind all layers
 
     def hidden(self, count: int) -> BoolArray:
         """(count,) whether the layers let no light of what is solid past, for all pixels of the picture."""
@@ -191,7 +188,7 @@ class Layers:
         found[self.veiled] = self.passed < _FAINT
         return found
 
-    def blend(self, picture: Floats, shader: Shader) -> None:
+    def blend(self, picture: Float32Array, shader: Shader) -> None:
         """Put the layers over a linear picture (pixels, 3)."""
         picture[self.veiled] *= self.passed[:, None]
         shaded = shader.shade(self.triangle, self.x, self.y)
@@ -213,7 +210,7 @@ def layers(
     inside = np.flatnonzero((screen.y[2] > rows[0]) & (screen.y[0] < rows[1]))
     nearest, top, width = solid.nearness, rows[0] // samples, solid.key.shape[1] // samples
     behind = least(nearest, samples) if len(inside) else nearest
-    parts: list[tuple[Fragments, Floats]] = []
+    parts: list[tuple[Fragments, Float32Array]] = []
     for start in range(0, len(inside), _AT_ONCE):
         part = screen.take(inside[start : start + _AT_ONCE])
         part = part.take(np.flatnonzero(~hidden(part, behind, samples, top)))
@@ -229,13 +226,13 @@ def layers(
     return _stacked(shader, joined(several), np.concatenate(opacities), top * width)
 
 
-def _hide(behind: Floats, fragments: Fragments, opacity: Floats) -> None:
+def _hide(behind: Float32Array, fragments: Fragments, opacity: Float32Array) -> None:
     """Note in `behind` (rows, width) the nearness of fragments that let no light past them."""
     at = np.flatnonzero((fragments.share == 1) & (opacity > 1 - _FAINT))
     np.maximum.at(behind.reshape(-1), fragments.pixel[at], fragments.nearness[at])
 
 
-def _stacked(shader: Shader, fragments: Fragments, opacity: Floats, first: int) -> Layers:
+def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first: int) -> Layers:
     """Fragments in order, with what comes past those before them.
 
     :param first: number of the band's first pixel

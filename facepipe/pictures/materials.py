@@ -7,16 +7,14 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, IntArray
 from facepipe.geometry.rasterise import interpolated
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.scene import Scene
 
 T = TypeVar("T")
-Floats = npt.NDArray[np.float32]
 
 CLAY = (0.50, 0.40, 0.345)  # linear; a face without a material
 _MATT = 0.4  # roughness from which something see-through is a loose cover, no clear medium with a gloss
@@ -40,19 +38,19 @@ _TEXTURED = ("diffuse_color", "emissive_color", *_NUMBERS, "normal")
 class Surfaces:
     """The surface at samples, m of them."""
 
-    base: Floats  # (m, 3) linear colour
-    emission: Floats  # (m, 3)
-    metallic: Floats  # (m,)
-    roughness: Floats  # (m,)
-    opacity: Floats  # (m,)
-    presence: Floats  # (m,) how much of it reflects: opacity cuts, but where the surface is smooth and clear
-    gloss: Floats  # (m,) factor of highlights
-    through: Floats  # (m,) share of the light that comes even where something stands before it
-    occlusion: Floats  # (m,)
-    coat: Floats  # (m,) how much of a clear layer lies over it
-    coat_roughness: Floats  # (m,)
-    mirror: Floats  # (m, 3) share of light reflected at normal incidence
-    normals: Floats  # (m, 3) camera axes, to the outside
+    base: Float32Array  # (m, 3) linear colour
+    emission: Float32Array  # (m, 3)
+    metallic: Float32Array  # (m,)
+    roughness: Float32Array  # (m,)
+    opacity: Float32Array  # (m,)
+    presence: Float32Array  # (m,) how much of it reflects: opacity cuts, but where the surface is smooth and clear
+    gloss: Float32Array  # (m,) factor of highlights
+    through: Float32Array  # (m,) share of the light that comes even where something stands before it
+    occlusion: Float32Array  # (m,)
+    coat: Float32Array  # (m,) how much of a clear layer lies over it
+    coat_roughness: Float32Array  # (m,)
+    mirror: Float32Array  # (m, 3) share of light reflected at normal incidence
+    normals: Float32Array  # (m, 3) camera axes, to the outside
 
 
 class Materials:
@@ -72,7 +70,7 @@ class Materials:
             textures |= {one.texture: None for one in _inputs(self._each[number]) if one.uv_set in names}
         return list(textures)
 
-    def at(self, ids: IntArray, weights: Floats, normals: Floats, colors: Floats) -> Surfaces:
+    def at(self, ids: IntArray, weights: Float32Array, normals: Float32Array, colors: Float32Array) -> Surfaces:
         """The surface at barycentrics (m, 3) in triangles `ids` (m,).
 
         :param normals: (m, 3) unit, camera axes, to the outside
@@ -104,10 +102,10 @@ class Materials:
         surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
         return surfaces
 
-    def opacity(self, ids: IntArray, weights: Floats) -> Floats:
+    def opacity(self, ids: IntArray, weights: Float32Array) -> Float32Array:
         """(m,) opacity alone."""
         kind = self._scene.surface[ids]
-        opacity: Floats = self._table[kind, 8]
+        opacity: Float32Array = self._table[kind, 8]
         for number, material in enumerate(self._each):
             if isinstance(material.opacity, TextureInput):
                 at = np.flatnonzero(kind == number)
@@ -116,7 +114,7 @@ class Materials:
                     opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
         return opacity
 
-    def _look_up(self, number: int, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+    def _look_up(self, number: int, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Float32Array) -> None:
         """Overwrite what the textures of one surface say at the samples numbered `at`."""
         material = self._each[number]
         targets = {
@@ -144,8 +142,8 @@ class Materials:
             self._bend(_as_normals(material.normal), surfaces, at, ids, weights)
 
     def _read(
-        self, source: TextureInput, ids: IntArray, weights: Floats, *, color: bool = True, whole: bool = False
-    ) -> tuple[Floats, Floats] | None:
+        self, source: TextureInput, ids: IntArray, weights: Float32Array, *, color: bool = True, whole: bool = False
+    ) -> tuple[Float32Array, Float32Array] | None:
         """Values (m, c), and how many texels a pixel spans (m,); None where the mesh lacks the UV set.
 
         :param whole: of all texels in a pixel, as many as it spans its longer way; else as on average of both ways
@@ -158,7 +156,9 @@ class Materials:
         footprint = layout.longest if whole else layout.footprint
         return self._scene.textures.sample(source, uv, footprint[ids], color=color)
 
-    def _bend(self, source: TextureInput, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Floats) -> None:
+    def _bend(
+        self, source: TextureInput, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Float32Array
+    ) -> None:
         """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
         read = self._read(source, ids, weights, color=False)
         if read is None:
@@ -173,7 +173,7 @@ class Materials:
         surfaces.roughness[at] = np.minimum((surfaces.roughness[at] ** 4 + (1 - length) / length) ** 0.25, 1.0)
 
     @cached_property
-    def _table(self) -> Floats:
+    def _table(self) -> Float32Array:
         """(surfaces, 13): base and emitted colour, `_NUMBERS`, mirror; where they are constant."""
         rows = []
         for material, colored in zip(self._each, self._colored, strict=True):
@@ -195,11 +195,11 @@ class Materials:
 class _Layout:
     """How one UV set lies on the triangles."""
 
-    corners: Floats  # (t, 3, 2), NaN where the mesh lacks it
-    footprint: Floats  # (t,) length in UV space that a pixel spans
-    longest: Floats  # (t,) the same the way that it spans most, and `_STRETCH` of that at most
-    along: Floats  # (t, 3) unit tangents in camera axes: the way that u grows
-    across: Floats  # (t, 3) and v
+    corners: Float32Array  # (t, 3, 2), NaN where the mesh lacks it
+    footprint: Float32Array  # (t,) length in UV space that a pixel spans
+    longest: Float32Array  # (t,) the same the way that it spans most, and `_STRETCH` of that at most
+    along: Float32Array  # (t, 3) unit tangents in camera axes: the way that u grows
+    across: Float32Array  # (t, 3) and v
 
 
 def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
@@ -240,7 +240,7 @@ def _as_normals(source: TextureInput) -> TextureInput:
     return replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
 
 
-def _cut(opacity: Floats, threshold: float, texels: Floats) -> Floats:
+def _cut(opacity: Float32Array, threshold: float, texels: Float32Array) -> Float32Array:
     """Opacities as they are, or cut at a threshold with an edge of a pixel at most, and of half a texel."""
     if threshold <= 0:
         return np.clip(opacity, 0.0, 1.0)
@@ -251,6 +251,6 @@ def _constant(value: T | TextureInput, otherwise: T) -> T:
     return otherwise if isinstance(value, TextureInput) else value
 
 
-def _unit(vectors: Floats) -> Floats:
+def _unit(vectors: Float32Array) -> Float32Array:
     length = np.sqrt(np.einsum("mc,mc->m", vectors, vectors))
     return np.asarray(vectors / np.maximum(length, 1e-12)[:, None], np.float32)

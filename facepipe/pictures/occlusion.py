@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
 from facepipe.geometry.rasterise import depths, screen_triangles
 
@@ -50,7 +50,7 @@ class DepthMap:
     axes: FloatArray  # (3, 3) rows: right, up, towards the light
     scale: float  # map pixels per unit of length
     origin: FloatArray  # (3,) map coordinates of the world origin
-    nearness: npt.NDArray[np.float32]  # (r, r) map units towards the light, 0 where nothing is
+    nearness: Float32Array  # (r, r) map units towards the light, 0 where nothing is
 
     def lit(self, points: FloatArray, normals: FloatArray, radius: int = 1) -> FloatArray:
         """(n,) share of light that reaches points with unit normals, softened over `radius` map pixels."""
@@ -85,7 +85,7 @@ class DepthMap:
         row = np.clip(at[:, 1] + y, 0, size - 1).astype(np.int32)
         return np.asarray(self.nearness.ravel()[row * size + column] - at[:, 2])
 
-    def _coordinates(self, points: FloatArray, normals: FloatArray, reach: float) -> npt.NDArray[np.float32]:
+    def _coordinates(self, points: FloatArray, normals: FloatArray, reach: float) -> Float32Array:
         """(n, 3) column, row and nearness of points lifted from their surface by what `reach` map pixels need.
 
         Leaving the surface along its normal, more at grazing light, keeps it from shading itself.
@@ -179,7 +179,7 @@ def _spiral(turn: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         yield x * cosine - y * sine, x * sine + y * cosine
 
 
-def _compare(nearness: npt.NDArray[np.float32], at: npt.NDArray[np.float32], radius: int) -> FloatArray:
+def _compare(nearness: Float32Array, at: Float32Array, radius: int) -> FloatArray:
     """Percentage-closer filtering: the share of a bilinearly weighted window that is not nearer than the point."""
     size = nearness.shape[0]
     x, y = at[:, 0] - 0.5, at[:, 1] - 0.5
@@ -197,7 +197,7 @@ def _compare(nearness: npt.NDArray[np.float32], at: npt.NDArray[np.float32], rad
     return lit / (2 * radius + 1) ** 2
 
 
-def _window(step: int, radius: int, fraction: npt.NDArray[np.float32]) -> FloatArray:
+def _window(step: int, radius: int, fraction: Float32Array) -> FloatArray:
     """Box of 2 radius + 1 pixels, moved by a fraction of a pixel: its ends fade in and out."""
     if step == -radius:
         return 1 - fraction

@@ -8,9 +8,8 @@ each colour goes that way is up to the caller.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
+from facepipe.core.arrays import Float32Array
 
 _RINGS = (0.35, 1.0)  # of the width of hollows
 _COMPASS = ((0.0, 1.0), (0.7, 0.7), (1.0, 0.0), (0.7, -0.7))
@@ -18,7 +17,7 @@ _HOLLOW = 0.95  # of the light; how dark the deepest hollow is
 _CELLS = 2.0  # in a standard deviation of the blur: finer detail of its result has no meaning
 
 
-def spread(light: Floats, share: Floats, depth: Floats, width: float, focal: float) -> Floats:
+def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width: float, focal: float) -> Float32Array:
     """(h, w, 3) what scattering adds to diffuse light; negative where it takes some away.
 
     :param light: (h, w, 3) diffuse light, premultiplied by `share`
@@ -40,7 +39,7 @@ def spread(light: Floats, share: Floats, depth: Floats, width: float, focal: flo
     return _enlarged(np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32), cell, light.shape[:2])
 
 
-def smoothed(values: Floats, share: Floats, depth: Floats, focal: float) -> Floats:
+def smoothed(values: Float32Array, share: Float32Array, depth: Float32Array, focal: float) -> Float32Array:
     """(h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth.
 
     :param values: (h, w) premultiplied by `share`, as `depth` is; see `spread`
@@ -49,7 +48,7 @@ def smoothed(values: Floats, share: Floats, depth: Floats, focal: float) -> Floa
     return _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
 
 
-def _blurred(values: Floats, depth: Floats, weights: Floats, width: float) -> Floats:
+def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, width: float) -> Float32Array:
     """(h, w, c) values, the last of which is their share, blurred along rows, then columns, where the depth is alike.
 
     :param weights: of neighbours 0, 1, 2 ... pixels away
@@ -69,11 +68,11 @@ def _blurred(values: Floats, depth: Floats, weights: Floats, width: float) -> Fl
     return _mean(values[..., :-1], values[..., -1:])
 
 
-def _mean(values: Floats, share: Floats) -> Floats:
+def _mean(values: Float32Array, share: Float32Array) -> Float32Array:
     return np.asarray(values / np.where(share > 0, share, 1))
 
 
-def _pooled(values: Floats, cell: int) -> Floats:
+def _pooled(values: Float32Array, cell: int) -> Float32Array:
     """Sums over square cells; those at the far borders may be smaller."""
     rows, columns = (-(-side // cell) for side in values.shape[:2])
     padded = np.zeros((rows * cell, columns * cell, values.shape[2]), np.float32)
@@ -81,7 +80,7 @@ def _pooled(values: Floats, cell: int) -> Floats:
     return np.asarray(padded.reshape(rows, cell, columns, cell, -1).sum(axis=(1, 3)))
 
 
-def _enlarged(values: Floats, cell: int, shape: tuple[int, int]) -> Floats:
+def _enlarged(values: Float32Array, cell: int, shape: tuple[int, int]) -> Float32Array:
     """Cells as pixels (h, w, c) of `shape`, blended between the cells' middles."""
     for axis in (0, 1):
         at = np.clip((np.arange(shape[axis], dtype=np.float32) + 0.5) / cell - 0.5, 0, values.shape[axis] - 1)
@@ -92,7 +91,7 @@ def _enlarged(values: Floats, cell: int, shape: tuple[int, int]) -> Floats:
     return values
 
 
-def open_share(depth: Floats, share: Floats, width: float, focal: float) -> Floats:
+def open_share(depth: Float32Array, share: Float32Array, width: float, focal: float) -> Float32Array:
     """(h, w) share of soft light that reaches places between nearer ones: eyes under lids, lips on each other.
 
     Pairs of opposite neighbours rise above a place only where it lies in a hollow, however the surface is inclined.
@@ -113,7 +112,7 @@ def open_share(depth: Floats, share: Floats, width: float, focal: float) -> Floa
     return np.asarray(1 - _HOLLOW * hidden, np.float32)
 
 
-def _moved(values: Floats, down: int, right: int) -> Floats:
+def _moved(values: Float32Array, down: int, right: int) -> Float32Array:
     """(h, w) of each pixel the value `down` and `right` of it, at the borders the nearest one."""
     rows = np.clip(np.arange(values.shape[0]) + down, 0, values.shape[0] - 1)
     columns = np.clip(np.arange(values.shape[1]) + right, 0, values.shape[1] - 1)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.geometry.vectors import transformed
@@ -79,7 +78,7 @@ class Scene:
                 solid[cards] = self._mean(opacity, self.uv_corners(opacity.uv_set)[cards]) > _DENSE
         return self.triangles[solid]
 
-    def _mean(self, opacity: TextureInput, corners: npt.NDArray[np.float32]) -> FloatArray:
+    def _mean(self, opacity: TextureInput, corners: Float32Array) -> FloatArray:
         """(k,) mean of a texture over triangles with texture coordinates (k, 3, 2): a look at its coarser levels."""
         (u1, v1), (u2, v2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
         size = np.sqrt(np.abs(u1 * v2 - u2 * v1) / 2)
@@ -102,7 +101,7 @@ class Scene:
         first, second, third = (self.points[corner] for corner in self.triangles.T)
         return np.cross(second - first, third - first)
 
-    def uv_corners(self, name: str) -> npt.NDArray[np.float32]:
+    def uv_corners(self, name: str) -> Float32Array:
         """(t, 3, 2) texture coordinates of a UV set at the triangles' corners; NaN where the mesh lacks it."""
         corners = np.full((len(self.triangles), 3, 2), np.nan, np.float32)
         for number, surface in enumerate(self.surfaces):

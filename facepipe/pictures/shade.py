@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
 from facepipe.geometry.rasterise import barycentrics, interpolated
 from facepipe.pictures.camera import Camera
@@ -86,7 +85,7 @@ class Shader:
         return np.asarray(np.einsum("tc,tc->t", self.scene.facets, self.camera.eye - first) > 0)
 
     @cached_property
-    def unit_facets(self) -> npt.NDArray[np.float32]:
+    def unit_facets(self) -> Float32Array:
         """(t, 3) unit vectors across the triangles."""
         return _unit(self.scene.facets).astype(np.float32)
 
@@ -96,7 +95,7 @@ class Shader:
         return Materials(self.scene, self.camera)
 
     @cached_property
-    def point_values(self) -> npt.NDArray[np.float32]:
+    def point_values(self) -> Float32Array:
         """(n, 10 + 2 c) what is interpolated: camera position, normal, own colour, heat value, light on either side."""
         scene = self.scene
         colors: FloatArray = np.ones((len(scene.points), 3))

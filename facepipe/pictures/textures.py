@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import AnyArray, ByteArray, Float32Array, FloatArray
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.parts import Texture, TextureInput
 
-Pixels = npt.NDArray[np.float32]
-
 CHANNELS = {"rgb": slice(0, 3), "r": slice(0, 1), "g": slice(1, 2), "b": slice(2, 3), "a": slice(3, 4)}
 
 
-_DATA: Pixels = (np.arange(256) / 255.0).astype(np.float32)
-_SRGB: Pixels = from_srgb(_DATA.astype(np.float64)).astype(np.float32)
+_DATA: Float32Array = (np.arange(256) / 255.0).astype(np.float32)
+_SRGB: Float32Array = from_srgb(_DATA.astype(np.float64)).astype(np.float32)
 
 
-def decode(texture: Texture, largest: int) -> npt.NDArray[np.uint8]:
+def decode(texture: Texture, largest: int) -> ByteArray:
     """(h, w, 4) pixels of a texture, top row first, halved until no side is above `largest`.
 
     :raises InputError: the bytes are not an image that can be read
@@ -42,7 +39,7 @@ class TextureCache:
 
     def sample(
         self, source: TextureInput, uv: FloatArray, footprint: FloatArray, *, color: bool = True
-    ) -> tuple[Pixels, Pixels]:
+    ) -> tuple[Float32Array, Float32Array]:
         """Values (m, 3) or (m, 1) at UVs (m, 2), ``texel[channels] * scale + bias``; texels that a pixel spans (m,).
 
         :param footprint: (m,) length in UV space that a pixel of the picture spans
@@ -61,7 +58,7 @@ class TextureCache:
         return values, texels
 
 
-def _halved(pixels: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
+def _halved(pixels: ByteArray) -> list[ByteArray]:
     """An image (h, w, 4) and ever smaller ones, down to one pixel a side."""
     from PIL import Image
 
@@ -73,12 +70,12 @@ def _halved(pixels: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
 
 
 def bilinear(
-    pixels: npt.NDArray[Any],
+    pixels: AnyArray,
     uv: FloatArray,
     wrap_s: str = "repeat",
     wrap_t: str = "repeat",
-    table: Pixels | None = None,
-) -> Pixels:
+    table: Float32Array | None = None,
+) -> Float32Array:
     """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up.
 
     :param table: what 8-bit pixels stand for; None: themselves

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import ByteArray, FloatArray, IntArray
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.rasterise import NEAR, rasterise, screen_triangles
 from facepipe.parts import FaceParts
@@ -68,7 +67,7 @@ def _farthest_nearby(nearness: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
 
 
-def _draw(cover: npt.NDArray[np.uint8], farthest: FloatArray, ends: FloatArray) -> None:
+def _draw(cover: ByteArray, farthest: FloatArray, ends: FloatArray) -> None:
     """Set the samples along edges (e, 2, 3) where nothing is nearer."""
     height, width = cover.shape
     low, high = ends[..., :2].min(axis=1), ends[..., :2].max(axis=1)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import BoolArray, IntArray
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
 from facepipe.declare import check_ranges, option
@@ -33,7 +32,7 @@ class CleanedScan:
     """A mended scan with normals."""
 
     scan: Scan  # normals are there always
-    border: npt.NDArray[np.bool_]  # (n,) points beside a hole or the scan's end; all False in clouds
+    border: BoolArray  # (n,) points beside a hole or the scan's end; all False in clouds
     component: IntArray  # (n,) connected piece of each point, the largest 0; all 0 in clouds
     report: CleanScanReport
 

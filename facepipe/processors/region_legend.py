@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import ByteArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
 
@@ -63,7 +63,7 @@ class RegionLegend:
         return tuple(dict.fromkeys([*names, *([self.outside] if self.outside else []), *self.meshes.values()]))
 
     @property
-    def color_array(self) -> npt.NDArray[np.uint8]:
+    def color_array(self) -> ByteArray:
         """(k, 3) its colours."""
         return np.array([color for color, _ in self.colors], dtype=np.uint8).reshape(-1, 3)
 

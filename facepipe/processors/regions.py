@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names, identifier, select, unknown
 from facepipe.core.reports import Report, table
 from facepipe.geometry.map_sampling import MapSampling
-from facepipe.geometry.region_map import Image8, region_masks
+from facepipe.geometry.region_map import region_masks
 from facepipe.parts import Mesh, UvSet
 from facepipe.processors.landmarks import mesh_of
 from facepipe.processors.region_legend import RegionLegend
@@ -68,7 +68,7 @@ class SetRegions:
     :param uv_set: the UV set that it was painted over; default ``st``, or a mesh's first
     """
 
-    image: Image8
+    image: ByteArray
     legend: RegionLegend
     mesh: str | None = None
     uv_set: str | None = None

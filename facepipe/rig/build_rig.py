@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import Blendshape, FaceParts, Mesh
@@ -48,7 +48,7 @@ def build(parts: FaceParts) -> Rig:
     )
 
 
-def _dual(parts: FaceParts) -> npt.NDArray[np.bool_] | None:
+def _dual(parts: FaceParts) -> BoolArray | None:
     """(n,) which points are skinned by dual quaternions; None where none is."""
     by_mesh = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
     return np.repeat(by_mesh, [len(mesh.points) for mesh in parts.meshes]) if any(by_mesh) else None

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.rig.activation import Curve
@@ -57,7 +56,7 @@ class Rig:
     inverse_bind: FloatArray  # (j, 4, 4)
     parent_world: FloatArray  # (4, 4) skeleton space -> world, what roots hang under by default
     influences: sparse.csr_array  # (n, j + 1) weights
-    dual: npt.NDArray[np.bool_] | None = None  # (n,) points skinned by dual quaternions, others linearly; None: none
+    dual: BoolArray | None = None  # (n,) points skinned by dual quaternions, others linearly; None: none
 
     @cached_property
     def deltas(self) -> sparse.csr_array:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 
 _SHEAR_TOLERANCE = 1e-6
 
@@ -18,7 +17,7 @@ class Trs(NamedTuple):
     translation: FloatArray
     rotation: FloatArray
     scale: FloatArray
-    sheared: npt.NDArray[np.bool_]
+    sheared: BoolArray
 
 
 def compose(translations: FloatArray, rotations: FloatArray, scales: FloatArray) -> FloatArray:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.onnx_graph import MAX_BYTES
@@ -49,7 +49,7 @@ def properties(model: Any) -> dict[str, str]:
     return {one.key: one.value for one in model.metadata_props}
 
 
-def array(tensor: Any) -> npt.NDArray[Any]:
+def array(tensor: Any) -> AnyArray:
     """The values of an `onnx.TensorProto`.
 
     :raises InputError: data elsewhere, not as many as its shape says, or NaN

@@ -9,11 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.boxed_qp import solve_boxed
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
@@ -199,7 +198,7 @@ class LandmarkFit:
         upper = replace(state, shares=0 * state.shares + 1, expressions=0 * state.expressions + 1, poses=free)
         return lower.vector(), upper.vector()
 
-    def _pose_numbers(self, state: State) -> npt.NDArray[np.bool_]:
+    def _pose_numbers(self, state: State) -> BoolArray:
         zero = replace(state, shares=0 * state.shares, expressions=0 * state.expressions, poses=0 * state.poses + 1)
         return np.asarray(zero.vector() == 1)
 

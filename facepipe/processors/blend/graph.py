@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.gradient_system import Bridges, joint_bridges, part_bridges
@@ -29,7 +28,7 @@ class Graph:
     edge_weights: FloatArray  # (e,)
     triangles: IntArray  # (t, 3)
     component: IntArray  # (n,) number of the connected component
-    main: npt.NDArray[np.bool_]  # (n,) points of the component that holds the anchor
+    main: BoolArray  # (n,) points of the component that holds the anchor
     anchor: int
     bridges: Bridges  # loose points -> points of the main component
     joint_bridges: Bridges  # joints -> points

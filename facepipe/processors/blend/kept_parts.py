@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.names import select
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
@@ -42,7 +41,7 @@ class KeptParts:
         shape = mix(part_shares[self.part], self.shapes)
         return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
 
-    def rigid_in(self, sculpt: Sculpt, moving: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    def rigid_in(self, sculpt: Sculpt, moving: BoolArray) -> BoolArray:
         """(p,) points of the parts that move by similarities in all sources, all but a few points on an axis."""
         if not len(self.points):
             return np.zeros(0, dtype=bool)
@@ -66,8 +65,8 @@ class KeptParts:
         self,
         neutral: FloatArray,
         offsets: FloatArray,
-        rigid: npt.NDArray[np.bool_],
-        moving: npt.NDArray[np.bool_],
+        rigid: BoolArray,
+        moving: BoolArray,
     ) -> None:
         """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's.
 

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.reports import Report, table
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.polygons import triangle_normals, turned_triangles
@@ -116,9 +115,7 @@ def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuali
     )
 
 
-def _flipped(
-    session: BlendSession, solution: Solution, number: int, moving: npt.NDArray[np.bool_], offsets: FloatArray
-) -> int:
+def _flipped(session: BlendSession, solution: Solution, number: int, moving: BoolArray, offsets: FloatArray) -> int:
     """Triangles that the shape turns over, beyond what it does in the sources."""
     triangles = session.graph.triangles
     touched = triangles[moving[triangles].any(axis=1)]

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import TopologyError
@@ -196,7 +195,7 @@ def _sorted(joints: IntArray, weights: FloatArray, width: int) -> tuple[IntArray
     return np.where(weights > 0, joints, 0).astype(np.int32), weights
 
 
-def _agreed(sources: Sequence[tuple[IntArray, FloatArray]]) -> npt.NDArray[np.bool_]:
+def _agreed(sources: Sequence[tuple[IntArray, FloatArray]]) -> BoolArray:
     """(n,) whether all have the same influences, in float32."""
     joints, weights = sources[0]
     same = np.ones(len(joints), dtype=bool)

@@ -16,13 +16,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_values, read_bytes
-
-Array = npt.NDArray[Any]
 
 MAX_BYTES = 1 << 34  # of a file
 _MAX_HEADER = 1 << 26
@@ -36,11 +34,11 @@ _LARGEST = 1e12  # of a number: squares of some stay finite in float32
 class Content(NamedTuple):
     """What is in a file."""
 
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, AnyArray]
     content: dict[str, Any]  # the JSON
 
 
-def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> None:
     """Write a file atomically: the same arrays and content are the same bytes.
 
     :param kind: the format, with its version
@@ -59,7 +57,7 @@ def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapp
             file.write(array.reshape(-1).data)
 
 
-def _header(kind: str, content: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
+def _header(kind: str, content: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> bytes:
     places: dict[str, Any] = {"__metadata__": {"content": _json(content), "format": kind, "sha256": _NO_SUM}}
     end = 0
     for name, array in arrays.items():
@@ -75,7 +73,7 @@ def _json(value: Mapping[str, Any]) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _stored(where: str, array: Array) -> Array:
+def _stored(where: str, array: AnyArray) -> AnyArray:
     kind = {"f": "<f8", "i": "<i4"}[array.dtype.kind] if array.dtype != np.float32 else "<f4"
     found = np.ascontiguousarray(array, dtype=kind)
     _check_numbers(where, found)
@@ -133,8 +131,8 @@ def _check_sum(path: Path, data: bytes, expected: object) -> None:
         raise InputError(path, "is damaged: its bytes don't have the sum that it states")
 
 
-def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str, Array]:
-    arrays: dict[str, Array] = {}
+def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str, AnyArray]:
+    arrays: dict[str, AnyArray] = {}
     end = 0
     for name in sorted(places):
         place, where = places[name], f"{path} -> {name}"
@@ -155,7 +153,7 @@ def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str
     return arrays
 
 
-def _check_numbers(where: str, array: Array) -> None:
+def _check_numbers(where: str, array: AnyArray) -> None:
     if array.dtype.kind != "f":
         return
     flat = array.reshape(-1)

@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core import __version__
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
@@ -248,7 +247,7 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
     return Made(made, _removal_warnings(database, entries, made))
 
 
-def _staying(database: FaceDatabase, names: Sequence[str], where: str) -> npt.NDArray[np.bool_]:
+def _staying(database: FaceDatabase, names: Sequence[str], where: str) -> BoolArray:
     """(m,) entries that stay."""
     known = [entry.name for entry in database.entries]
     for number, name in enumerate(names):
@@ -263,7 +262,7 @@ def _staying(database: FaceDatabase, names: Sequence[str], where: str) -> npt.ND
 
 
 def _model_of_those(
-    database: FaceDatabase, stays: npt.NDArray[np.bool_], identity: IdentityModel, neutrals: FloatArray
+    database: FaceDatabase, stays: BoolArray, identity: IdentityModel, neutrals: FloatArray
 ) -> ExpressionModel | None:
     """The expressions of those who stay, in what of the basis they need."""
     if database.expressions is None:

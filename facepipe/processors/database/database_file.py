@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json, json_value
 from facepipe.geometry.expression_model import ExpressionModel
@@ -20,7 +20,6 @@ from facepipe.processors.database.face_database import REMOVE, Entry, FaceDataba
 from facepipe.processors.database.options import quality_from
 from facepipe.processors.database.whole_faces import Topology
 
-Array = npt.NDArray[Any]
 _Value = TypeVar("_Value")
 
 SUFFIX = ".fpdb"
@@ -96,10 +95,10 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _arrays_of(database: FaceDatabase) -> dict[str, Array]:
+def _arrays_of(database: FaceDatabase) -> dict[str, AnyArray]:
     """Array name -> array: what is as large as points in float32, the rest in float64."""
     identity, model = database.identity, database.expressions
-    arrays: dict[str, Array] = {
+    arrays: dict[str, AnyArray] = {
         "identity/mean": identity.mean.astype(np.float32),
         "identity/components": identity.components.astype(np.float32),
         "identity/deviations": identity.deviations,
@@ -154,10 +153,10 @@ def _expressions(reader: _Reader, header: _Header, identity: IdentityModel) -> E
 class _Reader:
     """Arrays by name, whose sizes agree."""
 
-    def __init__(self, path: Path, arrays: Mapping[str, Array], sizes: dict[str, int]) -> None:
+    def __init__(self, path: Path, arrays: Mapping[str, AnyArray], sizes: dict[str, int]) -> None:
         self.path, self._arrays, self.sizes = path, arrays, sizes
 
-    def get(self, name: str, kind: str, *shape: str | int) -> Array:
+    def get(self, name: str, kind: str, *shape: str | int) -> AnyArray:
         """:raises InputError: no such array, or one of another kind or shape; a size met first holds for all"""
         where = f"{self.path} -> {name}"
         if name not in self._arrays:

@@ -9,9 +9,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
@@ -144,7 +143,7 @@ def _spaces(parts: FaceParts, rig: NeuralRig) -> list[FloatArray]:
     ]
 
 
-def _kept(rig: NeuralRig, tolerance: float) -> tuple[NeuralRig, FloatArray, npt.NDArray[np.bool_]]:
+def _kept(rig: NeuralRig, tolerance: float) -> tuple[NeuralRig, FloatArray, BoolArray]:
     """The rig with the shapes that move some point, (r,) their largest activations, and (r, n) whether they move it."""
     scales = output_reach(rig)[: len(rig.shapes)]
     moved = _moves(rig, scales) > tolerance

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
 from facepipe.processors.neural_rig.motion import Motion
-
-Array = npt.NDArray[Any]
 
 KIND = "facepipe neural rig training 2"
 _NAMES = ("numbers", "random")
@@ -39,7 +37,7 @@ class Checkpoint:
             digest.update(b"" if array is None else np.ascontiguousarray(array).data)
         return cls(path=path, part=part, key=digest.hexdigest())
 
-    def state(self) -> Mapping[str, Array] | None:
+    def state(self) -> Mapping[str, AnyArray] | None:
         """What was kept last; None where nothing was yet.
 
         :raises InputError: a damaged file, or one of other frames or options
@@ -58,7 +56,7 @@ class Checkpoint:
             raise InputError(self.path, f"lacks {prefix}{lacking[0]}, expected a training")
         return arrays
 
-    def keep(self, state: Mapping[str, Array]) -> None:
+    def keep(self, state: Mapping[str, AnyArray]) -> None:
         """Write, whole or not at all; the other parts stay as they are."""
         file, prefix = self._file(), f"{self.part}."
         others = {name: one for name, one in file.arrays.items() if not name.startswith(prefix)}

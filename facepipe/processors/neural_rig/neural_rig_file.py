@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import sparse
 
+from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json
 from facepipe.processors.database.array_file import Content, read_arrays, write_arrays
@@ -153,7 +153,7 @@ def _check_sizes(path: Path, rig: NeuralRig) -> None:
         raise InputError(f"{path} -> channels", f"a channel of no joint, expected 9 of each of {joints}")
 
 
-def _encoder_arrays(encoder: NeuralEncoder) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+def _encoder_arrays(encoder: NeuralEncoder) -> tuple[dict[str, Any], dict[str, AnyArray]]:
     """JSON, and arrays of float32 and int32 whose names begin with ``encoder.``."""
     content = {
         "controls": [dataclasses.asdict(control) for control in encoder.controls],

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
@@ -121,7 +121,7 @@ def _check_times(
     sampled: Codes,
     codes: Codes,
     moving: Codes,
-    points: Sequence[tuple[str, npt.NDArray[np.bool_]]],
+    points: Sequence[tuple[str, BoolArray]],
 ) -> None:
     """:param codes: (f,) of controls and points
     :param moving: those at which points are sampled

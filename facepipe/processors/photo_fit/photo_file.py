@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import Float32Array
 from facepipe.core.errors import InputError
 from facepipe.core.images import decoding, open_image
 from facepipe.core.reading import read_bytes
@@ -51,7 +51,7 @@ def expanded(image: Image, where: str) -> Image:
     return result
 
 
-def srgb(image: Image, notes: list[str]) -> npt.NDArray[np.float32]:
+def srgb(image: Image, notes: list[str]) -> Float32Array:
     """(h, w, 3) sRGB 0..1 of a picture that `expanded` gave, over the backdrop where it is transparent."""
     colors = np.asarray(_rgb(image, notes), dtype=np.float32) / np.float32(255)
     if "A" in image.mode and image.mode != "LAB":
@@ -92,7 +92,7 @@ class Photo:
     Places in it count from the top left corner, x right and y down; the first pixel's centre is (0.5, 0.5).
     """
 
-    pixels: npt.NDArray[np.float32]  # (h, w, 3) sRGB 0..1, upright, top row first
+    pixels: Float32Array  # (h, w, 3) sRGB 0..1, upright, top row first
     path: Path  # the file
     size: tuple[int, int]  # width and height of the file's picture, upright
     scale: float = 1.0  # from pixels of the file's picture to these

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import Registered, RegistrationOptions, ScanTarget
 from facepipe.geometry.similarity import Similarity
@@ -56,7 +55,7 @@ def unit_of(mm_per_unit: float) -> str | None:
     return None
 
 
-def scan_fit(scan: str, registered: Registered, face: npt.NDArray[np.bool_], names: tuple[str, ...]) -> ScanFit:
+def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[str, ...]) -> ScanFit:
     """What to report of a registration.
 
     :param face: (m,) points of the face area

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.geometry.similarity import Similarity
@@ -20,8 +19,6 @@ from facepipe.processors.rebuild.refine_neutral import RefineReport
 from facepipe.processors.rebuild.register_scans import Composite, CompositeReport, NeutralScan
 from facepipe.processors.rebuild.split_expressions import SplitReport
 from facepipe.records import ArrayReader, from_json
-
-Array = npt.NDArray[Any]
 
 _MORE = ("together",)  # of a report of all scans together
 
@@ -36,7 +33,7 @@ class Kept:
     place: bool = False
     report: type[Report] | None = None
 
-    def check(self, arrays: Mapping[str, Array], content: Mapping[str, Any], count: int) -> None:
+    def check(self, arrays: Mapping[str, AnyArray], content: Mapping[str, Any], count: int) -> None:
         """:param count: points of the template
         :raises InputError: something else
         """
@@ -123,7 +120,7 @@ def shape_arrays(shapes: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     return {f"shape/{name}": np.asarray(delta, np.float32) for name, delta in shapes.items()}
 
 
-def shapes_of(arrays: Mapping[str, npt.NDArray[Any]], names: list[str]) -> dict[str, FloatArray]:
+def shapes_of(arrays: Mapping[str, AnyArray], names: list[str]) -> dict[str, FloatArray]:
     """The shapes back, in the order of `names`."""
     return {name: np.asarray(arrays[f"shape/{name}"], np.float64) for name in names}
 

@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core import __version__
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
 from facepipe.core.trust import check_writable
@@ -36,8 +35,6 @@ from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 from facepipe.stage.recipes import source_digest
 
-Array = npt.NDArray[Any]
-
 CORRECTIONS = "corrections"
 KIND = "facepipe rebuild stage 1"
 _SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
@@ -47,7 +44,7 @@ _SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
 class StepResult:
     """What one step found."""
 
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, AnyArray]
     content: Mapping[str, Any]  # JSON: report, weights, place
     reused: bool  # it was there, of the same inputs
 
@@ -66,8 +63,8 @@ class WorkFolder:
         self,
         name: str,
         inputs: Mapping[str, Any],
-        compute: Callable[[], tuple[Mapping[str, Array], Mapping[str, Any]]],
-        check: Callable[[Mapping[str, Array], Mapping[str, Any]], object] = lambda arrays, content: None,
+        compute: Callable[[], tuple[Mapping[str, AnyArray], Mapping[str, Any]]],
+        check: Callable[[Mapping[str, AnyArray], Mapping[str, Any]], object] = lambda arrays, content: None,
     ) -> StepResult:
         """The result of a step: the one that is there where it came from the same `inputs`, otherwise a new one.
 
@@ -119,7 +116,7 @@ class WorkFolder:
         return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files)
 
     def _read(
-        self, path: Path, key: str, check: Callable[[Mapping[str, Array], Mapping[str, Any]], object]
+        self, path: Path, key: str, check: Callable[[Mapping[str, AnyArray], Mapping[str, Any]], object]
     ) -> StepResult | None:
         if not path.is_file():
             return None
@@ -140,7 +137,7 @@ def _step_key(inputs: Mapping[str, Any]) -> str:
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
-def array_digest(*arrays: Array) -> str:
+def array_digest(*arrays: AnyArray) -> str:
     """``sha256:...`` of arrays of numbers."""
     digest = hashlib.sha256()
     for array in arrays:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
@@ -197,7 +196,7 @@ def _result(
     return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
 
 
-def _at_end(places: FloatArray, ends: FloatArray, side: float) -> npt.NDArray[np.bool_]:
+def _at_end(places: FloatArray, ends: FloatArray, side: float) -> BoolArray:
     """(68,) landmarks of the jaw where the surface ends."""
     from scipy.spatial import cKDTree
 

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.photos import Photo
 from facepipe.processors.scan_photos.stereo import depth_map, disparities, rectify
@@ -71,7 +70,7 @@ def pixel_rays(camera: PhotoCamera) -> FloatArray:
     return np.column_stack([flat, np.ones(len(flat))])
 
 
-def _usable(photo: Photo, texture: float) -> npt.NDArray[np.bool_]:
+def _usable(photo: Photo, texture: float) -> BoolArray:
     """(h, w) what the mask shows, without plain places: there the matcher only goes on with what is around.
 
     A place beside a plain one is no place either, or surfaces would grow into the backdrop by a strip.

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from facepipe.core.arrays import BoolArray, ByteArray
 from facepipe.core.errors import InputError
 from facepipe.core.images import decoding, open_image
 from facepipe.core.reading import read_bytes
@@ -31,10 +31,10 @@ class Photo:
     """One photo as it is used."""
 
     name: str  # of its file
-    pixels: npt.NDArray[np.uint8]  # (h, w, 3) sRGB, upright
+    pixels: ByteArray  # (h, w, 3) sRGB, upright
     full_size: tuple[int, int]  # width and height of the file's picture, upright
     focal: float | None = None  # pixels of `pixels`, from EXIF
-    mask: npt.NDArray[np.bool_] | None = None  # (h, w) what shows the person
+    mask: BoolArray | None = None  # (h, w) what shows the person
 
     @property
     def width(self) -> int:
@@ -121,7 +121,7 @@ def _film_focal(image: Image) -> float | None:
     return value if math.isfinite(value) and _FOCALS[0] <= value <= _FOCALS[1] else None
 
 
-def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> npt.NDArray[np.bool_]:
+def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> BoolArray:
     names = (file.name, f"{file.stem}.png", f"{file.name}.png")
     mask_file = next((masks / name for name in names if (masks / name).is_file()), None)
     if mask_file is None:

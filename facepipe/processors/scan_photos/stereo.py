@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import ByteArray, FloatArray
 from facepipe.processors.scan_photos.cameras import PhotoCamera
-
-Pixels = npt.NDArray[np.uint8]
 
 _MARGIN = 0.15  # of what the matched points span, added on every side
 _STEP = 16  # numbers of disparities that the matcher takes
@@ -36,7 +34,7 @@ class RectifiedView:
         local = rays @ self.turn.T
         return self.focal * local[:, :2] / local[:, 2:] + self.origin, local[:, 2]
 
-    def picture(self, photo: Pixels, size: tuple[int, int]) -> Pixels:
+    def picture(self, photo: ByteArray, size: tuple[int, int]) -> ByteArray:
         """(h, w) or (h, w, c) of a photo (rows, columns) or with channels; black beyond its borders."""
         import cv2
 
@@ -130,7 +128,7 @@ def _span(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low - _MARGIN * (high - low), high + _MARGIN * (high - low)
 
 
-def disparities(pair: RectifiedPair, left: Pixels, right: Pixels) -> tuple[FloatArray, FloatArray]:
+def disparities(pair: RectifiedPair, left: ByteArray, right: ByteArray) -> tuple[FloatArray, FloatArray]:
     """(h, w) disparities of the left and of the right photo's pixels; NaN where the two ways don't agree.
 
     Hirschmüller, "Stereo processing by semiglobal matching and mutual information", PAMI 2008.
@@ -145,7 +143,7 @@ def disparities(pair: RectifiedPair, left: Pixels, right: Pixels) -> tuple[Float
     return _agreeing(from_left, from_right, columns, -1), _agreeing(from_right, from_left, columns, 1)
 
 
-def _matched(a: Pixels, b: Pixels, pair: RectifiedPair) -> FloatArray:
+def _matched(a: ByteArray, b: ByteArray, pair: RectifiedPair) -> FloatArray:
     """(h, w) disparities of `a`; NaN where no match is found."""
     import cv2
 

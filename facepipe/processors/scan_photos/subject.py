@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos.cameras import PhotoCamera
@@ -28,7 +27,7 @@ class Subject:
     center: FloatArray  # (3,)
     radius: float
 
-    def holds(self, points: FloatArray) -> npt.NDArray[np.bool_]:
+    def holds(self, points: FloatArray) -> BoolArray:
         """(n,) which points are in it."""
         return np.asarray(np.linalg.norm(points - self.center, axis=1) <= self.radius)
 

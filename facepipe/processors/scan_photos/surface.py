@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import components, edges, point_normals
@@ -48,7 +47,7 @@ class Cloud:
     colors: FloatArray  # (n, 3) linear 0..1
     spacing: float  # distance of the points, scan units
 
-    def only(self, kept: npt.NDArray[np.bool_]) -> Cloud:
+    def only(self, kept: BoolArray) -> Cloud:
         """The points marked in `kept` (n,)."""
         arrays = {one.name: getattr(self, one.name)[kept] for one in fields(self) if one.name != "spacing"}
         return Cloud(spacing=self.spacing, **arrays)

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import ByteArray, FloatArray
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.features.crops import face_crop, sample_crop, to_crop
 from facepipe.learn.photo.amortised.network import MEAN, SIZE, STD
@@ -68,7 +67,7 @@ class Truth:
 class Picture:
     """The head in a photo, in few bytes."""
 
-    pixels: npt.NDArray[np.uint8]  # (h, w, 3) sRGB
+    pixels: ByteArray  # (h, w, 3) sRGB
     left: int  # as `WorkingPhoto`
     top: int
     step: int
