@@ -12,7 +12,7 @@ _STEPS = 60
 _SETTLED = 1e-12  # of the largest slope at the start
 _ARMIJO = 1e-4
 _TIGHT = 1e-6  # of a step: room for less is none
-_FEW = 16  # of so many variables one may be held for the factor of all to serve
+_FEW = 16  # of this many variables one may be held for the factor of all to serve
 
 
 @dataclass(frozen=True)

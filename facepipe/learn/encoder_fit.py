@@ -139,7 +139,7 @@ class EncoderDescent:
         return {**state_of(self._network.learned, self._kept, self._optimiser, self._random), "numbers": numbers}
 
     def go_on(self, state: Mapping[str, AnyArray]) -> None:
-        """Be as `state` says.
+        """Take over a state.
 
         :raises KeyError, RuntimeError, ValueError: the state of another network
         """

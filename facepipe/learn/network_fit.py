@@ -169,7 +169,7 @@ class Descent:
         return found | {"numbers": numbers, "curve": self.curve}
 
     def go_on(self, state: Mapping[str, AnyArray]) -> None:
-        """Be as `state` says.
+        """Take over a state.
 
         :raises KeyError, RuntimeError, ValueError: the state of another network
         """

@@ -49,7 +49,7 @@ def restore_state(
     random: torch.Generator,
     steps: int,
 ) -> list[Tensor]:
-    """Be as `state_of` said; the best parameters are returned.
+    """Take over what `state_of` gave; the best parameters are returned.
 
     :param steps: that the optimiser had taken
     :raises KeyError, RuntimeError, ValueError: the state of another network

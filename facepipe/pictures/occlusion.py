@@ -119,7 +119,7 @@ def depth_maps(
     at = points @ (axes.T * scale) + origin
     screen = screen_triangles(np.column_stack([at, np.ones(len(at))]).astype(np.float32), triangles)
     nearest, farthest = depths(screen, resolution, resolution)
-    # From the other side, nearness counts down from what it is farthest away.
+    # From the other side, nearness counts down from the farthest.
     most = 2 + scale * (high - low)[2]
     turned = np.where(np.isinf(farthest), np.float32(0), np.float32(most) - farthest)
     return (

@@ -210,7 +210,7 @@ def most_changed(given: ChangedShapes, most: int = _MOST) -> list[str]:
 
 
 def changed_pictures(given: ChangedShapes, names: Sequence[str]) -> tuple[list[Image], tuple[float, float]]:
-    """Each shape at weight 1, painted with its distance from what it was; and the millimetres of the colours' ends.
+    """Each shape at weight 1, painted with its distance from where it was; and the millimetres of the colours' ends.
 
     The scale is one for all: from 0 to a round number that nearly all distances are below.
     """
@@ -235,7 +235,7 @@ def changed_pictures(given: ChangedShapes, names: Sequence[str]) -> tuple[list[I
 
 
 def change_mm(given: ChangedShapes, name: str) -> float:
-    """How far the shape is from what it was where that is furthest, of the points that count."""
+    """The largest distance of the shape from where it was, of the points that count."""
     return float(_distances(given, name)[given.counted].max(initial=0.0))
 
 

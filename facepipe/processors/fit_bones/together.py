@@ -53,7 +53,7 @@ def inverse(normal: FloatArray, variables: Variables) -> FloatArray:
 
 
 def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: int, threshold: float) -> list[Fitted]:
-    """Fits of (K, n, 3) from (m, 9) coefficients, at most so many steps each: not every one need end at an optimum."""
+    """Fits of (K, n, 3) from (m, 9) coefficients, in at most `steps` steps: not every one ends at an optimum."""
     objective, memory = _Objective(shared, targets, start), _Memory(shared.inverse)
     states = objective.at(np.arange(len(targets)), np.tile(shared.variables.reduced(start), (len(targets), 1)))
     ends, taken, slopes = states.x.copy(), np.zeros(len(targets), dtype=np.int64), np.zeros(len(targets))

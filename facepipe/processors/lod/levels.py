@@ -176,7 +176,7 @@ def _places(points: FloatArray, at: FloatArray, graph: Any, level: IntArray, use
 
 
 _SHARES = (0.4, 0.15, 0.05)  # of the face's triangles, where no numbers are given
-_MISSED = 1.05  # a level may have so many times the triangles that were asked for
+_MISSED = 1.05  # a level may have this many times the triangles that were asked for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,7 +40,7 @@ class SampleMotionOptions(_Seeded):
     together: int = option(500, "frames of two or three controls at once", 0, 1e6)
 
     def count(self, controls: int) -> int:
-        """Frames of so many controls."""
+        """The number of frames for a number of controls."""
         return self.spread + self.sweep * controls + self.together
 
 

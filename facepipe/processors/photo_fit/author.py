@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit.photo_file import Photo
 
 _SHOWN = 4  # names of a list
-_MARGIN = 10.0  # the clipping range is so many times wider than the face, each way
+_MARGIN = 10.0  # the clipping range is this many times wider than the face, each way
 _LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the camera
 
 

@@ -41,7 +41,7 @@ _SUFFIXES = frozenset((".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp"
 
 @dataclass(frozen=True, kw_only=True)
 class TrainPhotoReport(Report):
-    """What a network was trained on, and what it is worth."""
+    """What a network was trained on, and how good it is."""
 
     seconds: float
     photos: int  # 0: renders alone

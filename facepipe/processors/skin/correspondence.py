@@ -15,13 +15,13 @@ from facepipe.processors.skin.features import LOWER, UPPER, Eyeball, Slit
 from facepipe.processors.skin.surface import Surface
 
 _SIDE = 0.1  # of a slit's width from the line beside its corners: from there a point is on one side
-_BESIDE = 1.0  # points up to so many widths from a rim look on their own side only
+_BESIDE = 1.0  # points up to this many widths from a rim look on their own side only
 _FACING = 0.0  # cosine between normals from which places match
 _TRIED = 48  # points looked at for one that faces the same way
-_TURNED = 3.0  # a place that faces the same way may be so many times as far
+_TURNED = 3.0  # a place that faces the same way may be this many times as far
 _SMALL = 30.0  # mm: parts up to this size, such as a tooth, are rather rigid
 _RIGID = 0.95  # of all weights on one joint: a part of the source is rigid
-_PREFERRED = 2.5  # they take the nearest rigid part up to so many times as far as the nearest of all; others that alone
+_PREFERRED = 2.5  # they take a rigid part up to this many times as far as the nearest of all; others that alone
 _NEAR = 10.0  # mm: and no farther than this
 _LOOSE = 0.6  # distances from loose parts count so much where others choose: these touch the mouth around them
 _BLEND = 3.0  # mm over which weights of parts blend

@@ -30,7 +30,7 @@ _SMALLEST, _LARGEST = 6.0, 25.0  # mm, radius
 _ROUND = 0.12  # largest rms distance from the ball, of its radius
 _WHOLE = 0.75  # a ball's points reach at least this far around: (farthest apart / diameter)
 _FEWEST = 20  # points
-_INSIDE = 1.25  # other parts of the same mesh up to so many radii from the centre go with the ball
+_INSIDE = 1.25  # other parts of the same mesh up to this many radii from the centre go with the ball
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,11 @@ from facepipe.processors.skin.options import SkinOptions
 from facepipe.processors.skin.skinning import Skinning, skeleton_of
 from facepipe.processors.skin.surface import Surface, size_of
 
-_REACH = 1.5  # a joint in the depth touches the points up to so many times as far as the nearest
-_AS_NEAR = 1.1  # patches up to so many times as far as the nearest one are as near
+_REACH = 1.5  # a joint in the depth touches the points up to this many times as far as the nearest
+_AS_NEAR = 1.1  # patches up to this many times as far as the nearest one are as near
 _POWER = 12  # shares of the nearest joints fall with this power of their distances: ties are shared, no more
 _BLUR = 0.15  # of a slit's width: band beside a corner over which joints and regions of a lip or lid fade out
-_BESIDE = 0.5  # a joint is of a lip or lid up to so many widths of the slit from its rim
+_BESIDE = 0.5  # a joint is of a lip or lid up to this many widths of the slit from its rim
 _RIVALS = 16  # joints, the nearest, that share a point
 _FULL = 0.25  # of its radius: up to there a joint has its full weight
 _LEAST = 1e-6  # mm: a radius below counts as this

@@ -17,7 +17,7 @@ from facepipe.processors.skin.surface import Surface
 _NEAREST = 1.0  # mm: parts that touch the face are smoothed over this length, others over their distance from it
 _SMALL = 0.65  # of the mouth's width: parts up to this size lie above or below the mouth whole
 _BLEND = 3.0  # mm over which larger ones change from upper to lower
-_IN_BALL = 0.5  # a joint up to so many radii from the centre of an eyeball turns it
+_IN_BALL = 0.5  # a joint up to this many radii from the centre of an eyeball turns it
 
 
 def following(surface: Surface, weights: FloatArray) -> FloatArray:

@@ -156,7 +156,7 @@ def random_light(rng: np.random.Generator) -> Tensor:
 
 
 def _way(rng: np.random.Generator, around: float) -> FloatArray:
-    """(3,) unit, to a lamp up to so many degrees to a side of the camera, mostly above it."""
+    """(3,) unit, to a lamp up to this many degrees to a side of the camera, mostly above it."""
     turn, up = np.radians(rng.uniform(-around, around)), np.radians(rng.uniform(-15, 60))
     return np.array([np.sin(turn) * np.cos(up), np.sin(up), np.cos(turn) * np.cos(up)])
 

@@ -197,7 +197,7 @@ def row(found: Output, number: int) -> Output:
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A network, and what it is worth on pictures that it never saw."""
+    """A network, and how good it is on pictures that it never saw."""
 
     network: StartNetwork
     subject: Subject
