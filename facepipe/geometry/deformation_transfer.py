@@ -100,8 +100,8 @@ class Transfer:
         """(n, 3) displacements of the sources, brought to the size of this face."""
         mean = np.zeros_like(self._points)
         for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
-            size = _size(neutral)
-            mean += share * (_size(self._points) / size if size > 0 else 1.0) * (shape - neutral)
+            size = spread(neutral)
+            mean += share * (spread(self._points) / size if size > 0 else 1.0) * (shape - neutral)
         return mean
 
     def _gradients(
@@ -133,7 +133,8 @@ class Transfer:
         return np.asarray((sums / counts[:, None])[self._pieces])
 
 
-def _size(points: FloatArray) -> float:
+def spread(points: FloatArray) -> float:
+    """Root mean square distance of points (n, 3) from their mean."""
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 

@@ -85,19 +85,19 @@ class Studio:
         ambient = samples.carried * samples.inside[:, None]
         seen = ambient / (1 - samples.base * (1 - ambient) * 0.9)
         height = (0.5 + 0.5 * (samples.normals @ samples.up))[:, None]
-        diffuse = seen * (_row(self.ground) * (1 - height) + _row(self.sky) * height)
+        diffuse = seen * (color_row(self.ground) * (1 - height) + color_row(self.sky) * height)
         lit = Lit(diffuse=diffuse, **{name: np.zeros_like(diffuse) for name in ("highlights", *_KEY)})
         for number, light in enumerate(self.lights):
             of_key = number == 0 and self.shadows
             arriving = samples.inside[:, None] * (0.4 + 0.6 * seen) if of_key else seen
             cosine = (samples.normals @ light.unit)[:, None]
-            wrap = _row(light.wrap)
+            wrap = color_row(light.wrap)
             matt = lit.key_diffuse if of_key else lit.diffuse
-            matt += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * _row(light.color)
+            matt += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * color_row(light.color)
             if light.highlight:
                 shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
                 glossy = lit.key_highlights if of_key else lit.highlights
-                glossy += (shine * (arriving @ GREY))[:, None] * _row(light.color)
+                glossy += (shine * (arriving @ GREY))[:, None] * color_row(light.color)
         return lit
 
     def tone(self, color: FloatArray) -> FloatArray:
@@ -118,7 +118,8 @@ EVEN = Studio(
 )
 
 
-def _row(color: Color) -> FloatArray:
+def color_row(color: Color) -> FloatArray:
+    """(3,) the colour as an array of float32."""
     return np.array(color, dtype=np.float32)
 
 

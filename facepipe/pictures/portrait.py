@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.pictures.lighting import GREY, Color, Lit, Samples
+from facepipe.pictures.lighting import GREY, Color, Lit, Samples, color_row
 from facepipe.pictures.occlusion import Sky
 
 _LEAST_FACING = 0.05  # cosine between a normal and the direction to the viewer
@@ -69,7 +69,7 @@ class Portrait:
 
     def carried(self, sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
         """(n, boxes) share of the dome's light that arrives at points, then of each box's but the key's."""
-        weights = [_mixed(GREY @ _row(self.ground), GREY @ _row(self.sky), sky.directions[:, 1])]
+        weights = [_mixed(GREY @ color_row(self.ground), GREY @ color_row(self.sky), sky.directions[:, 1])]
         for box in self.boxes[1:]:
             weights.append(np.maximum(sky.directions @ (box.axes[2] @ axes), 0.0) ** 4 + 1e-4)
         return sky.shares(normals, np.stack(weights, axis=1))
@@ -78,9 +78,9 @@ class Portrait:
         """The light of the dome and of all boxes."""
         shares = samples.carried * samples.inside[:, None]
         hidden = 1 - shares[:, :1]
-        open_sky = 1 - hidden + _row(_BOUNCED) * samples.inside[:, None] * hidden**2
+        open_sky = 1 - hidden + color_row(_BOUNCED) * samples.inside[:, None] * hidden**2
         boxes = [
-            _row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
+            color_row(box.color) * (shares[:, number] if number else samples.inside)[:, None]
             for number, box in enumerate(self.boxes)
         ]
         view = _View(samples)
@@ -125,7 +125,7 @@ class Portrait:
 
     def _dome(self, height: FloatArray) -> FloatArray:
         """(m, 3) light of the dome towards unit vectors of this height (m,)."""
-        return _mixed(_row(self.ground), _row(self.sky), height[:, None])
+        return _mixed(color_row(self.ground), color_row(self.sky), height[:, None])
 
 
 class _View:
@@ -198,10 +198,6 @@ def filmic(color: FloatArray) -> FloatArray:
 
 def _mixed(low: FloatArray, high: FloatArray, height: FloatArray) -> FloatArray:
     return np.asarray(low + (high - low) * (0.5 + 0.5 * height))
-
-
-def _row(color: Color) -> FloatArray:
-    return np.array(color, dtype=np.float32)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

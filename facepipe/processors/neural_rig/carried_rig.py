@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
-from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.geometry.deformation_transfer import Transfer, spread
 from facepipe.parts import FaceParts
 from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
@@ -67,7 +67,7 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         shapes[number] = (transfer.solve(rig.rest[None], there[None]) - rest) / size
     scale = np.ones(len(rig.shapes) + len(rig.channels))
     moves = rig.channels[:, 1] < CHANNELS.index("rx")
-    scale[len(rig.shapes) :][moves] = _size(rest) / _size(rig.rest)
+    scale[len(rig.shapes) :][moves] = spread(rest) / spread(rig.rest)
     scaled = replace(
         rig,
         rest=rest,
@@ -77,7 +77,3 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         last_bias=rig.last_bias * scale,
     )
     return with_basis(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
-
-
-def _size(points: FloatArray) -> float:
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
