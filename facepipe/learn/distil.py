@@ -181,11 +181,11 @@ def _with_gains(slider: Slider, driven: Sequence[Driven], gains: FloatArray) -> 
     """The slider with its straight entries and the further `gains`, each channel and shape once."""
     channels = [(joint, channel, gain) for (joint, channel, gain), curve in channel_entries(slider) if curve is None]
     shapes = [(shape, gain) for (shape, gain), curve in shape_entries(slider) if curve is None]
-    for one, gain in zip(driven, gains.tolist(), strict=True):
-        if gain and one.channel is not None:
-            channels.append((*one.channel, gain))
-        elif gain and one.shape is not None:
-            shapes.append((one.shape, gain))
+    for target, gain in zip(driven, gains.tolist(), strict=True):
+        if gain and target.channel is not None:
+            channels.append((*target.channel, gain))
+        elif gain and target.shape is not None:
+            shapes.append((target.shape, gain))
     by_channel: dict[tuple[str, str], float] = {}
     for joint, channel, gain in channels:
         by_channel[joint, channel] = by_channel.get((joint, channel), 0.0) + gain

@@ -99,11 +99,11 @@ class DifferentiableRig:
         root = self._parent_world if parent_world is None else parent_world
         local = self._rest if coefficients is None else self._rest @ coefficient_matrices(coefficients)
         batch = torch.broadcast_shapes(local.shape[:-3], root.shape[:-2])
-        own = root.expand(*batch, 4, 4)[..., None, :, :]
+        root_matrix = root.expand(*batch, 4, 4)[..., None, :, :]
         if not self.joints:
-            return own
+            return root_matrix
         skinning = self._worlds(local, root) @ self._inverse_bind
-        return torch.cat([skinning, own], dim=-3)
+        return torch.cat([skinning, root_matrix], dim=-3)
 
     def skin(self, points: Tensor, matrices: Tensor) -> Tensor:
         """(..., n, 3) world points of morphed points under (..., j + 1, 4, 4) skinning matrices."""

@@ -174,11 +174,11 @@ def _held(
     basis = model.basis if model else no_basis(facts[0].topology.point_count)
     rows = [] if model is None else list(model.deltas[:, [model.names.index(name) for name in names]])
     errors: list[StoredError | None] = []
-    for source, one in zip(sources, facts, strict=True):
-        if one.shapes:
+    for source, face_facts in zip(sources, facts, strict=True):
+        if face_facts.shapes:
             face = source()
             held = hold(
-                basis, np.array([face.deltas[name] for name in names]).reshape(-1, *one.points.shape), tolerance
+                basis, np.array([face.deltas[name] for name in names]).reshape(-1, *face_facts.points.shape), tolerance
             )
             basis = held.basis
             rows.append(held.coefficients)

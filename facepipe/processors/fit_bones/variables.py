@@ -126,15 +126,15 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     axes = rig.joint_worlds(rig.rest)[:, :3, :3]
     partners, single = _partners(rig), []
     for joint in np.flatnonzero(tied):
-        other = partners[joint]
-        if other is None or not tied[other]:
+        partner = partners[joint]
+        if partner is None or not tied[partner]:
             single.append(rig.joints[joint])
             continue
-        if other < joint:
+        if partner < joint:
             continue  # the other way round
-        flips = _flips(axes[joint], axes[other], f"{rig.name} -> {rig.joints[joint]}", rig.joints[other])
-        followers = slice(9 * other, 9 * other + 9)
-        if other == joint:
+        flips = _flips(axes[joint], axes[partner], f"{rig.name} -> {rig.joints[joint]}", rig.joints[partner])
+        followers = slice(9 * partner, 9 * partner + 9)
+        if partner == joint:
             still[followers] = flips < 0
         else:
             leaders[followers], signs[followers] = 9 * joint + np.arange(9), flips

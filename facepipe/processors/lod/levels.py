@@ -92,28 +92,28 @@ class FullFace:
         for name in self._rig.shapes:
             posed = self._rig.evaluate({name: 1.0})
             moved = self._moves(posed)
-            for number, (one, at) in enumerate(zip(places, rest, strict=True)):
-                off = self._off(one, posed, posed + (at - self._rest))
-                shapes[number][name] = _distances(off[moved[one.rows]])
-                skin[number][name] = _distances(off[(moved & self._skin)[one.rows]])
+            for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
+                off = self._off(placed, posed, posed + (at - self._rest))
+                shapes[number][name] = _distances(off[moved[placed.rows]])
+                skin[number][name] = _distances(off[(moved & self._skin)[placed.rows]])
             step()
         for name, coefficients in self._turns():
             posed = self._rig.evaluate(coefficients=coefficients)
             moved = self._moves(posed)
-            for number, (one, rig) in enumerate(zip(places, rigs, strict=True)):
-                off = self._off(one, posed, rig.evaluate(coefficients=coefficients))
-                joints[number][name] = _distances(off[moved[one.rows]])
+            for number, (placed, rig) in enumerate(zip(places, rigs, strict=True)):
+                off = self._off(placed, posed, rig.evaluate(coefficients=coefficients))
+                joints[number][name] = _distances(off[moved[placed.rows]])
             step()
         measured = []
-        for number, (one, at) in enumerate(zip(places, rest, strict=True)):
+        for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
             measured.append(
                 LevelErrors(
-                    rest=_distances(self._off(one, self._rest, at)),
+                    rest=_distances(self._off(placed, self._rest, at)),
                     shapes=shapes[number],
                     skin_shapes=skin[number],
                     joints=joints[number],
-                    cards=self._cards(one, at, levels[number][0]),
-                    lost=self._lost(one),
+                    cards=self._cards(placed, at, levels[number][0]),
+                    lost=self._lost(placed),
                 )
             )
         return measured

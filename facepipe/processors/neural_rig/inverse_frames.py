@@ -238,12 +238,12 @@ def _nearest_good(again: IntArray, count: int) -> IntArray:
     return np.asarray(good[np.abs(good[None, :] - again[:, None]).argmin(axis=1)])
 
 
-def _better(found: Settled, other: Settled, rows: IntArray) -> Settled:
+def _better(before: Settled, again: Settled, rows: IntArray) -> Settled:
     """Some frames replaced where the other is better; steps of both count."""
-    x, cost, steps = found.x.copy(), found.cost.copy(), found.steps.copy()
-    better = other.cost < cost[rows]
-    x[rows[better]], cost[rows[better]] = other.x[better], other.cost[better]
-    steps[rows] += other.steps
+    x, cost, steps = before.x.copy(), before.cost.copy(), before.steps.copy()
+    better = again.cost < cost[rows]
+    x[rows[better]], cost[rows[better]] = again.x[better], again.cost[better]
+    steps[rows] += again.steps
     return Settled(x=x, cost=cost, steps=steps)
 
 

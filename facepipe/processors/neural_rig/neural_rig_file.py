@@ -260,10 +260,11 @@ def _controls_from(content: object, where: str) -> tuple[Control, ...]:
     controls = tuple(  # numpy makes objects of whole numbers beyond 64 bits
         replace(one, minimum=float(one.minimum), maximum=float(one.maximum), default=float(one.default)) for one in read
     )
-    for one in controls:
-        if not one.minimum <= one.default <= one.maximum or one.minimum == one.maximum:
-            what = f"from {one.minimum:g} to {one.maximum:g}, expected a range with its default, {one.default:g}, in it"
-            raise InputError(f"{where} -> {one.name[:80]}", what)
+    for control in controls:
+        if not control.minimum <= control.default <= control.maximum or control.minimum == control.maximum:
+            expected = f"expected a range with its default, {control.default:g}, in it"
+            what = f"from {control.minimum:g} to {control.maximum:g}, {expected}"
+            raise InputError(f"{where} -> {control.name[:80]}", what)
     if len({one.name for one in controls}) != len(controls):
         raise InputError(where, "a name twice, expected each once")
     return controls

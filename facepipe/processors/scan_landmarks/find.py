@@ -138,18 +138,18 @@ class _Search:
         part = part_look(self.look, np.linalg.norm(self.look.points - frame.middle, axis=1) < _NEAR * frame.side)
         return part if self.cloud else filled_look(part, _HOLES * frame.side)
 
-    def _best(self, found: list[Candidate]) -> FaceFrame | None:
+    def _best(self, crops: list[Candidate]) -> FaceFrame | None:
         judged: list[tuple[float, FaceFrame]] = []
-        for each in found:
-            one = self._judged(each)
-            if one is not None and one[0] > _CERTAIN:
-                return one[1]
-            judged += [one] if one is not None else []
+        for candidate in crops:
+            sure_frame = self._judged(candidate)
+            if sure_frame is not None and sure_frame[0] > _CERTAIN:
+                return sure_frame[1]
+            judged += [sure_frame] if sure_frame is not None else []
         return max(judged, key=lambda one: one[0])[1] if judged else None
 
-    def _judged(self, one: Candidate) -> tuple[float, FaceFrame] | None:
+    def _judged(self, candidate: Candidate) -> tuple[float, FaceFrame] | None:
         """How sure a face is, and its frame as three views show it; None where they don't agree on one."""
-        once = self._moved(one.frame, _SURE / 2, np.inf)
+        once = self._moved(candidate.frame, _SURE / 2, np.inf)
         return None if once is None else self._moved(once[1], _SURE, _STEADY)
 
     def _moved(self, frame: FaceFrame, surer: float, steadier: float) -> tuple[float, FaceFrame] | None:

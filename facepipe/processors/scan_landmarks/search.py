@@ -170,9 +170,9 @@ def _grid(covered: FloatArray, turns: int, size: int) -> FloatArray:
     return np.array(matrices).reshape(-1, 2, 3)
 
 
-def _apart(found: list[Candidate], most: int) -> list[Candidate]:
+def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
     kept: list[Candidate] = []
-    for candidate in sorted(found, key=lambda each: -each.presence):
+    for candidate in sorted(candidates, key=lambda each: -each.presence):
         if len(kept) == most:
             break
         if all(_differ(candidate.frame, other.frame) for other in kept):

@@ -169,12 +169,12 @@ def _matched(a: ByteArray, b: ByteArray, pair: RectifiedPair) -> FloatArray:
     return np.where(found < pair.lowest, np.nan, found)
 
 
-def _agreeing(own: FloatArray, other: FloatArray, columns: npt.NDArray[np.integer], sign: int) -> FloatArray:
-    """`own` where the other view's disparity at its match is much the same."""
-    match = np.rint(columns + sign * np.nan_to_num(own)).astype(np.int64)
-    inside = np.isfinite(own) & (match >= 0) & (match < own.shape[1])
-    back = np.take_along_axis(other, np.clip(match, 0, own.shape[1] - 1), axis=1)
-    return np.where(inside & (np.abs(back - own) <= _BOTH_WAYS), own, np.nan)
+def _agreeing(disparity: FloatArray, of_other: FloatArray, columns: npt.NDArray[np.integer], sign: int) -> FloatArray:
+    """`disparity` where the other view's disparity at its match is much the same."""
+    match = np.rint(columns + sign * np.nan_to_num(disparity)).astype(np.int64)
+    inside = np.isfinite(disparity) & (match >= 0) & (match < disparity.shape[1])
+    back = np.take_along_axis(of_other, np.clip(match, 0, disparity.shape[1] - 1), axis=1)
+    return np.where(inside & (np.abs(back - disparity) <= _BOTH_WAYS), disparity, np.nan)
 
 
 def depth_map(pair: RectifiedPair, view: RectifiedView, disparity: FloatArray, rays: FloatArray) -> FloatArray:

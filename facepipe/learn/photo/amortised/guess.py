@@ -60,11 +60,11 @@ class Guess:
         self, photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], spaces: Sequence[PoseSpace]
     ) -> State:
         """One person in several photos: the mean of the sliders, each photo's own expression and pose."""
-        found = [self(*each) for each in zip(photos, landmarks, spaces, strict=True)]
+        guesses = [self(*each) for each in zip(photos, landmarks, spaces, strict=True)]
         return State(
-            shares=np.mean([one.shares for one in found], axis=0),
-            expressions=np.concatenate([one.expressions for one in found]),
-            poses=np.concatenate([one.poses for one in found]),
+            shares=np.mean([one.shares for one in guesses], axis=0),
+            expressions=np.concatenate([one.expressions for one in guesses]),
+            poses=np.concatenate([one.poses for one in guesses]),
         )
 
 
