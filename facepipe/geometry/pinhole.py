@@ -39,6 +39,12 @@ class Pinhole:
         return np.asarray(pixels), np.asarray(depth)
 
 
+def nearest_to_lines(eyes: FloatArray, directions: FloatArray) -> FloatArray:
+    """(3,) the point nearest to lines from `eyes` (k, 3) along unit `directions` (k, 3), in least squares."""
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    return np.asarray(np.linalg.lstsq(across.sum(axis=0), np.einsum("kij,kj->i", across, eyes), rcond=None)[0])
+
+
 def meeting_points(
     origins: FloatArray, directions: FloatArray, weights: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray]:

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import BoolArray, Float32Array, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.rasterise import Raster, ScreenTriangles, Spans, expand, spans_of
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.shade import Shader
@@ -52,7 +51,7 @@ def hidden(screen: ScreenTriangles, nearness: Float32Array, samples: int, top: i
     return np.asarray(screen.limits[1] <= nearest)
 
 
-def _pixels(positions: npt.NDArray[np.floating], samples: int, start: int, count: int) -> IntArray:
+def _pixels(positions: FloatArray, samples: int, start: int, count: int) -> IntArray:
     """Pixels from `start` on, of `count`, in which positions in samples are."""
     return np.asarray(np.clip(positions // samples - start, 0, count - 1), np.int64)
 

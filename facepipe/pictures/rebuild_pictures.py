@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
@@ -198,7 +197,7 @@ class ChangedShapes:
     neutral: FloatArray  # (n, 3)
     shapes: Mapping[str, FloatArray]  # name -> (n, 3) delta
     before: Mapping[str, FloatArray]  # the same shapes, as they were
-    counted: npt.NDArray[np.integer]  # points that show, by which shapes count as changed
+    counted: IntArray  # points that show, by which shapes count as changed
     framing: FloatArray  # (k, 3) points that all pictures have inside
     size: int = 300  # pixels a picture
 

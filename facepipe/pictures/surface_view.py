@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.pinhole import Pinhole
@@ -54,7 +53,7 @@ def draw_surface(look: Look, view: Pinhole) -> tuple[FloatArray, FloatArray]:
     return image, depth.reshape(view.size, _SAMPLES, view.size, _SAMPLES).min(axis=(1, 3))
 
 
-def _lit(look: Look, axes: FloatArray, weights: FloatArray, corners: npt.NDArray[np.integer]) -> FloatArray:
+def _lit(look: Look, axes: FloatArray, weights: FloatArray, corners: IntArray) -> FloatArray:
     """(m, 3) linear colours."""
     normals = np.einsum("mk,mkc->mc", weights, (look.normals @ axes.T)[corners])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

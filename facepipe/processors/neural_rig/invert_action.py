@@ -18,9 +18,7 @@ from facepipe.kinds import FileAction, Job, action
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from facepipe.core.arrays import FloatArray
     from facepipe.processors.neural_rig.invert import InverseReport
 
 _SHOWN = 6  # controls
@@ -61,7 +59,7 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
         off = f"frame {report.worst_frame} is {report.worst_frame_mm:.4f} mm off, more than {self.threshold_mm:g} mm"
         return replace(report, warnings=(*report.warnings, off))
 
-    def _start(self, points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating] | None:
+    def _start(self, points: FloatArray) -> FloatArray | None:
         """What the encoder in the file says, if it holds one."""
         from facepipe.processors.neural_rig.neural_rig_file import has_encoder, load_encoder
 

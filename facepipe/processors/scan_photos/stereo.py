@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import ByteArray, FloatArray
+from facepipe.core.arrays import ByteArray, FloatArray, IntArray
 from facepipe.processors.scan_photos.cameras import PhotoCamera
 
 _MARGIN = 0.15  # of what the matched points span, added on every side
@@ -169,7 +168,7 @@ def _matched(a: ByteArray, b: ByteArray, pair: RectifiedPair) -> FloatArray:
     return np.where(found < pair.lowest, np.nan, found)
 
 
-def _agreeing(disparity: FloatArray, of_other: FloatArray, columns: npt.NDArray[np.integer], sign: int) -> FloatArray:
+def _agreeing(disparity: FloatArray, of_other: FloatArray, columns: IntArray, sign: int) -> FloatArray:
     """`disparity` where the other view's disparity at its match is much the same."""
     match = np.rint(columns + sign * np.nan_to_num(disparity)).astype(np.int64)
     inside = np.isfinite(disparity) & (match >= 0) & (match < disparity.shape[1])

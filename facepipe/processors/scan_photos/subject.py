@@ -9,6 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError, InputError
+from facepipe.geometry.pinhole import nearest_to_lines
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.structure import Structure
@@ -52,9 +53,7 @@ def find_subject(structure: Structure) -> tuple[Subject, Structure]:
 
 def _look_at(cameras: list[PhotoCamera]) -> FloatArray:
     """(3,) the point nearest to the axes of all cameras."""
-    ahead, eyes = np.array([one.ahead for one in cameras]), np.array([one.eye for one in cameras])
-    across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
-    return np.asarray(np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, eyes), rcond=None)[0])
+    return nearest_to_lines(np.array([one.eye for one in cameras]), np.array([one.ahead for one in cameras]))
 
 
 def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> list[tuple[int, int]]:

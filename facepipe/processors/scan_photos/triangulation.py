@@ -16,6 +16,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
+from facepipe.geometry.pinhole import nearest_to_lines
 from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.photos import Photo
 from facepipe.scans import LANDMARK_COUNT, Scan, no_landmarks
@@ -92,26 +93,20 @@ def triangulate(
     for pair in itertools.combinations(range(len(cameras)), 2):
         if rays[pair[0]] @ rays[pair[1]] > _WIDE:
             continue
-        error = _errors(cameras, pixels, _nearest(eyes[list(pair)], rays[list(pair)]))
+        error = _errors(cameras, pixels, nearest_to_lines(eyes[list(pair)], rays[list(pair)]))
         agree = error <= tolerance
         rank = (int(agree.sum()), -float(error[agree].sum()))
         if rank > best:
             best, chosen = rank, agree
     if chosen is None or best[0] < least:
         return None
-    return _nearest(eyes[chosen], rays[chosen])
+    return nearest_to_lines(eyes[chosen], rays[chosen])
 
 
 def _ray(camera: PhotoCamera, pixel: FloatArray) -> FloatArray:
     """(1, 3) unit vector in scan coordinates."""
     ray = np.append(camera.rays(pixel[None])[0], 1.0) @ camera.rotation
     return np.asarray(ray / np.linalg.norm(ray))[None]
-
-
-def _nearest(eyes: FloatArray, rays: FloatArray) -> FloatArray:
-    """(3,) the point nearest to lines from `eyes` (k, 3) along unit `rays` (k, 3)."""
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    return np.asarray(np.linalg.lstsq(across.sum(axis=0), np.einsum("kij,kj->i", across, eyes), rcond=None)[0])
 
 
 def _errors(cameras: Sequence[PhotoCamera], pixels: FloatArray, place: FloatArray) -> FloatArray:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from facepipe.core.arrays import IntArray
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.light import DARK, basis
 from facepipe.learn.photo.amortised.network import SIZE, Output, held
@@ -87,7 +87,7 @@ class TaughtLoss:
         return camera.project(self._rig(sliders, weights))[..., :2]
 
 
-def _front_points(subject: Subject) -> npt.NDArray[np.integer]:
+def _front_points(subject: Subject) -> IntArray:
     """Points evenly over what is before the contour of the face, landmarks among them."""
     marks, _ = landmark_points(subject.parts)
     z = front_axes(subject.parts, subject.rig)[2]
