@@ -22,7 +22,7 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
-from facepipe.processors.scan_landmarks.search import MIRRORED, _crop_matrix, face_frame
+from facepipe.processors.scan_landmarks.search import MIRRORED, _crop_matrix, _in_picture, face_frame
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng
@@ -135,7 +135,9 @@ def test_small_holes_close_and_large_ones_stay() -> None:
 def test_a_crop_is_a_turned_square_about_its_middle() -> None:
     matrix = _crop_matrix(np.array([30.0, 20.0]), 16.0, np.pi / 2, 8)
     pixels = np.array([[4.0, 4.0, 1.0], [8.0, 4.0, 1.0], [4.0, 0.0, 1.0]])  # the middle, to its right, above it
-    np.testing.assert_allclose(pixels @ matrix.T, [[30, 20], [30, 28], [38, 20]], atol=1e-12)
+    places = [[30, 20], [30, 28], [38, 20]]
+    np.testing.assert_allclose(pixels @ matrix.T, places, atol=1e-12)
+    np.testing.assert_allclose(_in_picture(pixels[None, :, :2], matrix[None]), [places], atol=1e-12)
 
 
 def test_a_part_of_a_surface_has_the_points_of_its_triangles() -> None:

@@ -151,9 +151,9 @@ def _change(shapes: Mapping[str, FloatArray], generic: Mapping[str, FloatArray])
     """Mean distance of shapes from those of their names, over the points that these move; 0 where there are none."""
     off = [np.zeros(0)]
     for name, delta in shapes.items():
-        motion = _lengths(generic[name]) if name in generic else np.zeros(len(delta))
-        moved = motion > _MOVED * motion.max(initial=0.0)
-        off.append(_lengths(delta - generic[name])[moved] if moved.any() else np.zeros(0))
+        if name in generic:
+            motion = _lengths(generic[name])
+            off.append(_lengths(delta - generic[name])[motion > _MOVED * motion.max(initial=0.0)])
     every = np.concatenate(off)
     return float(every.mean()) if len(every) else 0.0
 

@@ -82,11 +82,12 @@ def test_what_the_face_has_stays() -> None:
     assert (lip.group, lip.value) == ("mouth", 0.5)
 
 
-def test_shapes_that_move_nothing_are_no_shapes() -> None:
+@pytest.mark.parametrize("tolerance_mm", [0.0, 0.01])
+def test_shapes_that_move_nothing_are_no_shapes(tolerance_mm: float) -> None:
     parts = face()
     rig = neural_rig(parts, bones=True)
     still = replace(rig, shapes=rig.shapes * np.array([1.0, 0.0, 1.0, 1.0])[:, None, None])
-    found = with_neural_rig(parts, still, "face")
+    found = AttachNeuralRig(options=AttachOptions(offset_tolerance_mm=tolerance_mm))(parts, still, "face").parts
     own = [shape.name for shape in parts.meshes[0].blendshapes]
     assert [shape.name for shape in found.meshes[0].blendshapes] == [*own, "neural_000", "neural_001", "neural_002"]
     values = random_values(still, 5)

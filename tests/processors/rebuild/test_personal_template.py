@@ -16,6 +16,7 @@ from rebuild_stages import Files
 import facepipe
 from facepipe.checks import validate
 from facepipe.processors.database import WholeFace, create_database, save_database, whole_face, whole_points
+from facepipe.processors.rebuild.personal_template import _change
 from facepipe.stage import save_parts
 
 
@@ -30,6 +31,13 @@ def test_starting_shapes_are_the_templates_carried_over(stages: Files) -> None:
     assert after.shapes == before.shapes
     assert after.skeleton.joints == before.skeleton.joints
     assert validate(stages["personal.usda"]) == ()
+
+
+def test_the_change_of_shapes_is_over_the_points_that_the_templates_move() -> None:
+    one, way = np.zeros((3, 3)), np.array([0.0, 0.0, 1.0])
+    generic = {"open": one + np.array([[2.0], [1.0], [0.0]]) * way, "still": one}
+    shapes = {"open": generic["open"] + np.array([[0.5], [0.3], [9.0]]) * way, "still": one + way, "new": one + way}
+    assert _change(shapes, generic) == pytest.approx(0.4)
 
 
 def test_on_the_template_itself_starting_shapes_are_its_own(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

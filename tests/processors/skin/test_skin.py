@@ -259,6 +259,11 @@ GOOD: dict[str, Any] = {
 }
 
 
+def test_a_joint_without_rotation_has_none(tmp_path: Path) -> None:
+    (tmp_path / "joints.json").write_text(json.dumps(GOOD))
+    assert {joint.rotation for joint in read_joints(tmp_path / "joints.json").joints} == {(0.0, 0.0, 0.0, 1.0)}
+
+
 def with_joint(**fields: object) -> dict[str, Any]:
     return {**GOOD, "joints": {**GOOD["joints"], "head/x": {"position": [0, 0, 0], **fields}}}
 
