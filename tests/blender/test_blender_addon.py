@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from facepipe_blender import addon
 from facepipe_blender.addon import Options, build, write_own_wheel
 
 from facepipe.core.errors import InputError
@@ -32,6 +33,12 @@ def test_own_wheel_is_the_same_every_time_and_its_record_holds(tmp_path: Path) -
     assert {"onnx = facepipe_onnx", "vrm = facepipe_gltf.vrm", "gltf = facepipe_gltf.read"} <= {*entries}
     assert "facepipe_schemas/generatedSchema.usda" in names
     assert not [name for name in names if name.startswith("facepipe_blender/")]
+
+
+def test_libraries_of_extras_and_of_blender_are_not_packed(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = ["numpy>=1.26", "usd-core>=25.5", 'torch; extra == "train"', 'numpy; extra == "dev"']
+    monkeypatch.setattr(addon, "requires", lambda name: listed)
+    assert addon._libraries() == ["usd-core>=25.5"]
 
 
 def test_without_libraries_one_line_and_no_file(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.expression_model import Block, ExpressionModel, hosvd, trust
+from facepipe.geometry.expression_model import Block, ExpressionModel, _missed, hosvd, trust
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.shape_basis import coefficients_in, hold, no_basis
 
@@ -167,6 +167,8 @@ def test_leaving_one_out_by_formula_is_leaving_one_out() -> None:
     scale = 9 / np.trace(seen @ seen.T)
     tried = [0.0, *(scale * 10.0**power for power in np.arange(-2.0, 4.1, 0.5))]
     assert weight == pytest.approx(min(tried, key=missed))
+    for one in tried:
+        assert _missed(one * seen @ seen.T, wanted @ wanted.T) == pytest.approx(missed(one))
 
 
 def test_the_mean_person_is_what_nothing_seen_gives() -> None:

@@ -164,6 +164,7 @@ def test_clips_that_bones_play_need_no_further_shapes() -> None:
     assert rig.bones is not None
     found = AttachNeuralRig()(parts, replace(rig, bones=with_influences(rig.bones, 2)), "face")
     assert not any(shape.name.startswith("clip_") for mesh in found.parts.meshes for shape in mesh.blendshapes)
+    assert not any(name.startswith("clip_") for name in found.parts.animations[0].shapes)
     assert np.abs(found.parts.animations[0].shape_weights).max() < 1e-6
     assert found.clips_mm < 1e-4
 

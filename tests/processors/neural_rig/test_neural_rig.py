@@ -272,6 +272,10 @@ def test_a_local_basis_is_the_same_space_in_fewer_places() -> None:
     found = local_basis(mixed)
     assert np.allclose(np.abs(np.einsum("rni,sni->rs", found, true)).max(axis=1), 1.0, atol=1e-3)
     assert np.allclose(np.einsum("rni,sni->rs", found, found), np.eye(3), atol=1e-12)
+    few = np.zeros((2, 4, 3))
+    few[0, 1, 0] = few[1, 3, 1] = 1.0
+    found = local_basis(np.tensordot([[0.8, 0.6], [-0.6, 0.8]], few, axes=1))  # no point is passed over
+    assert np.allclose(np.abs(found), few, atol=1e-3)
     whole = np.full((2, 4, 3), np.sqrt(1.0 / 12.0))
     whole[1, 2:] *= -1.0
     assert np.linalg.norm(local_basis(whole), axis=2).sum() <= np.linalg.norm(whole, axis=2).sum()
