@@ -30,7 +30,7 @@ class Farm:
         self.scheduler = self._start(
             "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(said)
         )
-        self.address: str = until(lambda: json.loads(said.read_text())["address"] if said.exists() else "")
+        self.address: str = until(lambda: _address(said))
 
     def worker(self, **environment: str) -> subprocess.Popen[bytes]:
         """One more, of one thread."""
@@ -50,6 +50,14 @@ class Farm:
         for one in (*self.workers, self.scheduler):
             one.kill()
             one.wait()
+
+
+def _address(said: Path) -> str:
+    """What a scheduler's file says; nothing before it is written whole."""
+    try:
+        return str(json.loads(said.read_text())["address"])
+    except (OSError, ValueError):
+        return ""
 
 
 @contextmanager
