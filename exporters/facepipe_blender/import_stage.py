@@ -20,7 +20,7 @@ from .record import MESH, RECORD, Kept, keep, record_of
 from .write_mesh import write_mesh
 
 
-class Found(NamedTuple):
+class ImportedObjects(NamedTuple):
     """The objects that Blender made of a face."""
 
     armature: Any
@@ -80,12 +80,12 @@ def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
     return made
 
 
-def mark(found: Found, text: Any) -> None:
+def mark(objects: ImportedObjects, text: Any) -> None:
     """Let the objects of a face point to its record."""
-    for obj in (found.armature, *found.meshes.values()):
+    for obj in (objects.armature, *objects.meshes.values()):
         if obj is not None:
             obj[RECORD] = text
-    for name, obj in found.meshes.items():
+    for name, obj in objects.meshes.items():
         obj[MESH] = name
 
 
@@ -97,7 +97,7 @@ def _write(obj: Any, mesh: Mesh) -> list[str]:
     return []
 
 
-def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> Found:
+def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> ImportedObjects:
     armature = None
     for path, ids in made.items():
         prim = face.stage.GetPrimAtPath(path)
@@ -108,7 +108,7 @@ def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> Found:
         obj = _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH")
         if obj is not None:
             meshes[mesh.name] = obj
-    return Found(armature, meshes)
+    return ImportedObjects(armature, meshes)
 
 
 def _object(ids: Sequence[Any], kind: str) -> Any:
@@ -123,10 +123,10 @@ def _object(ids: Sequence[Any], kind: str) -> Any:
     return None
 
 
-def _places(meshes: Sequence[Mesh], found: Found) -> dict[str, FloatArray]:
+def _places(meshes: Sequence[Mesh], objects: ImportedObjects) -> dict[str, FloatArray]:
     """Mesh -> (4, 4) its object relative to the armature, or to the first mesh."""
     bpy.context.view_layer.update()
-    names = [mesh.name for mesh in meshes if mesh.name in found.meshes]
-    first = found.armature or min(found.meshes.values(), key=lambda obj: str(obj.name))
+    names = [mesh.name for mesh in meshes if mesh.name in objects.meshes]
+    first = objects.armature or min(objects.meshes.values(), key=lambda obj: str(obj.name))
     back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
-    return {name: back @ np.array(found.meshes[name].matrix_world, dtype=np.float64) for name in names}
+    return {name: back @ np.array(objects.meshes[name].matrix_world, dtype=np.float64) for name in names}

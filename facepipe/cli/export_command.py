@@ -79,11 +79,11 @@ def run(arguments: argparse.Namespace) -> int:
     )
     warn(report.warnings)
     noted_names(arguments.rename, report.renamed)
-    emit(report, as_text(report), as_json=arguments.json)
+    emit(report, _as_text(report), as_json=arguments.json)
     return 1 if isinstance(report, DistilledExportReport) and report.distilled.missed else 0
 
 
-def as_text(report: ExportReport) -> str:
+def _as_text(report: ExportReport) -> str:
     """The report for people."""
     from facepipe.exporting import DistilledExportReport, NeuralExportReport
 

@@ -209,7 +209,7 @@ class Workshop:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.material, self.place = folder, folder / "material", folder / "place"
-        self._told, self._text, self._passing = folder / "told.json", folder / "text", folder / "passing"
+        self._noted, self._text, self._passing = folder / "noted.json", folder / "text", folder / "passing"
         self.material.mkdir()
         ended = self._forked(lambda: make_material(self.material))
         assert ended.code == 0, ended.text
@@ -284,10 +284,10 @@ class Workshop:
         steps.call(0)
         code = line.run()
         steps.call = lambda number: None
-        if self._told.parent == self.folder:
+        if self._noted.parent == self.folder:
             seen = [(name, moment - start, free) for name, moment, free in steps.seen]
-            told = {"steps": seen, "modules": sorted(sys.modules), "seconds": time.monotonic() - start}
-            self._told.write_text(json.dumps(told))
+            noted = {"steps": seen, "modules": sorted(sys.modules), "seconds": time.monotonic() - start}
+            self._noted.write_text(json.dumps(noted))
         return code
 
     def _branches(self, steps: Steps, number: int, blows: dict[int, list[Blow]]) -> None:
@@ -299,7 +299,7 @@ class Workshop:
         for blow in own:
             child = os.fork()
             if child == 0:
-                self._told = Path(os.devnull)
+                self._noted = Path(os.devnull)
                 steps.at = blow.at
                 blow.at(number)
                 return
@@ -318,13 +318,13 @@ class Workshop:
             os._exit(0)
 
     def _forked(self, work: Callable[[], int | None]) -> Ended:
-        self._told.unlink(missing_ok=True)
+        self._noted.unlink(missing_ok=True)
         child = os.fork()
         if child == 0:
             self._child(work)
         _, status = os.waitpid(child, 0)
-        told = json.loads(self._told.read_text()) if self._told.exists() else {}
-        return Ended(os.waitstatus_to_exitcode(status), self._text.read_text(errors="replace"), **told)
+        noted = json.loads(self._noted.read_text()) if self._noted.exists() else {}
+        return Ended(os.waitstatus_to_exitcode(status), self._text.read_text(errors="replace"), **noted)
 
     def _child(self, work: Callable[[], int | None]) -> None:
         """Run `work` and end the process, with its exit code."""
