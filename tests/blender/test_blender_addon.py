@@ -36,9 +36,9 @@ def test_own_wheel_is_the_same_every_time_and_its_record_holds(tmp_path: Path) -
 
 
 def test_libraries_of_extras_and_of_blender_are_not_packed(monkeypatch: pytest.MonkeyPatch) -> None:
-    listed = ["numpy>=1.26", "usd-core>=25.5", 'torch; extra == "train"', 'numpy; extra == "dev"']
+    listed = ["numpy>=1.26", "trimesh>=4.0", 'torch; extra == "train"', 'numpy; extra == "dev"']
     monkeypatch.setattr(addon, "requires", lambda name: listed)
-    assert addon._libraries() == ["usd-core>=25.5"]
+    assert addon._libraries() == ["trimesh>=4.0"]
 
 
 def test_without_libraries_one_line_and_no_file(tmp_path: Path) -> None:
