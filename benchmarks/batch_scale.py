@@ -140,7 +140,7 @@ def dask(folder: Path) -> Iterator[tuple[str, psutil.Process]]:
     quiet: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": here}
     processes = [subprocess.Popen([*line, "--no-dashboard", "--scheduler-file", str(said)], **quiet)]
     try:
-        while not said.exists():
+        while not (said.exists() and said.read_text().endswith("}")):
             time.sleep(0.1)
         line = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(said), "--no-nanny"]
         more = ["--nthreads", str(THREADS), "--no-dashboard", "--preload", Path(__file__).stem]
