@@ -214,7 +214,7 @@ def test_a_worker_of_another_version_is_refused(show: Path, farm: Farm) -> None:
 def test_a_worker_of_another_version_that_comes_later_gets_nothing(show: Path, farm: Farm) -> None:
     faces(show, 9)
     farm.worker()
-    mark = show / "mark"  # the other is there and was asked: only now the first goes on
+    mark = show / "mark"  # the other refuses a task: only now the first goes on
 
     def come() -> None:
         until((show / "waits").exists)

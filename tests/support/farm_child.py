@@ -6,19 +6,32 @@ import os
 import shutil
 import signal
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from facepipe import core
 
 core.__version__ = os.environ.get("FARM_VERSION", core.__version__)  # before others take it
-if "FARM_MARK" in os.environ:
-    Path(os.environ["FARM_MARK"]).touch()  # it was started
 
+from facepipe.cli import batch_child  # noqa: E402
 from facepipe.cli.batch_child import main  # noqa: E402
 from facepipe.cli.batch_child import read_line as read_command  # noqa: E402
 from facepipe.farm.work import Line, Outcome  # noqa: E402
 
 _kept: list[bytes] = []
+
+if "FARM_MARK" in os.environ:  # touched when a task is refused: until it is done by others, no run can end
+    refusing = batch_child._refusing
+
+    def _marking(why: object) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
+        def refuse(request: Mapping[str, Any]) -> dict[str, Any]:
+            Path(os.environ["FARM_MARK"]).touch()
+            return refusing(why)(request)
+
+        return refuse
+
+    batch_child._refusing = _marking
 
 
 def read_line(words: list[str]) -> Line:
