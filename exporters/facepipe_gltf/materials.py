@@ -102,7 +102,7 @@ class MaterialWriter:
         elif isinstance(diffuse, TextureInput):
             channels = [Channel(diffuse, i) for i in range(3)]
         else:
-            channels = [Channel(None, 0)] * 3
+            channels = [Channel()] * 3
         if not isinstance(opacity, TextureInput):
             if not isinstance(diffuse, TextureInput):
                 return None, None
@@ -136,7 +136,7 @@ class MaterialWriter:
         if _is_packed(metallic, "b") and _is_packed(roughness, "g") and len({one.texture for one in inputs}) == 1:
             image = self.textures.whole(inputs[0].texture)
         else:
-            channels = [Channel(None, 0), _channel(roughness), _channel(metallic)]
+            channels = [Channel(), _channel(roughness), _channel(metallic)]
             image = self._merge(material, "metallicRoughness", channels)
         if image is not None:
             pbr["metallicRoughnessTexture"] = self.textures.info(image, inputs[0], uv_names)
@@ -250,7 +250,7 @@ def _channel(value: float | TextureInput) -> Channel:
     """A texture's channel, or white for a constant: its value is in the factor."""
     if isinstance(value, TextureInput):
         return Channel(value, _CHANNEL.get(value.channels, 0))
-    return Channel(None, 0)
+    return Channel()
 
 
 def _is_packed(value: float | TextureInput, channel: str) -> bool:

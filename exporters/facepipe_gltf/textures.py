@@ -152,8 +152,8 @@ def _is_ignored(kind: bytes, body: bytes) -> bool:
 class Channel(NamedTuple):
     """One channel of a new image: a texture's, or white."""
 
-    source: TextureInput | None
-    channel: int
+    source: TextureInput | None = None
+    channel: int = 0
     inverted: bool = False
 
 

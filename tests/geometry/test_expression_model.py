@@ -62,6 +62,11 @@ def test_hosvd_gives_the_tensor_back_of_orthonormal_factors() -> None:
         assert (np.diff(np.diag(products)) <= 1e-9).all()
 
 
+def test_hosvd_of_no_numbers_has_no_directions() -> None:
+    found = hosvd(np.zeros((3, 2, 0)))
+    assert (found.first.shape, found.second.shape, found.core.shape) == ((3, 0), (2, 0), (0, 0, 0))
+
+
 @pytest.mark.parametrize("tolerance", [1e-6, 0.05, 0.3])
 def test_a_basis_holds_rows_to_its_tolerance_with_no_direction_too_many(tolerance: float) -> None:
     rng = np.random.default_rng(1)

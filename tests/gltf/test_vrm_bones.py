@@ -13,7 +13,7 @@ import pytest
 from command_line import done, exit_code, failed
 from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
-from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, bones_of
+from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, bones_of, humanoid_of
 from faces import grid_mesh, tiny_face
 from gltf_export import reference
 from vrm_export import (
@@ -194,6 +194,14 @@ def test_a_bone_that_alone_is_missing_is_put_between_the_others(without: str, tm
     assert np.ptp(apart, axis=0).max() < 1e-6
     whole = {"Hips": "hips", "Spine": "spine", "LeftFoot": "leftFoot", "RightHand": "rightHand"}[without]
     assert np.linalg.norm(np.subtract(answer["bones"][whole], apart[0]) - dict(place_of())[without]) < 0.1
+
+
+def test_joints_that_hang_elsewhere_than_their_bones_are_none_of_them() -> None:
+    parts = tiny_face()
+    beside = replace(parts, skeleton=replace(parts.skeleton, joints=("Neck", "Neck/Head", "Neck/Jaw")))
+    found = humanoid_of(beside, "")
+    assert found.bones == {"neck": 0, "head": 1}
+    assert found.unfit == ("Neck/Jaw is not the jaw: it hangs elsewhere in the tree than VRM requires",)
 
 
 def test_scales_that_vrm_does_not_have_are_named(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from facepipe.processors.scan_photos import (
 from facepipe.processors.scan_photos.stereo import _sampled, depth_map, disparities, rectify
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.processors.scan_photos.subject import choose_pairs, find_subject, move_camera, upright
-from facepipe.processors.scan_photos.surface import Cloud, clean, make_surface
+from facepipe.processors.scan_photos.surface import Cloud, _normals, clean, make_surface
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -217,6 +217,15 @@ def test_cleaning_takes_what_stands_apart_and_nothing_else() -> None:
     distance = np.abs(np.linalg.norm(kept, axis=1) - 80)
     assert np.percentile(distance, 99.9) < 1e-6
     assert len(kept) > 0.97 * len(good.points)
+
+
+def test_points_on_a_plane_have_its_normal_on_the_side_of_the_cameras() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(5.0), np.arange(5.0)))
+    plane = np.stack([x, y, 0.5 * x], axis=1)
+    normal = np.array([-0.5, 0.0, 1.0]) / np.sqrt(1.25)
+    for side in (1.0, -1.0):
+        towards = np.tile([0.0, 0.0, side], (25, 1))
+        np.testing.assert_allclose(_normals(plane, towards), np.tile(side * normal, (25, 1)), atol=1e-12)
 
 
 def test_surfaces_go_through_the_points_and_end_where_none_are() -> None:
