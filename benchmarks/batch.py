@@ -111,7 +111,7 @@ def run(folder: Path, processes: int) -> Json:
         raise SystemExit(done.stderr.decode())
     report = json.loads(done.stdout)
     records = json.loads((folder / "plan_batch/report.json").read_bytes())["records"]
-    made = [one for one in records if one["status"] == "made"]
+    made = [record for record in records if record["status"] == "made"]
     return {
         "wall": wall,
         "processor": processor,

@@ -147,9 +147,9 @@ def dask(folder: Path) -> Iterator[tuple[str, psutil.Process]]:
         processes.append(subprocess.Popen([*line, *more, "--local-directory", str(folder)], **quiet))
         yield json.loads(said.read_text())["address"], psutil.Process(processes[0].pid)
     finally:
-        for one in processes:
-            one.kill()
-            one.wait()
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def over_dask(folder: Path, tasks: int) -> Json:

@@ -107,7 +107,7 @@ def _ratio(theirs: float | None, ours: float | None) -> float | None:
 
 def _best(samples: Sequence[Json]) -> Json:
     """The lowest of every figure: what else runs on a machine only adds."""
-    known = {key: [one[key] for one in samples if one[key] is not None] for key in samples[0]}
+    known = {key: [sample[key] for sample in samples if sample[key] is not None] for key in samples[0]}
     return {key: min(values, default=None) for key, values in known.items()}
 
 

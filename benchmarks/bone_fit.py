@@ -112,7 +112,7 @@ def _task(made: Json, dof: int, samples: dict[str, list[Json]]) -> Json:
 
 def _best(samples: Sequence[Json]) -> Json:
     """The lowest of every figure: what else runs on a machine only adds."""
-    return {key: min(one[key] for one in samples) for key in samples[0]}
+    return {key: min(sample[key] for sample in samples) for key in samples[0]}
 
 
 def _parser() -> argparse.ArgumentParser:

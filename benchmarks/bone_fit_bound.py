@@ -96,7 +96,7 @@ def _bones(task: Task) -> dict[str, Any]:
     """(k, n, 3) points of 9 degrees of freedom within the limits, least squares and least means."""
     squares = session(task, 9, rounds=0).fit_all(list(task.targets))
     means = [_least_mean(task, target, own) for target, own in zip(task.targets, squares, strict=True)]
-    return {"bones": np.stack([one.points for one in squares]), "bones-mean": np.stack(means)}
+    return {"bones": np.stack([square.points for square in squares]), "bones-mean": np.stack(means)}
 
 
 def _least_mean(task: Task, target: Any, latest: Fitted) -> Any:

@@ -104,8 +104,8 @@ def faces(data: Path) -> dict[str, FaceParts]:
 def large(parts: FaceParts) -> SliderNetwork:
     """A network that bends the face smoothly by some millimetres."""
     random = np.random.default_rng(0)
-    moved = sorted({(joint, channel) for one in parts.sliders for joint, channel, _ in one.channels})
-    taken = tuple(one.name for one in parts.sliders)[:: len(parts.sliders) // 8][:8]
+    moved = sorted({(joint, channel) for slider in parts.sliders for joint, channel, _ in slider.channels})
+    taken = tuple(slider.name for slider in parts.sliders)[:: len(parts.sliders) // 8][:8]
     sizes = (len(taken), *LARGE, len(moved))
     weights = [random.normal(size=(out, into)) / np.sqrt(into) for into, out in itertools.pairwise(sizes)]
     size = [0.1 if channel.startswith("t") else 0.02 for _, channel in moved]
@@ -127,7 +127,7 @@ def measured(name: str, parts: FaceParts, width: int, arguments: argparse.Namesp
     """Both graphs of a face, in turn."""
     distilled, report = DistilSliders(width=width, activation=activation_of(parts), steps=arguments.steps)(parts)
     random = np.random.default_rng(1)
-    values = [[random.uniform(one.minimum, one.maximum) for one in parts.sliders]]
+    values = [[random.uniform(slider.minimum, slider.maximum) for slider in parts.sliders]]
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / "exact.onnx", Path(folder) / "learned.onnx"]
         sizes = [
@@ -137,7 +137,7 @@ def measured(name: str, parts: FaceParts, width: int, arguments: argparse.Namesp
         sessions = [start(file) for file in files]
     feeds = {"sliders": np.array(values, np.float32)}
     shapes = [one for one in sessions[0].get_inputs() if one.name == "weights"]
-    feeds |= {one.name: np.zeros(one.shape, np.float32) for one in shapes}
+    feeds |= {shape.name: np.zeros(shape.shape, np.float32) for shape in shapes}
     exact, learned = fastest(sessions, feeds, arguments.runs)
     points = report.points_mm
     assert points is not None

@@ -154,8 +154,8 @@ def _medians(samples: Sequence[Json]) -> Json:
     """The median of every number; ``own_bytes`` is the peak over the baseline."""
     result: Json = {}
     for key, value in samples[0].items():
-        numbers = isinstance(value, int | float) and all(one[key] is not None for one in samples)
-        result[key] = statistics.median(one[key] for one in samples) if numbers else value
+        numbers = isinstance(value, int | float) and all(sample[key] is not None for sample in samples)
+        result[key] = statistics.median(sample[key] for sample in samples) if numbers else value
     known = result["peak_bytes"] is not None and result["baseline_bytes"] is not None
     result["own_bytes"] = result["peak_bytes"] - result["baseline_bytes"] if known else None
     return result

@@ -36,8 +36,8 @@ def content(document: Json) -> Json:
         names = mesh.get("extras", {}).get("targetNames", [])
         shapes |= set(names)
         meshes[mesh["name"]] = {
-            "vertices": sum(accessors[one["attributes"]["POSITION"]]["count"] for one in primitives),
-            "triangles": sum(accessors[one["indices"]]["count"] for one in primitives) // 3,
+            "vertices": sum(accessors[primitive["attributes"]["POSITION"]]["count"] for primitive in primitives),
+            "triangles": sum(accessors[primitive["indices"]]["count"] for primitive in primitives) // 3,
             "primitives": len(primitives),
             "targets": len(primitives[0].get("targets", [])),
             "target_names": sorted(names),

@@ -143,8 +143,8 @@ def raw_person(source: Path, seed: int) -> Subject:
 def table(result: Result) -> str:
     """The figures for people."""
     bad = [one for one in result.single.values() if _above(one, SINGLE)]
-    hidden = sum(one.shown <= 0.01 for one in result.eyes.values())
-    clean = sum(one.through.cells == 0 for one in result.eyes.values())
+    hidden = sum(eye.shown <= 0.01 for eye in result.eyes.values())
+    clean = sum(eye.through.cells == 0 for eye in result.eyes.values())
     count = len(result.eyes)
     lines = [f"shapes above {SINGLE[0]} cells or {SINGLE[1]} mm: {len(bad)}"]
     lines += [f"  {name}: {one.cells} cells, {one.depth:.2f} mm" for name, one in result.single.items()]

@@ -90,7 +90,7 @@ def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], 
         _row("teacher", "components and ridge", components.points, unseen, 4 * 128 * (3 * points + controls)),
         _row("teacher", "the rig itself", _evaluation(first), unseen, None),
     ]
-    left = np.stack([straight.points(one) for one in unseen.values]) - unseen.points
+    left = np.stack([straight.points(value) for value in unseen.values]) - unseen.points
     return rows, rig, float(np.sqrt(np.square(left).sum() / np.square(unseen.points - unseen.rest).sum()))
 
 

@@ -178,7 +178,7 @@ def _rigs(first: Teacher, files: list[Path] | None) -> list[tuple[NeuralRig, Neu
     encoder = TrainEncoder()(learned).encoder
     motions = (learned, replace(learned, bones=None, coefficients=None))
     train = TrainNeuralRig(options=TrainNeuralRigOptions(influences=0))
-    return [(train(one).rig, encoder) for one in motions]
+    return [(train(motion).rig, encoder) for motion in motions]
 
 
 if __name__ == "__main__":

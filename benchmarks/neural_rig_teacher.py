@@ -129,7 +129,7 @@ def teacher(data: Path, gain: float = GAIN, targets: Mapping[str, float] | None 
     from facepipe.rig.trs import compose
 
     parts = read(data / HEAD, Options(shapes=f"{EXPRESSIONS},{SCULPTS.replace(' ', '')}", targets=targets or {})).parts
-    posed = [one for one in parts.animations if one.name != "Rest"]
+    posed = [animation for animation in parts.animations if animation.name != "Rest"]
     local = np.stack([compose(one.translations[0], one.rotations[0], one.scales[0]) for one in posed])
     turns = matrix_coefficients(np.linalg.solve(parts.skeleton.rest_transforms, local))
     sculpts = {sculpt for *_, sculpt in (*PAIRS, *TURNS)}

@@ -193,7 +193,7 @@ def measure(name: str, parts: FaceParts, runs: int, large: float) -> Row:
 def tensor_bytes(model: Any) -> tuple[int, int]:
     """Bytes of the stored float tensors, and of their numbers that are not zero."""
     tensors = [onnx.numpy_helper.to_array(one) for one in model.graph.initializer if one.data_type == 1]
-    return sum(one.nbytes for one in tensors), sum(4 * int(np.count_nonzero(one)) for one in tensors)
+    return sum(tensor.nbytes for tensor in tensors), sum(4 * int(np.count_nonzero(tensor)) for tensor in tensors)
 
 
 def dense(rig: Rig, weights: np.ndarray, coefficients: np.ndarray | None) -> Callable[[], object]:
@@ -255,11 +255,11 @@ def ratios(one: Row) -> dict[str, float]:
 def document(rows: list[Row], sliders: list[SliderRow], skipped: list[str], large: float, runs: int) -> dict[str, Any]:
     """The figures as JSON."""
     return {
-        "faces": [asdict(one) | {"ratios": ratios(one)} for one in rows],
+        "faces": [asdict(row) | {"ratios": ratios(row)} for row in rows],
         "machine": {"processor": platform.processor() or platform.machine(), "read_bandwidth_large": large},
         "runs": runs,
         "skipped": skipped,
-        "sliders": [asdict(one) | {"ratios": slider_ratios(one)} for one in sliders],
+        "sliders": [asdict(slider) | {"ratios": slider_ratios(slider)} for slider in sliders],
         "versions": {"numpy": np.__version__, "onnx": onnx.__version__, "onnxruntime": onnxruntime.__version__},
     }
 

@@ -230,7 +230,7 @@ def verdicts(found: list[Descents], few: int, many: int) -> list[str]:
         pairs = zip(by_way[begun], by_way[default], strict=True)
         ratios = [one.few / other.many for one, other in pairs]
         what = f"{begun[1]} ({begun[0]}) + {few} steps over defaults ({default[0]}) + {many} steps"
-        reached = f"no higher on {sum(one <= 1 for one in ratios)} of {len(ratios)}"
+        reached = f"no higher on {sum(ratio <= 1 for ratio in ratios)} of {len(ratios)}"
         lines.append(f"{what}: joint loss {np.mean(ratios):.3f} times as high, worst {max(ratios):.3f}; {reached}")
     return lines
 

@@ -99,7 +99,7 @@ def fit_seconds(count: int, size: int) -> list[float]:
     from recovery_targets import targets
 
     torch.set_num_threads(1)
-    return [fitted(one).seconds for one in targets(count, 0, size=size)]
+    return [fitted(target).seconds for target in targets(count, 0, size=size)]
 
 
 def steps(parts: FaceParts, model: FaceModel, size: int) -> dict[str, Callable[[], None]]:

@@ -77,7 +77,7 @@ def main() -> None:
             "noise": arguments.noise,
             "means": summary,
             "aims": verdicts,
-            "fits": {mode: [dataclasses.asdict(one) for one in fits] for mode, fits in results.items()},
+            "fits": {mode: [dataclasses.asdict(fit) for fit in fits] for mode, fits in results.items()},
         }
         arguments.json.write_text(json.dumps(report, indent=2, sort_keys=True), encoding="utf-8")
 
@@ -118,18 +118,18 @@ def _run(task: Task) -> Fitted:
 
 def means(fits: Sequence[Fitted]) -> dict[str, Any]:
     """Means, medians and worst of the figures."""
-    figures = [dataclasses.asdict(one.figures) for one in fits]
+    figures = [dataclasses.asdict(fit.figures) for fit in fits]
     result: dict[str, Any] = {}
     for name in (*FIGURES, "default_mm", "slider_rms"):
-        values = np.array([one[name] for one in figures], dtype=float)
+        values = np.array([figure[name] for figure in figures], dtype=float)
         result[name] = float(values.mean())
         result[f"{name}_median"], result[f"{name}_worst"] = float(np.median(values)), float(values.max())
-    seconds = np.array([one.seconds for one in fits])
+    seconds = np.array([fit.seconds for fit in fits])
     result["seconds"], result["seconds_slowest"] = float(seconds.mean()), float(seconds.max())
-    result["processor_s"] = float(np.mean([one.processor for one in fits]))
-    result["nothing_slider"] = float(np.mean([one.figures.nothing_slider for one in fits]))
-    names = sorted({name for one in figures for name in one["sliders"]})
-    wrong = {name: [abs(one["sliders"][name]) for one in figures if name in one["sliders"]] for name in names}
+    result["processor_s"] = float(np.mean([fit.processor for fit in fits]))
+    result["nothing_slider"] = float(np.mean([fit.figures.nothing_slider for fit in fits]))
+    names = sorted({name for figure in figures for name in figure["sliders"]})
+    wrong = {name: [abs(figure["sliders"][name]) for figure in figures if name in figure["sliders"]] for name in names}
     result["by_slider"] = {name: float(np.mean(values)) for name, values in wrong.items()}
     return result
 

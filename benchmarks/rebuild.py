@@ -59,7 +59,7 @@ def measure(data: Path, identities: int, runs: int) -> Json:
         with tempfile.TemporaryDirectory(prefix="facepipe-benchmark-") as folder:
             seeds = range(_FIRST_SEED, _FIRST_SEED + identities)
             people = [_person(seed, data, Path(folder), sides, runs) for seed in seeds]
-    means = {side: _mean([one["best"][side] for one in people]) for side in sides} if people else {}
+    means = {side: _mean([person["best"][side] for person in people]) for side in sides} if people else {}
     return {
         "benchmark": "rebuild",
         "runs": runs,
@@ -95,13 +95,13 @@ def _set_threads(every: bool) -> None:
 
 def _best(samples: Sequence[Json]) -> Json:
     """The lowest of every figure: what else runs on a machine only adds."""
-    return {key: min(one[key] for one in samples) for key in samples[0] if samples[0][key] is not None}
+    return {key: min(sample[key] for sample in samples) for key in samples[0] if samples[0][key] is not None}
 
 
 def _mean(samples: Sequence[Json]) -> Json:
     """Of all people."""
     numbers = (key for key, value in samples[0].items() if not isinstance(value, str))
-    return {key: sum(one[key] for one in samples) / len(samples) for key in numbers}
+    return {key: sum(sample[key] for sample in samples) / len(samples) for key in numbers}
 
 
 def _ratios(theirs: Json, ours: Json) -> Json:

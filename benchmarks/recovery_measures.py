@@ -96,9 +96,11 @@ def slider_reach(parts: FaceParts, values: Mapping[str, float]) -> dict[str, flo
         return posed(parts, rig, {**values, name: value}, {})
 
     return {
-        one.name: float(np.linalg.norm(head(one.name, one.maximum) - head(one.name, one.minimum), axis=1).max())
-        for one in parts.sliders
-        if one.group not in EXPRESSION_GROUPS
+        slider.name: float(
+            np.linalg.norm(head(slider.name, slider.maximum) - head(slider.name, slider.minimum), axis=1).max()
+        )
+        for slider in parts.sliders
+        if slider.group not in EXPRESSION_GROUPS
     }
 
 
@@ -106,7 +108,7 @@ def slider_errors(
     sliders: Collection[Slider], found: Mapping[str, float], truth: Mapping[str, float], names: Collection[str]
 ) -> dict[str, float]:
     """Fitted less true value as a share of the range, of the sliders named; what is not given is at its default."""
-    chosen = [one for one in sliders if one.name in names]
+    chosen = [slider for slider in sliders if slider.name in names]
     return {
         one.name: (found.get(one.name, one.default) - truth.get(one.name, one.default)) / (one.maximum - one.minimum)
         for one in chosen
@@ -115,7 +117,7 @@ def slider_errors(
 
 def active_sliders(sliders: Collection[Slider], values: Mapping[str, float]) -> int:
     """Number of sliders farther than `ACTIVE_SHARE` of their range from their default."""
-    shares = slider_errors(sliders, values, {}, [one.name for one in sliders if one.maximum > one.minimum])
+    shares = slider_errors(sliders, values, {}, [slider.name for slider in sliders if slider.maximum > slider.minimum])
     return sum(abs(share) > ACTIVE_SHARE for share in shares.values())
 
 

@@ -22,7 +22,7 @@ def true_state(made: RecoveryTarget, subject: Subject, space: PoseSpace) -> Stat
     """Sliders, expression and pose as they are."""
     from facepipe.learn.photo.landmark_fit import State
 
-    values = np.array([made.sliders[one.name] for one in subject.free_sliders])
+    values = np.array([made.sliders[slider.name] for slider in subject.free_sliders])
     weights = [made.expressions.get(subject.rig.shapes[i], 0.0) for i in subject.expressions]
     return State(
         shares=(values - subject.lower) / (subject.upper - subject.lower),

@@ -59,7 +59,7 @@ def picture(stage: str) -> Json:
 
     parts, points = _face(stage)
     options = [PictureOptions(size=SIZE, view=view) for view in _VIEWS]
-    times = [_timed(partial(draw, parts, points, one)) for one in options]
+    times = [_timed(partial(draw, parts, points, option)) for option in options]
     return _summary("picture", times) | {"peak_bytes": peak_memory()}
 
 

@@ -99,7 +99,11 @@ def _call(verb: str) -> str:
     """The Python line with what must be given."""
     name = function_name(verb)
     function = getattr(facepipe, name)
-    needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    needed = [
+        parameter
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.default is parameter.empty
+    ]
     words = [one.name if one.kind is one.POSITIONAL_OR_KEYWORD else f"{one.name}=..." for one in needed]
     return f" In Python: `facepipe.{name}({', '.join(words)})`."
 
@@ -121,9 +125,9 @@ def _own_flags(kind: type[Action[Any]]) -> Iterator[tuple[str, ...]]:
     parser = argparse.ArgumentParser(add_help=False)
     kind.add_flags(parser)
     names = ", ".join(map(_code, kind.own_flags))
-    for one in parser._actions:
-        for flag in one.option_strings:
-            yield _code(flag), names, _code(str(one.metavar)), "", "", str(one.help)
+    for action in parser._actions:
+        for flag in action.option_strings:
+            yield _code(flag), names, _code(str(action.metavar)), "", "", str(action.help)
 
 
 def type_of(one: Field) -> str:

@@ -49,7 +49,7 @@ class Reach:
 
     def part(self, name: str, rows: Sequence[int]) -> Reach:
         """Some of the targets."""
-        arrays = (getattr(self, one.name)[list(rows)] for one in fields(self)[1:])
+        arrays = (getattr(self, field.name)[list(rows)] for field in fields(self)[1:])
         return Reach(name, *arrays)
 
 
@@ -112,7 +112,7 @@ def reach(name: str, face: Face, targets: Sequence[Target], out: Path, limits: L
 def payload(name: str, face: Face, targets: Sequence[Target], out: Path, limits: LimitRules) -> Payload:
     """A payload of each target against its offsets."""
     found = moved(face, targets, out, FitBones(limits=limits, rounds=0))
-    poses = {one.name: one.coefficients for one in facepipe.open(out).animations}
+    poses = {animation.name: animation.coefficients for animation in facepipe.open(out).animations}
     file, rest, written = out.with_suffix(".fpb"), face.evaluate(), []
     for key in found.report.targets:
         values = poses[key]

@@ -51,7 +51,7 @@ def main() -> None:
         face, lods = Path(name) / "head.usdc", Path(name) / "lods.usdc"
         facepipe.sample(face, seed=SEED, textures=1024)
         report = facepipe.lod(face, out=lods, triangles=COUNTS)
-        worst = [max(one.mean_mm for one in level.errors.shapes.values()) for level in report.levels]
+        worst = [max(shape.mean_mm for shape in level.errors.shapes.values()) for level in report.levels]
         said = ["the face itself", *(f"{mm:.2f} mm off in the worst shape" for mm in worst)]
         full = facepipe.open(lods)
         seen, above, below = portrait(full.evaluate(), VIEW, Frame(width=SIZE, height=SIZE)), [], []

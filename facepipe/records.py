@@ -104,7 +104,7 @@ def to_json(value: object, arrays: ArrayWriter) -> Any:
     if isinstance(value, np.ndarray):
         return arrays.reference(value)
     if dataclasses.is_dataclass(value):
-        fields = [(one, getattr(value, one.name)) for one in dataclasses.fields(value)]
+        fields = [(field, getattr(value, field.name)) for field in dataclasses.fields(value)]
         return {one.name: to_json(inner, arrays) for one, inner in fields if not _is_default(one, inner)}
     if isinstance(value, Mapping):
         return {str(key): to_json(inner, arrays) for key, inner in value.items()}

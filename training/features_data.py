@@ -63,7 +63,7 @@ class Heads:
 
     def take(self, rows: IntArray) -> Heads:
         """Some of the pictures."""
-        arrays = {one.name: getattr(self, one.name)[rows] for one in fields(self) if one.name != "names"}
+        arrays = {field.name: getattr(self, field.name)[rows] for field in fields(self) if field.name != "names"}
         return replace(self, **arrays)
 
 
@@ -87,7 +87,7 @@ def joined(parts: Sequence[Heads]) -> Heads:
     """
     if len({part.names for part in parts}) > 1:
         raise InputError("shards", "made with different sliders, expected one version of facepipe")
-    names = [one.name for one in fields(Heads) if one.name != "names"]
+    names = [field.name for field in fields(Heads) if field.name != "names"]
     return Heads(names=parts[0].names, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
 

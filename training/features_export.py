@@ -62,7 +62,7 @@ class _Graph(GraphWriter):
 
     def apply(self, node: fx.Node, kind: str, *more: str, **attributes: Any) -> None:
         """`kind` applied to the node's inputs, then to the constants `more`."""
-        inputs = [self._names[one] for one in node.all_input_nodes]
+        inputs = [self._names[input_node] for input_node in node.all_input_nodes]
         self._names[node] = self.add(kind, *inputs, *more, name=self._name(node), **attributes)
 
     def _name(self, node: fx.Node) -> str:

@@ -55,7 +55,7 @@ class MarkedNetwork(FeatureNetwork):
     def __init__(self, reader: Reader) -> None:
         super().__init__(1)
         del self.summary, self.identity, self.inner, self.attributes
-        for pair in [one for one in self.modules() if isinstance(one, nn.Sequential)]:
+        for pair in [module for module in self.modules() if isinstance(module, nn.Sequential)]:
             if isinstance(pair[-1], nn.BatchNorm2d):
                 _fold(pair)
         self.heat = nn.Sequential(nn.Conv2d(32, 64, 3, 1, 1), nn.ReLU(), nn.Conv2d(64, 68, 1))

@@ -49,7 +49,7 @@ def main() -> None:
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
     model = onnx.load(arguments.first)
-    (said,) = (json.loads(one.value) for one in model.metadata_props if one.key == "facepipe.features")
+    (said,) = (json.loads(prop.value) for prop in model.metadata_props if prop.key == "facepipe.features")
     training, held_out = divided(arguments.data, arguments.more, said["seed"])
     reader, modes = read_off(arguments.geometry, training.names, arguments.seed)
     say("landmarks are read")

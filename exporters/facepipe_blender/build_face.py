@@ -121,12 +121,12 @@ def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None, home: FloatA
 def _with_materials(parts: FaceParts, view: StageView, warnings: list[str]) -> FaceParts:
     """The face with a bare material of every name that is on the stage, to be filled with what is there."""
     used = [mesh.material for mesh in parts.meshes] + [
-        one.material for mesh in parts.meshes for one in mesh.material_faces
+        material_face.material for mesh in parts.meshes for material_face in mesh.material_faces
     ]
     names = [name for name in dict.fromkeys(used) if name and view.material(name) is not None]
 
     def own(mesh: Mesh) -> Mesh:
-        faces = tuple(one for one in mesh.material_faces if one.material in names)
+        faces = tuple(material_face for material_face in mesh.material_faces if material_face.material in names)
         return replace(mesh, material=mesh.material if mesh.material in names else None, material_faces=faces)
 
     meshes = tuple(own(mesh) for mesh in parts.meshes)
@@ -192,7 +192,7 @@ def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
         mesh,
         points=points.astype(np.float32),
         normals=normals,
-        blendshapes=tuple(shape(one) for one in mesh.blendshapes),
+        blendshapes=tuple(shape(blendshape) for blendshape in mesh.blendshapes),
     )
 
 

@@ -71,7 +71,9 @@ def _remove(layer: Sdf.Layer, faces: set[Sdf.Path], others: set[Sdf.Path]) -> bo
         spec = layer.GetPrimAtPath(path)
         if spec is None:
             continue
-        inner = {one.GetPrefixes()[path.pathElementCount] for one in others if one != path and one.HasPrefix(path)}
+        inner = {
+            other.GetPrefixes()[path.pathElementCount] for other in others if other != path and other.HasPrefix(path)
+        }
         if inner:
             for child in [one.path for one in spec.nameChildren.values() if one.path not in inner]:
                 del spec.nameChildren[child.name]
@@ -117,8 +119,8 @@ def _finish(layer: Sdf.Layer, built: Sequence[Built], *, empty: bool, alone: boo
     if alone:
         UsdGeom.SetStageMetersPerUnit(stage, parts.meters_per_unit)
         UsdGeom.SetStageUpAxis(stage, parts.up_axis)
-    times = [one.times for each in built for one in each.parts.animations if one.times is not None]
+    times = [animation.times for each in built for animation in each.parts.animations if animation.times is not None]
     if times:
         rate = stage.GetTimeCodesPerSecond()
-        stage.SetStartTimeCode(min(float(one[0]) for one in times) * rate)
-        stage.SetEndTimeCode(max(float(one[-1]) for one in times) * rate)
+        stage.SetStartTimeCode(min(float(time[0]) for time in times) * rate)
+        stage.SetEndTimeCode(max(float(time[-1]) for time in times) * rate)

@@ -56,9 +56,9 @@ def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
             groups.setdefault((armature, record if armature is None else None), []).append(obj)
     faces = []
     for (armature, record), meshes in groups.items():
-        for of_face in [meshes] if armature is not None or record is not None else [[one] for one in meshes]:
+        for of_face in [meshes] if armature is not None or record is not None else [[mesh] for mesh in meshes]:
             faces.append(FaceObjects(armature=armature, meshes=tuple(of_face)))
-    return tuple(one for one in faces if one.is_face)
+    return tuple(face for face in faces if face.is_face)
 
 
 def face_of(obj: Any, objects: Iterable[Any]) -> FaceObjects:

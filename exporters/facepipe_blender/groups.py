@@ -44,7 +44,7 @@ def read_groups(obj: Any, bones: set[str], helpers: set[str]) -> Groups:
 
 def write_regions(obj: Any, regions: dict[str, FloatArray]) -> None:
     """The regions as vertex groups of a mesh object, in place of those it has."""
-    _remove(obj, [one.name for one in obj.vertex_groups if one.name.startswith(REGION)])
+    _remove(obj, [group.name for group in obj.vertex_groups if group.name.startswith(REGION)])
     _add(obj, {REGION + name: mask for name, mask in regions.items()})
 
 
@@ -53,7 +53,7 @@ def write_skin(obj: Any, skin: Skin, bones: Sequence[str]) -> None:
 
     :param bones: name of the bone of every joint
     """
-    _remove(obj, [one.name for one in obj.vertex_groups if one.name in set(bones)])
+    _remove(obj, [group.name for group in obj.vertex_groups if group.name in set(bones)])
     weights: dict[str, FloatArray] = {}
     for joint in np.unique(skin.joint_indices[skin.joint_weights != 0]).tolist():
         weights[bones[joint]] = np.where(skin.joint_indices == joint, skin.joint_weights, 0.0).sum(axis=1)

@@ -21,8 +21,12 @@ def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
 
     :param warnings: gets a line for what is not applied
     """
-    modifiers = [one for one in obj.modifiers if one.type != "ARMATURE" and (one.show_viewport or one.show_render)]
-    hidden = [one.name for one in modifiers if not one.show_viewport]
+    modifiers = [
+        modifier
+        for modifier in obj.modifiers
+        if modifier.type != "ARMATURE" and (modifier.show_viewport or modifier.show_render)
+    ]
+    hidden = [modifier.name for modifier in modifiers if not modifier.show_viewport]
     if hidden:
         warnings.append(f"{obj.name}: modifiers {_listed(hidden)} are not applied, the viewport doesn't show them")
     if len(hidden) == len(modifiers):
@@ -31,7 +35,7 @@ def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
     with contextlib.ExitStack() as after:
         made = _applied(obj, after) if threading.current_thread() is threading.main_thread() else None
         if made is None:
-            names = _listed([one.name for one in modifiers if one.show_viewport])
+            names = _listed([modifier.name for modifier in modifiers if modifier.show_viewport])
             warnings.append(f"{obj.name}: modifiers {names} are not applied, {_reason()}")
         yield made or obj
 

@@ -43,7 +43,9 @@ class FACEPIPE_OT_export(bpy.types.Operator):  # noqa: N801  (Blender's way to n
         """Ask for the folder; then, if need be, whether to overwrite what is there."""
         if self.ask:
             self.overwrite = True
-            there = ", ".join(one.name for one in outputs(Path(self.directory), self.file_name) if one.exists())
+            there = ", ".join(
+                output.name for output in outputs(Path(self.directory), self.file_name) if output.exists()
+            )
             return set(context.window_manager.invoke_confirm(self, event, title="Overwrite?", message=there))
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
@@ -55,7 +57,7 @@ class FACEPIPE_OT_export(bpy.types.Operator):  # noqa: N801  (Blender's way to n
             folder = Path(bpy.path.abspath(self.directory)) if self.directory else Path()
             name = self.file_name or face.name
             asked = self.options.is_invoke and not self.overwrite
-            if asked and any(one.exists() for one in outputs(folder, name)):
+            if asked and any(output.exists() for output in outputs(folder, name)):
                 settings = {"directory": str(folder), "file_name": name, "sliders": self.sliders, "ask": True}
                 bpy.ops.facepipe.export("INVOKE_DEFAULT", **settings)
                 return {"CANCELLED"}
@@ -195,7 +197,7 @@ class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name p
                 layout.label(text=line)
             return
         names = [read_key_name(key.name) for obj in face.meshes if obj.data.shape_keys for key in _keys(obj)]
-        shapes = {one.shape for one in names if one.weight is None}
+        shapes = {name.shape for name in names if name.weight is None}
         bones = len(face.armature.data.bones) if face.armature else 0
         column = layout.column(align=True)
         column.label(text=face.first.name, icon="USER")

@@ -174,7 +174,7 @@ def _colors(data: Any) -> FloatArray | None:
 
 
 def _subsets(data: Any) -> dict[str, IntArray]:
-    layers = [one for one in data.attributes if one.name.startswith(SUBSET)]
+    layers = [attribute for attribute in data.attributes if attribute.name.startswith(SUBSET)]
     return {
         layer.name.removeprefix(SUBSET): np.flatnonzero(_values(layer.data, "value", bool)).astype(np.int32)
         for layer in layers

@@ -24,8 +24,8 @@ class StageView:
         self.up = "Z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "Y"
         self.folder = Path(stage.GetRootLayer().realPath).parent
         prims = list(stage.TraverseAll())
-        self._objects = _by_name((one for one in prims if one.IsA(UsdGeom.Xformable)), _OBJECT)
-        self._materials = _by_name((one for one in prims if one.IsA(UsdShade.Material)), _DATA)
+        self._objects = _by_name((prim for prim in prims if prim.IsA(UsdGeom.Xformable)), _OBJECT)
+        self._materials = _by_name((prim for prim in prims if prim.IsA(UsdShade.Material)), _DATA)
 
     def prim(self, obj: Any) -> Usd.Prim | None:
         """The prim of an object; None where it was not exported."""

@@ -28,7 +28,7 @@ def write_mesh(obj: Any, mesh: Mesh) -> None:
 
 
 def _remove_attributes(data: Any, prefixes: tuple[str, ...]) -> None:
-    names = [one.name for one in data.attributes if one.name.startswith(prefixes)]
+    names = [attribute.name for attribute in data.attributes if attribute.name.startswith(prefixes)]
     for name in names:  # references to others end with every removal
         data.attributes.remove(data.attributes[name])
 

@@ -144,7 +144,7 @@ def _changed(trs: Trs, rest: Trs, used: IntArray) -> FloatArray:
         trs.rotation * flipped - rest.rotation[used],
         trs.scale - rest.scale[used],
     )
-    return np.stack([(np.abs(one) > _SAME).any(axis=(0, 2)) for one in differences], axis=1)
+    return np.stack([(np.abs(difference) > _SAME).any(axis=(0, 2)) for difference in differences], axis=1)
 
 
 def _channel(

@@ -28,7 +28,10 @@ def _with_normals(sculpts: Sequence[Sculpt], points: FloatArray, triangles: IntA
     """
     neutral = np.asarray(points, dtype=np.float64)
     normals = point_normals(neutral, triangles)
-    return [one if one.normal_offsets is not None else _computed(one, neutral, normals, triangles) for one in sculpts]
+    return [
+        sculpt if sculpt.normal_offsets is not None else _computed(sculpt, neutral, normals, triangles)
+        for sculpt in sculpts
+    ]
 
 
 def _computed(sculpt: Sculpt, neutral: FloatArray, normals: FloatArray, triangles: IntArray) -> Sculpt:

@@ -141,7 +141,7 @@ class _Writer:
 
     def _skin(self, meshes: Sequence[Baked]) -> tuple[JointNodes | None, list[Json]]:
         """The one skin that all skinned meshes share, and its nodes."""
-        if not any(one.influences is not None for one in meshes):
+        if not any(mesh.influences is not None for mesh in meshes):
             return None, []
         skeleton = self.parts.skeleton
         joints = joint_nodes(skeleton, self.space, len(self.nodes), person=self.options.pose == "set-joints")
@@ -244,16 +244,16 @@ class _Writer:
         """The sum of the errors of `ExportReport.error_mm`, in mm; None for an exact file."""
         options = self.options
         encoding, smallest = Encoding(options.quantize), options.drop_deltas / 1000
-        stored = [storage_error(one, encoding, smallest) for one in meshes] if options.quantize or smallest else []
+        stored = [storage_error(mesh, encoding, smallest) for mesh in meshes] if options.quantize or smallest else []
         fewer = None
-        if any(one.influences is not None and one.influences.any_lost for one in meshes):
+        if any(mesh.influences is not None and mesh.influences.any_lost for mesh in meshes):
             fewer = influence_error(self.parts, meshes, self.space)
         if not stored and fewer is None:
             return None
         error = max(stored, default=0.0) + (fewer or 0.0)
         if options.quantize:  # joints of one point take it a head height apart at most
-            heights = np.concatenate([one.points[:, 1] for one in meshes] or [np.zeros(1)])
-            error += max((weight_error(one, encoding) for one in meshes), default=0.0) * float(np.ptp(heights))
+            heights = np.concatenate([mesh.points[:, 1] for mesh in meshes] or [np.zeros(1)])
+            error += max((weight_error(mesh, encoding) for mesh in meshes), default=0.0) * float(np.ptp(heights))
         return error * 1000
 
     def _counts(self, skins: list[Json], animations: list[Json], shapes: Sequence[str]) -> dict[str, int]:
@@ -281,5 +281,5 @@ def _mesh_extras(baked: Baked) -> Json:
         facepipe_extras["anchor"] = int(mesh.anchor)
     result: Json = {"facepipe": facepipe_extras}
     if baked.sculpts:
-        result["targetNames"] = [one.label for one in baked.sculpts]
+        result["targetNames"] = [sculpt.label for sculpt in baked.sculpts]
     return result

@@ -97,7 +97,7 @@ def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
 
 def _materials(mesh: Mesh) -> set[str | None]:
     """Materials that some face shows: the mesh's own where a face has none of its own."""
-    by_face = [one for one in mesh.material_faces if len(one.faces)]
+    by_face = [material_face for material_face in mesh.material_faces if len(material_face.faces)]
     covered = len(np.unique(np.concatenate([one.faces for one in by_face]))) if by_face else 0
     own = {mesh.material} if covered < len(mesh.face_vertex_counts) else set()
     return own | {one.material for one in by_face}
@@ -134,8 +134,8 @@ def influence_error(parts: FaceParts, meshes: Sequence[Baked], space: Space) -> 
 
     None where no influence is left out or there is no pose to measure at.
     """
-    changes = [_change(one, len(parts.skeleton.joints)) for one in meshes if one.influences is not None]
-    changes = [one for one in changes if len(one.points)]
+    changes = [_change(mesh, len(parts.skeleton.joints)) for mesh in meshes if mesh.influences is not None]
+    changes = [change for change in changes if len(change.points)]
     if not changes:
         return None
     skeleton = parts.skeleton
@@ -144,7 +144,7 @@ def influence_error(parts: FaceParts, meshes: Sequence[Baked], space: Space) -> 
         return None
     worlds = accumulate(space.local(poses, skeleton.parents < 0), skeleton.parents)
     matrices = worlds @ space.inverse_binds(np.asarray(skeleton.bind_transforms, dtype=np.float64))
-    return max(_longest_shift(one, matrices) for one in changes)
+    return max(_longest_shift(change, matrices) for change in changes)
 
 
 class _Change(NamedTuple):

@@ -41,7 +41,7 @@ class MaterialWriter:
         """
         if name is not None and name not in self._by_name:
             raise ExportError(f"{mesh.name} -> material {name}", "not among the face's materials")
-        uv_names = tuple(one.name for one in mesh.uv_sets)
+        uv_names = tuple(uv_set.name for uv_set in mesh.uv_sets)
         key = (name, uv_names, mesh.double_sided, name is None and mesh.colors is not None)
         if key not in self._surfaces:
             self._surfaces[key] = self._convert(self._source(name, mesh), uv_names, mesh.double_sided)

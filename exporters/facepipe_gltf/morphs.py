@@ -64,8 +64,10 @@ def sculpts_of(mesh: Mesh, shapes: Sequence[str]) -> list[Sculpt]:
 
 def extras(sculpts: Sequence[Sculpt]) -> Json:
     """What an engine needs to drive inbetweens: the shape and weight of each, and activation curves."""
-    inbetweens = {one.name: {"shape": one.shape, "weight": one.weight} for one in sculpts if one.is_inbetween}
-    curves = {one.name: [list(knot) for knot in one.knots] for one in sculpts if len(one.knots) > 2}
+    inbetweens = {
+        sculpt.name: {"shape": sculpt.shape, "weight": sculpt.weight} for sculpt in sculpts if sculpt.is_inbetween
+    }
+    curves = {sculpt.name: [list(knot) for knot in sculpt.knots] for sculpt in sculpts if len(sculpt.knots) > 2}
     return {"inbetweens": inbetweens, "curves": curves} if inbetweens else {}
 
 
@@ -148,12 +150,14 @@ def blocks(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray)
 
 
 def _morphs(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray, with_normals: bool) -> Morphs:
-    starts = np.cumsum([0, *(len(one.point_indices) for one in sculpts)])
-    points = np.concatenate([one.point_indices for one in sculpts], dtype=np.int64)
-    offsets = placement.offsets(np.concatenate([one.offsets for one in sculpts]), points)
+    starts = np.cumsum([0, *(len(sculpt.point_indices) for sculpt in sculpts)])
+    points = np.concatenate([sculpt.point_indices for sculpt in sculpts], dtype=np.int64)
+    offsets = placement.offsets(np.concatenate([sculpt.offsets for sculpt in sculpts]), points)
     if not with_normals:
         return Morphs(starts, points, offsets, None)
-    own = [np.zeros_like(one.offsets) if one.normal_offsets is None else one.normal_offsets for one in sculpts]
+    own = [
+        np.zeros_like(sculpt.offsets) if sculpt.normal_offsets is None else sculpt.normal_offsets for sculpt in sculpts
+    ]
     return Morphs(starts, points, offsets, placement.normal_offsets(np.concatenate(own), normals[points], points))
 
 

@@ -99,7 +99,7 @@ def _stated(value: Any) -> Json:
         raise TypeError(f"{kind.__name__} {str(value)[:40]!r}")
     if not _is_dataclass(kind):
         return {name: one for name, one in vars(value).items() if one is not None}
-    stated = {one.name: getattr(value, one.name) for one in _fields(kind)}
+    stated = {field.name: getattr(value, field.name) for field in _fields(kind)}
     return {name: one for name, one in stated.items() if one is not None and not _is_empty(one)}
 
 

@@ -199,7 +199,7 @@ class PrimitiveWriter:
         if morphs.normal_offsets is None:
             return []
         encodings = [Encoding()] if not self._encoding.quantize else [Encoding(), self._encoding]
-        return [table_of(morphs, one.directions(morphs.normal_offsets)) for one in encodings]
+        return [table_of(morphs, encoding.directions(morphs.normal_offsets)) for encoding in encodings]
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:
         return self._buffers.add(encoded.array, "vertex", normalized=encoded.normalized, bounds=bounds)

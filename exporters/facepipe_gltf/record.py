@@ -46,15 +46,15 @@ def record_of(
     :param animations: names of those in the file
     :param colored: names of meshes whose display colours are in the file
     """
-    if options.mode == "morph" or any(len(one.placement.matrices) > 1 for one in meshes):
+    if options.mode == "morph" or any(len(mesh.placement.matrices) > 1 for mesh in meshes):
         return None
     face = _husk(parts, meshes, animations, colored)
     joints, shapes = list(face.skeleton.joints), shape_names(face.meshes)
     return Record(
-        face=replace(face, animations=tuple(replace(one, joints=(), shapes=()) for one in face.animations)),
-        meshes=tuple(_mesh_record(one, exact=not options.quantize) for one in meshes),
-        joints=tuple(_numbers(one.joints, joints) for one in face.animations),
-        shapes=tuple(_numbers(one.shapes, shapes) for one in face.animations),
+        face=replace(face, animations=tuple(replace(animation, joints=(), shapes=()) for animation in face.animations)),
+        meshes=tuple(_mesh_record(mesh, exact=not options.quantize) for mesh in meshes),
+        joints=tuple(_numbers(animation.joints, joints) for animation in face.animations),
+        shapes=tuple(_numbers(animation.shapes, shapes) for animation in face.animations),
         axes=space.axes,
         placement=space.placement,
     )
@@ -70,22 +70,24 @@ def _husk(
     parts: FaceParts, meshes: Sequence[Baked], animations: Collection[str], colored: Collection[str]
 ) -> FaceParts:
     """The face without what the file holds elsewhere, and without sliders that move nothing in the file."""
-    skinned = any(one.influences is not None for one in meshes)
+    skinned = any(mesh.influences is not None for mesh in meshes)
     skeleton = parts.skeleton if skinned else replace(Skeleton(), name=parts.skeleton.name)
     joints = set(skeleton.joints)
-    shapes = {sculpt.shape for one in meshes for sculpt in one.sculpts}
-    pairs = [(one, kept(one, joints.__contains__, shapes.__contains__)) for one in parts.sliders]
+    shapes = {sculpt.shape for mesh in meshes for sculpt in mesh.sculpts}
+    pairs = [(slider, kept(slider, joints.__contains__, shapes.__contains__)) for slider in parts.sliders]
     sliders = [own for one, own in pairs if own.channels or own.shapes or not (one.channels or one.shapes)]
     network = parts.slider_network
     if network is not None:
         network = kept_outputs(network, joints.__contains__, shapes.__contains__)
-    if network is not None and not {one.name for one in sliders}.issuperset(network.sliders):
+    if network is not None and not {slider.name for slider in sliders}.issuperset(network.sliders):
         network = None
     return replace(
         parts,
-        meshes=tuple(_mesh_husk(one, one.mesh.name in colored) for one in meshes),
+        meshes=tuple(_mesh_husk(mesh, mesh.mesh.name in colored) for mesh in meshes),
         skeleton=skeleton,
-        animations=tuple(_animation_husk(one, joints, shapes) for one in parts.animations if one.name in animations),
+        animations=tuple(
+            _animation_husk(animation, joints, shapes) for animation in parts.animations if animation.name in animations
+        ),
         played=parts.played if parts.played in animations else None,
         person=parts.person if parts.person in animations else None,
         sliders=with_mutual_mirrors(sliders),
@@ -102,7 +104,7 @@ def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
     if recipe is None or recipe.verb != "import gltf" or "made" not in recipe.options:
         return recipe
     made = recipe.options["made"]
-    if not isinstance(made, dict) or set(made) != {one.name for one in fields(Recipe)}:
+    if not isinstance(made, dict) or set(made) != {field.name for field in fields(Recipe)}:
         return None
     return Recipe(**made | {"sources": tuple(made["sources"]), "digests": tuple(made["digests"])})
 
@@ -182,9 +184,9 @@ def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:
 
 def _material_husks(materials: Sequence[Material], meshes: Sequence[Baked]) -> tuple[Material, ...]:
     """The materials whose images are in the file, with digests in place of images."""
-    used = {name for one in meshes for name, _ in by_material(one)}
-    husks = [with_image_data(one, image_digest) for one in materials]
-    return tuple(one for one in husks if one.name in used or not texture_inputs(one))
+    used = {name for mesh in meshes for name, _ in by_material(mesh)}
+    husks = [with_image_data(material, image_digest) for material in materials]
+    return tuple(husk for husk in husks if husk.name in used or not texture_inputs(husk))
 
 
 def _mesh_record(baked: Baked, *, exact: bool) -> MeshRecord:

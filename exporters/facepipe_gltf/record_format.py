@@ -135,7 +135,7 @@ def _ordered(values: FloatArray) -> IntArray:
 
 def texture_inputs(material: Material) -> dict[str, TextureInput]:
     """The inputs of a material that textures drive, by field."""
-    values = {one.name: getattr(material, one.name) for one in fields(material)}
+    values = {field.name: getattr(material, field.name) for field in fields(material)}
     return {name: value for name, value in values.items() if isinstance(value, TextureInput)}
 
 
@@ -160,7 +160,7 @@ def shape_names(meshes: Sequence[Mesh]) -> list[str]:
 
 def material_groups(mesh: Mesh) -> tuple[list[str | None], IntArray]:
     """Materials of a mesh, its own first, and the number (faces,) among them that each face shows."""
-    names = list(dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)]))
+    names = list(dict.fromkeys([mesh.material, *(material_face.material for material_face in mesh.material_faces)]))
     number = np.zeros(len(mesh.face_vertex_counts), np.int64)
     for shown in mesh.material_faces:
         faces = np.asarray(shown.faces, dtype=np.int64)

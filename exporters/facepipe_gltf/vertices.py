@@ -41,9 +41,10 @@ def corners_of(mesh: Mesh, mirrored: bool) -> Corners:
     if not solid.all():
         faces, corners, points = faces[solid], corners[solid], points[solid]
     uv_indices = tuple(
-        points if one.indices is None else np.asarray(one.indices, dtype=np.int64)[corners] for one in mesh.uv_sets
+        points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
+        for uv_set in mesh.uv_sets
     )
-    uvs = tuple(_v_down(one.values) for one in mesh.uv_sets)
+    uvs = tuple(_v_down(uv_set.values) for uv_set in mesh.uv_sets)
     normals = normal_indices = None
     if mesh.normals is not None and len(mesh.normals) == len(mesh.face_vertex_indices) != len(mesh.points):
         normals, normal_indices = _plain_zeros(np.asarray(mesh.normals, dtype=np.float32)), corners
@@ -83,7 +84,9 @@ def vertices_of(corners: Corners, chosen: IntArray, extra: IntArray | None = Non
     first = np.full(corners.point_count, -1, np.int64)  # a corner of each point
     first[points] = np.arange(len(points))
     seams = _seam_corners(points, first, attributes)
-    of_seam, seam_corners = _distinct(points[seams], [_Attribute(one.indices[seams], one.values) for one in attributes])
+    of_seam, seam_corners = _distinct(
+        points[seams], [_Attribute(attribute.indices[seams], attribute.values) for attribute in attributes]
+    )
     counts = (first >= 0).astype(np.int64)
     on_seam = points[seams[seam_corners]]  # the point of each vertex at a seam
     counts[on_seam] = 0
@@ -98,7 +101,7 @@ def vertices_of(corners: Corners, chosen: IntArray, extra: IntArray | None = Non
     triangles[seams] = numbers[of_seam]
     return Vertices(
         points=points[corner],
-        uv_indices=tuple(one.indices[corner] for one in attributes[: len(corners.uvs)]),
+        uv_indices=tuple(attribute.indices[corner] for attribute in attributes[: len(corners.uvs)]),
         normal_indices=None if corners.normals is None else attributes[len(corners.uvs)].indices[corner],
         triangles=triangles.reshape(-1, 3),
         starts=starts,

@@ -57,7 +57,7 @@ def export(
         from facepipe_gltf.lods import lower_levels
 
         levels = lower_levels(face)
-    document = write(delivered.parts, options, levels=[set_face(one, options.pose).parts for one in levels])
+    document = write(delivered.parts, options, levels=[set_face(level, options.pose).parts for level in levels])
     files = save(document, target, on_document=on_document)
     return ExportReport(
         path=target,

@@ -165,8 +165,8 @@ def _sculpt(rig: Rig, number: int) -> Json:
 
 def _slider_records(sliders: Sequence[Slider]) -> list[Json]:
     """The sliders of the face; very many channels and shapes are in the graph alone."""
-    short = sum(len(one.channels) + len(one.shapes) for one in sliders) > _MOST_ENTRIES
-    return [_slider_record(one) | (dict.fromkeys(_ENTRIES) if short else {}) for one in sliders]
+    short = sum(len(slider.channels) + len(slider.shapes) for slider in sliders) > _MOST_ENTRIES
+    return [_slider_record(slider) | (dict.fromkeys(_ENTRIES) if short else {}) for slider in sliders]
 
 
 def _slider_record(slider: Slider) -> Json:
@@ -252,7 +252,7 @@ def _targets(mesh: Mesh, rig: Rig) -> list[int]:
     numbered = {(rig.shapes[target.shape], target.name, target.curve): i for i, target in enumerate(rig.targets)}
     targets = []
     for shape in mesh.blendshapes:
-        by_weight = curves(tuple(one.weight for one in shape.inbetweens))
+        by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
         sculpts = [(shape.name, 1.0), *((f"{shape.name}_{one.name}", one.weight) for one in shape.inbetweens)]
         keys = [(shape.name, name, by_weight[weight]) for name, weight in sculpts]
         targets += [numbered[key] for key in keys if key in numbered]

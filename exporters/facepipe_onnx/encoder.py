@@ -94,7 +94,7 @@ def _attention(nodes: Nodes, tokens: str, layer: EncoderLayer, heads: int) -> st
 
 def _in_own_units(nodes: Nodes, encoder: NeuralEncoder, value: str) -> None:
     """`controls` of values that are clamped to -1..1."""
-    low, high = (np.array([getattr(one, key) for one in encoder.controls]) for key in ("minimum", "maximum"))
+    low, high = (np.array([getattr(control, key) for control in encoder.controls]) for key in ("minimum", "maximum"))
     ends = [nodes.constant(name, np.array(end)) for name, end in (("lowest", -1.0), ("highest", 1.0))]
     clamped = nodes.add("Clip", value, *ends)
     scaled = nodes.add("Mul", clamped, nodes.constant("half_range", (high - low) / 2.0))
@@ -117,7 +117,7 @@ def _describe(
         "conventions": _CONVENTIONS,
         "face": {"meters_per_unit": 0.001, "name": name, "topology": encoder.topology, "up_axis": "Y"},
         "format": ENCODER.format,
-        "further_operators": [one for one in operators if one in FURTHER],
+        "further_operators": [operator for operator in operators if operator in FURTHER],
         "generator": f"facepipe {__version__}",
         "inputs": [
             {
@@ -132,10 +132,10 @@ def _describe(
         "operators": operators,
         "outputs": [
             {
-                "default": [one.default for one in controls],
+                "default": [control.default for control in controls],
                 "name": "controls",
-                "names": [one.name for one in controls],
-                "range": [[one.minimum, one.maximum] for one in controls],
+                "names": [control.name for control in controls],
+                "range": [[control.minimum, control.maximum] for control in controls],
                 "shape": [1, len(controls)],
                 "type": "float32",
             }

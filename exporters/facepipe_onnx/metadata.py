@@ -46,7 +46,7 @@ def model_metadata(model: Any) -> dict[str, Any]:
 
     :raises InputError: text that is no JSON
     """
-    ours = {one.key.removeprefix(PREFIX): one.value for one in model.metadata_props if one.key.startswith(PREFIX)}
+    ours = {prop.key.removeprefix(PREFIX): prop.value for prop in model.metadata_props if prop.key.startswith(PREFIX)}
     return {key: parse_json(text, f"metadata {PREFIX}{key}") for key, text in ours.items()}
 
 
@@ -128,7 +128,7 @@ def metadata_faults(model: Any) -> Iterator[tuple[str, str]]:
         return
     joints = metadata.get("joints", [])
     if not isinstance(joints, list) or not all(
-        isinstance(one, dict) and isinstance(one.get("path"), str) for one in joints
+        isinstance(joint, dict) and isinstance(joint.get("path"), str) for joint in joints
     ):
         yield f"metadata {PREFIX}joints", "expected a list of objects, each with its path"
     for side, values in (("inputs", model.graph.input), ("outputs", model.graph.output)):

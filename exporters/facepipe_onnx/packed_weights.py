@@ -88,7 +88,7 @@ def _stored(nodes: PackedNodes, name: str, matrix: FloatArray, samples: FloatArr
     if nodes.weights == "float16":
         half = rounded(matrix, samples, lambda row: row.astype(np.float16))
         return nodes.add("Cast", nodes.constant(name, half, np.float16), to=_FLOAT), half
-    rows, columns = (one.astype(np.float32).astype(np.float64) for one in _scales(matrix))
+    rows, columns = (scale.astype(np.float32).astype(np.float64) for scale in _scales(matrix))
     whole = rounded(matrix / (rows * columns), samples * rows.T, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
     cast = nodes.add("Cast", nodes.constant(name, whole, np.int8), to=_FLOAT)
     factors = [nodes.constant(f"{name}_{side}", one) for side, one in (("rows", rows), ("columns", columns))]
@@ -141,7 +141,9 @@ def packed_error(packed: Any, whole: Any, rig: Rig, sliders: Sequence[Slider], m
     :param whole: the same in float32
     :param rig: of the exported shapes
     """
-    low, high, rest = (np.array([getattr(one, key) for one in sliders]) for key in ("minimum", "maximum", "default"))
+    low, high, rest = (
+        np.array([getattr(slider, key) for slider in sliders]) for key in ("minimum", "maximum", "default")
+    )
     alone = np.repeat(rest[None], 2 * len(sliders), axis=0)
     alone[::2][np.diag_indices(len(sliders))], alone[1::2][np.diag_indices(len(sliders))] = low, high
     vectors = np.concatenate([alone, slider_samples(sliders, _VECTORS, seed=1)]).astype(np.float32)
@@ -163,7 +165,7 @@ def _points(model: Any, rig: Rig, vectors: FloatArray) -> Iterator[FloatArray]:
     inputs = {one.name: np.zeros(one.shape, np.float32) for one in session.get_inputs()}
     if "parent" in inputs:
         inputs["parent"][:] = rig.parent_world
-    given = {one.name for one in session.get_outputs()}
+    given = {output.name for output in session.get_outputs()}
     names = [name for name in ("coefficients", "morph_weights") if name in given]
     for vector in vectors:
         inputs["sliders"][:] = vector

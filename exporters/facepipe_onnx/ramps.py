@@ -103,7 +103,9 @@ def ramp_nodes(nodes: Nodes, ramps: Ramps, sliders: int) -> str:
 def slider_samples(sliders: Sequence[Slider], count: int, seed: int) -> FloatArray:
     """(count, sliders) values: the defaults, then random ones of few sliders and of many."""
     random = np.random.default_rng(seed)
-    low, high, rest = (np.array([getattr(one, key) for one in sliders]) for key in ("minimum", "maximum", "default"))
+    low, high, rest = (
+        np.array([getattr(slider, key) for slider in sliders]) for key in ("minimum", "maximum", "default")
+    )
     values = low + random.random((count, len(sliders))) * (high - low)
     moved = random.random(values.shape) < random.choice(_BUSY, size=(count, 1))
     moved[0] = False

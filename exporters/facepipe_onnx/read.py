@@ -86,7 +86,7 @@ def _text(model: Any) -> Iterator[tuple[str, str]]:
     named = [*graph.node, *graph.initializer, *graph.input, *graph.output, *graph.value_info]
     texts = [one.name for one in (*named, *(one for node in graph.node for one in node.attribute))]
     texts += [text for node in graph.node for text in (node.op_type, node.domain, *node.input, *node.output)]
-    texts += [text for one in model.metadata_props for text in (one.key, one.value)]
+    texts += [text for prop in model.metadata_props for text in (prop.key, prop.value)]
     texts += [one.domain for one in model.opset_import]
     if not all(isinstance(text, str) for text in texts):
         yield "names", "not UTF-8"

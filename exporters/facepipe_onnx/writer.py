@@ -115,7 +115,7 @@ def _counts(rig: Rig, options: Options, sliders: Sequence[Slider] | None, model:
 def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | None) -> tuple[str, ...]:
     """Lines on what the graph leaves out."""
     sculpted = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
-    driven = sum(len(one.shapes) for one in parts.sliders) if options.sliders else 0
+    driven = sum(len(slider.shapes) for slider in parts.sliders) if options.sliders else 0
     beside = parts.slider_network is not None and not options.sliders
     counts = (
         (driven - sum(len(one.shapes) for one in sliders or ()), "shapes of sliders"),

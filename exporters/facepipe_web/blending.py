@@ -28,7 +28,7 @@ class Blending:
         self._number = 0
         self._lock = threading.Lock()  # of versions
         self.entry: Json = {
-            "sources": [one.name for one in live.sources],
+            "sources": [source.name for source in live.sources],
             "regions": list(live.regions),
             "weights": live.rows,
             "locked": dict(live.weights.locked),

@@ -100,7 +100,7 @@ def configure(parser: Parser, kind: type[Action[Any]]) -> None:
 def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
     add, staged = parser.add_argument, issubclass(kind, StageAction)
     result = kind.output if issubclass(kind, FileAction) else _STAGE
-    if not any(one.stands_alone for one in fields_of(kind)):
+    if not any(field.stands_alone for field in fields_of(kind)):
         add("out", nargs="?", type=Path, metavar="OUT", help=f"{result} (or -o OUT)")
     add("-o", "--output", type=Path, metavar="OUT", help=result.replace("%", "%%"))
     edited = ", or with --edit RESULT," if staged else ""
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
     if isinstance(action, Inspector):
         return _inspected(action, arguments)
     warn(kept.warnings if kept else ())
-    read = [getattr(arguments, one.name, None) for one in fields_of(kind) if one.is_read]
+    read = [getattr(arguments, field.name, None) for field in fields_of(kind) if field.is_read]
     inputs = [*files_of(action), *(path for path in read if path is not None)]
     arguments.output = arguments.output or getattr(arguments, "out", None)
     in_place = isinstance(action, InPlaceAction) and arguments.output is None

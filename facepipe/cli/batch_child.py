@@ -146,8 +146,8 @@ def _of_action(verb: str, parsed: argparse.Namespace, writes: list[Path]) -> tup
     if parsed.edit is not None or (issubclass(kind, InPlaceAction) and not writes):
         raise InputError(verb, "would change its input, which a step can't, expected another result")
     action = action_of(parsed, kind)[1]
-    read = [getattr(parsed, one.name, None) for one in fields_of(kind) if one.is_read]
-    beside = [getattr(action, one.name) for one in fields_of(kind) if one.role == "beside"]
+    read = [getattr(parsed, field.name, None) for field in fields_of(kind) if field.is_read]
+    beside = [getattr(action, field.name) for field in fields_of(kind) if field.role == "beside"]
     more = [path for path in beside if path is not None] + _companions(writes, kind)
     return [*files_of(action), *(path for path in read if path is not None)], more
 
@@ -162,7 +162,7 @@ def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> li
     if kind is not None and issubclass(kind, FileAction):
         return [one for one in kind.with_it(out) if one != out]
     exported = out.suffix.lower().removeprefix(".") in suffixes()
-    return [one for one in outputs(out) if one != out] if exported else []
+    return [output for output in outputs(out) if output != out] if exported else []
 
 
 def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.Namespace:

@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         plan, state = each(arguments.each, arguments.words, arguments.output or ""), arguments.state
     project = project_around(Path.cwd())
     if project is not None:
-        words = [in_project(project, one.words, plan.folder, one.out) for one in plan.steps]
+        words = [in_project(project, step.words, plan.folder, step.out) for step in plan.steps]
         steps = [replace(one, words=tuple(step_words)) for one, step_words in zip(plan.steps, words, strict=True)]
         plan = replace(plan, steps=tuple(steps))
     with _watched() as on_task:
@@ -133,7 +133,9 @@ def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:
 
 def _lines(run: Run) -> Callable[..., object]:
     last = time.monotonic()
-    total = len(run.plan.rows) * sum(not one.once for one in run.plan.steps) + sum(one.once for one in run.plan.steps)
+    total = len(run.plan.rows) * sum(not step.once for step in run.plan.steps) + sum(
+        step.once for step in run.plan.steps
+    )
 
     def on_task(task: Any, record: dict[str, Any]) -> None:
         nonlocal last

@@ -80,7 +80,11 @@ def _actions(group: Any) -> Iterator[_Line]:
 
 
 def _flags(parser: argparse.ArgumentParser) -> tuple[_Flag, ...]:
-    shown = [one for one in parser._actions if one.help != argparse.SUPPRESS and (one.option_strings or one.choices)]
+    shown = [
+        action
+        for action in parser._actions
+        if action.help != argparse.SUPPRESS and (action.option_strings or action.choices)
+    ]
     return tuple(_Flag(tuple(one.option_strings), _sentence(one.help), _choices(one), _value(one)) for one in shown)
 
 

@@ -112,8 +112,8 @@ def _validated(paths: list[Path]) -> int:
     errors = 0
     for path in paths:
         findings = [one for one in validate(path) if one.severity != "info" or "NotInstalled" in one.check]
-        errors += sum(one.severity == "error" for one in findings)
-        good = all(one.severity == "info" for one in findings)
+        errors += sum(finding.severity == "error" for finding in findings)
+        good = all(finding.severity == "info" for finding in findings)
         print(f"{path.name}: {'no errors, no warnings' if good else ''}")
         for one in findings:
             print(f"  {one.severity}: {one.check}: {one.where}: {one.message}")

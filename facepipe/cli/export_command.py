@@ -64,7 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.exporting import DistilledExportReport, export
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
-    names = [one.name for kind in (registry.exporter(out).Options, AttachOptions) for one in dataclasses.fields(kind)]
+    names = [
+        field.name for kind in (registry.exporter(out).Options, AttachOptions) for field in dataclasses.fields(kind)
+    ]
     names += [f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)]
     report = export(
         arguments.face,

@@ -31,21 +31,21 @@ class Parser(argparse.ArgumentParser):
         """As argparse does; of a word that no command knows the error has the nearest flag."""
         parsed, others = self.parse_known_args(args, namespace)
         if others:
-            flags = [one.partition("=")[0] for one in others if one.startswith("-")]
+            flags = [other.partition("=")[0] for other in others if other.startswith("-")]
             near = did_you_mean(flags[0], self._flags()) if flags else ""
             self.error(f"unrecognized arguments: {' '.join(others)}{near}")
         return parsed
 
     def _flags(self) -> list[str]:
         """The flags of this parser and of those below it."""
-        groups = [one for one in self._actions if isinstance(one, argparse._SubParsersAction)]
+        groups = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
         below = [parser for group in groups for parser in group.choices.values()]
         return [flag for parser in (self, *below) for flag in parser._option_string_actions if flag.startswith("--")]
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """:raises argparse.ArgumentError: `value` is no choice of the action; with the nearest one"""
         if action.choices is not None and value not in action.choices:
-            choices = [str(one) for one in action.choices]
+            choices = [str(choice) for choice in action.choices]
             near = did_you_mean(str(value), choices) or f" (choose from {', '.join(choices)})"
             raise argparse.ArgumentError(action, f"invalid choice: {value!r}{near}")
 

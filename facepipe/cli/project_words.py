@@ -76,9 +76,9 @@ def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[s
         modules(command).configure(parser, [*words])
     else:
         kind.add_flags(parser)
-        for one in fields_of(kind):
-            if one.role == "option" and one.name not in kind.own_flags:
-                add_field(parser, one)
+        for field in fields_of(kind):
+            if field.role == "option" and field.name not in kind.own_flags:
+                add_field(parser, field)
     return {flag.removeprefix("--") for flag in parser._option_string_actions if flag.startswith("--")} - _NEVER
 
 

@@ -112,7 +112,7 @@ def _network_json(network: SliderNetwork) -> dict[str, Any]:
     """A face's network in the list of sliders, as JSON."""
     return {
         "activation": network.activation,
-        "channels": [list(one) for one in network.channels],
+        "channels": [list(channel) for channel in network.channels],
         "info": dict(network.info),
         "layers": [len(network.sliders), *(len(bias) for bias in network.biases)],
         "shapes": list(network.shapes),

@@ -193,7 +193,7 @@ class _Group:
 
     def home(self, parent: Path) -> Path:
         """The hidden folder in `parent`, which is without links; macOS may know it in another case too."""
-        parent = next((one for one in self._homes if one.samefile(parent)), parent)
+        parent = next((home for home in self._homes if home.samefile(parent)), parent)
         if parent not in self._homes:
             if parent != self._main.parent:
                 collect(parent)

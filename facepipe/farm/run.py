@@ -45,7 +45,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self._answers: queue.SimpleQueue[Record] = queue.SimpleQueue()
-        self._tasks = {one.name: one for one in tasks_of(self.plan)}
+        self._tasks = {task.name: task for task in tasks_of(self.plan)}
         self._waits: dict[str, int] = {}  # task -> how many that it needs are left
         self._for: dict[str, list[str]] = {}  # task -> those that need it
         self._lost: Counter[str] = Counter()

@@ -132,9 +132,11 @@ def graph_distances(graph: Any, sources: Sequence[IntArray], starts: Sequence[Fl
     count = graph.shape[0]
     if not len(sources):
         return np.zeros((0, count))
-    sizes = [len(one) for one in sources]
-    columns = np.concatenate([np.asarray(one, np.int64) for one in sources])
-    offsets = np.zeros(len(columns)) if starts is None else np.concatenate([np.asarray(one, float) for one in starts])
+    sizes = [len(source) for source in sources]
+    columns = np.concatenate([np.asarray(source, np.int64) for source in sources])
+    offsets = (
+        np.zeros(len(columns)) if starts is None else np.concatenate([np.asarray(start, float) for start in starts])
+    )
     shift = 1.0 + float(offsets.max(initial=0.0))  # csgraph takes 0 for no edge: every start that much further
     rows = np.repeat(np.arange(len(sources)), sizes)
     doors = csr_array((offsets + shift, (rows, columns)), shape=(len(sources), count))

@@ -108,7 +108,7 @@ class Examples:
         """The noise of least mean distance where a fifth of the examples in a row is left out, then the next."""
         points = np.arange(0, self.moved.shape[1], max(1, self.moved.shape[1] // _MOST))
         parts = np.array_split(np.arange(len(self.inputs)), min(_PARTS, len(self.inputs)))
-        return float(noises[int(np.argmin(sum(self._missed(one, points, noises) for one in parts)))])
+        return float(noises[int(np.argmin(sum(self._missed(part, points, noises) for part in parts)))])
 
     def _missed(self, left_out: IntArray, points: IntArray, noises: FloatArray) -> FloatArray:
         """For each noise the sum of distances, at left-out examples, from what the others predict."""

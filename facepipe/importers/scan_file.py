@@ -134,7 +134,7 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         name=name,
         points=np.concatenate(points),
         triangles=np.concatenate(triangles).astype(np.int32),
-        colors=_joined_colors(colors, [len(one) for one in points]),
+        colors=_joined_colors(colors, [len(point) for point in points]),
     )
 
 

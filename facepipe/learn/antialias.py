@@ -147,7 +147,7 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     cell = (u[owner, 0] + share * (u[owner, 1] - u[owner, 0]) - 0.5).ceil().long() - 1
     within = ((cell >= 0) & (cell + 1 < cells[owner])).nonzero()[:, 0]
     owner, line, share, cell = owner[within], line[within], share[within], cell[within]
-    steep, inward, slope = steep[owner], *(one[owner] for one in _sides(u, v, 1 / depth))
+    steep, inward, slope = steep[owner], *(side[owner] for side in _sides(u, v, 1 / depth))
     near = torch.where(steep, line * raster.width + cell, cell * raster.width + line)
     far = near + torch.where(steep, 1, raster.width)
     nearness = 1 / depth[:, :2][owner]

@@ -44,7 +44,7 @@ class Camera:
         axes = np.asarray(axes, dtype=np.float64)
         numbers = (Rotation.from_matrix(axes).as_rotvec(), -axes @ eye, focal, center)
         rotation, translation, length, middle = (
-            torch.as_tensor(np.asarray(one, dtype=np.float64), dtype=dtype, device=device) for one in numbers
+            torch.as_tensor(np.asarray(number, dtype=np.float64), dtype=dtype, device=device) for number in numbers
         )
         return cls(rotation=rotation, translation=translation, focal=length, center=middle)
 

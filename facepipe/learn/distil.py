@@ -44,9 +44,10 @@ def bent_sliders(sliders: Sequence[Slider], network: SliderNetwork | None) -> tu
     """The sliders whose effect is no straight line: with curves, or in the network."""
     names = set() if network is None else set(network.sliders)
     return tuple(
-        one
-        for one in sliders
-        if one.minimum < one.maximum and (one.name in names or any((*one.channel_curves, *one.shape_curves)))
+        slider
+        for slider in sliders
+        if slider.minimum < slider.maximum
+        and (slider.name in names or any((*slider.channel_curves, *slider.shape_curves)))
     )
 
 
@@ -67,7 +68,7 @@ def distil(
     """
     bent = bent_sliders(sliders, network)
     taken = () if network is None else network.sliders
-    fixed = tuple(one for one in sliders if one.name in taken and one.minimum == one.maximum)
+    fixed = tuple(slider for slider in sliders if slider.name in taken and slider.minimum == slider.maximum)
     teacher = _Teacher(bent, fixed, network, joints, shapes, driven)
     random = np.random.default_rng(learner.seed)
     trained = train(
@@ -90,7 +91,7 @@ def distil(
         biases=(_bias_over_values(bent, trained), trained.last_bias / scales + offset),
         activation=learner.activation,
     )
-    return tuple(by_name.get(one.name, one) for one in sliders), learnt, trained.steps
+    return tuple(by_name.get(slider.name, slider) for slider in sliders), learnt, trained.steps
 
 
 class _Teacher:
@@ -150,8 +151,8 @@ def _column(one: Driven, joints: Sequence[str], shapes: Sequence[str]) -> int:
 
 def _ranges(sliders: Sequence[Slider]) -> tuple[FloatArray, FloatArray]:
     """(i,) minima and lengths."""
-    lower = np.array([one.minimum for one in sliders])
-    return lower, np.array([one.maximum for one in sliders]) - lower
+    lower = np.array([slider.minimum for slider in sliders])
+    return lower, np.array([slider.maximum for slider in sliders]) - lower
 
 
 def _over_values(bent: Sequence[Slider], trained: Trained) -> FloatArray:

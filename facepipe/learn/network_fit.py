@@ -60,7 +60,7 @@ class Network:
 
     def copied(self) -> list[Tensor]:
         """The parameters as they are now."""
-        return [one.detach().clone() for one in self.parameters]
+        return [parameter.detach().clone() for parameter in self.parameters]
 
     def restore(self, copies: list[Tensor]) -> None:
         """Set the parameters to what they were."""
@@ -251,7 +251,7 @@ def train(
 
 
 def _solved(network: Network, x: Tensor, y: Tensor, descent: Descent) -> Trained:
-    hidden, hidden_bias, _, _ = (one.detach().cpu() for one in network.parameters)
+    hidden, hidden_bias, _, _ = (parameter.detach().cpu() for parameter in network.parameters)
     units = network.units(x.to(network.parameters[0].device)).detach().cpu()
     solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)
     inputs = x.shape[1]

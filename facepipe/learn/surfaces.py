@@ -102,7 +102,10 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
 def _materials(mesh: Mesh, number: dict[str, int]) -> IntArray:
     """(faces,) material of each face."""
     bound = [(mesh.material or "", np.arange(len(mesh.face_vertex_counts)))]
-    bound += [(one.material, np.asarray(one.faces, dtype=np.int64)) for one in mesh.material_faces]
+    bound += [
+        (material_face.material, np.asarray(material_face.faces, dtype=np.int64))
+        for material_face in mesh.material_faces
+    ]
     materials = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
     for name, faces in bound:
         if name not in number:

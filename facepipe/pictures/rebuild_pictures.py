@@ -86,9 +86,14 @@ def _opaque(parts: FaceParts, values: FloatArray) -> tuple[FaceParts, FloatArray
 
     :raises InputError: another number of values
     """
-    clear = {one.name for one in parts.materials if isinstance(one.opacity, float) and one.opacity < _CLEAR}
+    clear = {
+        material.name
+        for material in parts.materials
+        if isinstance(material.opacity, float) and material.opacity < _CLEAR
+    }
     seen = [
-        not ({one.material for one in mesh.material_faces} or {mesh.material or ""}) <= clear for mesh in parts.meshes
+        not ({material_face.material for material_face in mesh.material_faces} or {mesh.material or ""}) <= clear
+        for mesh in parts.meshes
     ]
     kept = np.repeat(seen, [len(mesh.points) for mesh in parts.meshes])
     if len(values) != len(kept):

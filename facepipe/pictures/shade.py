@@ -120,7 +120,7 @@ class Shader:
     def prepare(self, ids: IntArray) -> None:
         """Compute what all samples share, several things at once, before samples in triangles `ids` are shaded."""
         textures = self.materials.textures(np.unique(self.scene.surface[ids]))
-        levels = [partial(self.scene.textures.levels, one) for one in textures]
+        levels = [partial(self.scene.textures.levels, texture) for texture in textures]
         calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
         mapped(lambda call: call(), calls)
 

@@ -228,7 +228,7 @@ def draw_regions(face: Face, path: Path) -> None:
 
 def _author(face: Face, name: str, masks: Masks) -> None:
     mesh, prim = mesh_of(face, name), face.mesh_prim(name)
-    old = [one for one in mesh.regions if identifier(one) in mesh.point_subsets]
+    old = [region for region in mesh.regions if identifier(region) in mesh.point_subsets]
     if old:
         author_region_subsets(prim, _subsets(masks), tuple(identifier(one) for one in old if one not in masks))
     author_regions(prim, replace(mesh, regions=masks))

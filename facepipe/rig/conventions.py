@@ -189,8 +189,8 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
         skeleton=skeleton.called(joint_names),
-        animations=tuple(_animation(one, names) for one in parts.animations),
-        sliders=tuple(_slider(one, names) for one in parts.sliders),
+        animations=tuple(_animation(animation, names) for animation in parts.animations),
+        sliders=tuple(_slider(slider, names) for slider in parts.sliders),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),
     )
 

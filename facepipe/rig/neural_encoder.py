@@ -76,7 +76,7 @@ class NeuralEncoder:
         :raises TopologyError: another number of points
         :raises InputError: NaN or infinity
         """
-        low, high = (np.array([getattr(one, key) for one in self.controls]) for key in ("minimum", "maximum"))
+        low, high = (np.array([getattr(control, key) for control in self.controls]) for key in ("minimum", "maximum"))
         return np.asarray(low + (high - low) * (self.inputs(points) + 1.0) / 2.0)
 
     def inputs(self, points: FloatArray) -> FloatArray:

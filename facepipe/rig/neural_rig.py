@@ -128,7 +128,9 @@ def values_of(controls: Sequence[Control], x: FloatArray) -> FloatArray:
 
 def _ranges(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(c,) minima, maxima and defaults."""
-    rows = np.array([(one.minimum, one.maximum, one.default) for one in controls], dtype=np.float64).reshape(-1, 3)
+    rows = np.array(
+        [(control.minimum, control.maximum, control.default) for control in controls], dtype=np.float64
+    ).reshape(-1, 3)
     return rows[:, 0], rows[:, 1], rows[:, 2]
 
 

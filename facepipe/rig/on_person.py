@@ -150,7 +150,7 @@ def sliders_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Slider, 
     Gains are those of the coefficients of ``inverse(M(person)) M(person + change)``, to first order.
     """
     change = _Changes(parts, person, new)
-    return tuple(change.slider(one) for one in parts.sliders)
+    return tuple(change.slider(slider) for slider in parts.sliders)
 
 
 def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork | None:
@@ -159,7 +159,7 @@ def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork 
     if network is None:
         return None
     change = _Changes(parts, person, new)
-    values = {one.name: clamped_value(one) for one in parts.sliders}
+    values = {slider.name: clamped_value(slider) for slider in parts.sliders}
     start = evaluate(network, np.array([values[name] for name in network.sliders]))
     rows = [change.channels(joint, channel) for joint, channel in network.channels]
     channels = tuple(dict.fromkeys(key for row in rows for key in row))

@@ -67,7 +67,7 @@ def person_of(parts: FaceParts, pose: str = "set") -> Person:
         return _posed(parts, pose, f"pose {pose}")
     if parts.person is not None:
         return _posed(parts, parts.person, f"set by pose {parts.person}")
-    moved = [one for one in parts.sliders if one.value is not None and one.value != one.default]
+    moved = [slider for slider in parts.sliders if slider.value is not None and slider.value != slider.default]
     if not moved:
         return person_of(parts, "rest")
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, network=parts.slider_network)

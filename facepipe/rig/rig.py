@@ -64,9 +64,11 @@ class Rig:
         shape = (3 * len(self.points), len(self.targets))
         if not self.targets:
             return sparse.csr_array(shape)
-        rows = np.concatenate([3 * one.point_indices for one in self.targets])[:, None] + np.arange(3, dtype=np.int32)
-        ends = 3 * np.cumsum([0, *(len(one.point_indices) for one in self.targets)], dtype=np.int32)
-        values = np.concatenate([one.offsets for one in self.targets])
+        rows = np.concatenate([3 * target.point_indices for target in self.targets])[:, None] + np.arange(
+            3, dtype=np.int32
+        )
+        ends = 3 * np.cumsum([0, *(len(target.point_indices) for target in self.targets)], dtype=np.int32)
+        values = np.concatenate([target.offsets for target in self.targets])
         return sparse.csc_array((values.ravel(), rows.ravel(), ends), shape=shape).tocsr()
 
     def weight_vector(self, weights: Mapping[str, float] | None) -> FloatArray:

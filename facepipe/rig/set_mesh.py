@@ -46,12 +46,12 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
 
 def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:
     """(k, 3) what a weight of the shape adds, through its inbetweens."""
-    return _blended(shape, weight, [shape.offsets, *(one.offsets for one in shape.inbetweens)])
+    return _blended(shape, weight, [shape.offsets, *(inbetween.offsets for inbetween in shape.inbetweens)])
 
 
 def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
-    by_weight = curves(tuple(one.weight for one in shape.inbetweens))
-    amounts = [float(by_weight[at](weight)) for at in (1.0, *(one.weight for one in shape.inbetweens))]
+    by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
+    amounts = [float(by_weight[at](weight)) for at in (1.0, *(inbetween.weight for inbetween in shape.inbetweens))]
     total: FloatArray = np.zeros(np.shape(sculpts[0]))
     for amount, sculpt in zip(amounts, sculpts, strict=True):
         total = total + amount * np.asarray(sculpt, dtype=np.float64)
@@ -74,8 +74,8 @@ def _on_top(shape: Blendshape, weight: float, linear: FloatArray | None, turn: F
         offsets=moved(shape.offsets),
         normal_offsets=turned(shape.normal_offsets),
         inbetweens=tuple(
-            replace(one, offsets=moved(one.offsets), normal_offsets=turned(one.normal_offsets))
-            for one in shape.inbetweens
+            replace(inbetween, offsets=moved(inbetween.offsets), normal_offsets=turned(inbetween.normal_offsets))
+            for inbetween in shape.inbetweens
         ),
     )
 
@@ -84,19 +84,19 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
     """The shape whose weight 0 is `start` of the old one: the same piecewise-linear way of its points from there."""
     if not start or not shape.inbetweens:
         return shape
-    positions = [shape.offsets, *(one.offsets for one in shape.inbetweens)]
-    normals = [shape.normal_offsets, *(one.normal_offsets for one in shape.inbetweens)]
-    known = [one for one in normals if one is not None]
-    filled = [np.zeros(np.shape(shape.offsets)) if one is None else one for one in normals]
+    positions = [shape.offsets, *(inbetween.offsets for inbetween in shape.inbetweens)]
+    normals = [shape.normal_offsets, *(inbetween.normal_offsets for inbetween in shape.inbetweens)]
+    known = [normal for normal in normals if normal is not None]
+    filled = [np.zeros(np.shape(shape.offsets)) if normal is None else normal for normal in normals]
 
     def at(weight: float) -> tuple[FloatArray, FloatArray | None]:
         ends = [_blended(shape, start + weight, one) - _blended(shape, start, one) for one in (positions, filled)]
         return ends[0], ends[1] if known else None
 
-    knots = sorted({0.0 - start, 1.0 - start, *(one.weight - start for one in shape.inbetweens)})
+    knots = sorted({0.0 - start, 1.0 - start, *(inbetween.weight - start for inbetween in shape.inbetweens)})
     knots = [knot for knot in knots if min(abs(knot), abs(knot - 1.0)) > _APART]
     names = {0.0 - start: "neutral", 1.0 - start: "full"}
-    names |= {one.weight - start: one.name for one in shape.inbetweens}
+    names |= {inbetween.weight - start: inbetween.name for inbetween in shape.inbetweens}
     inbetweens = []
     for knot in knots:
         offsets, normal_offsets = at(knot)

@@ -83,7 +83,7 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
         ),
         skeleton=new.skeleton,
         animations=animations,
-        played=parts.played if parts.played in {one.name for one in animations} else None,
+        played=parts.played if parts.played in {animation.name for animation in animations} else None,
         sliders=sliders_on(parts, person, new),
         slider_network=network_on(parts, person, new),
         bone_limits=limits_on(parts.bone_limits, person, new),
@@ -146,7 +146,7 @@ def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts)
     """Largest distance between points under the same slider values, in stage units."""
     random, farthest = np.random.default_rng(_SEED), 0.0
     for _ in range(POSES if parts.sliders else 0):
-        values = {one.name: float(random.uniform(one.minimum, one.maximum)) for one in parts.sliders}
+        values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
         exact, moved = (
             rig.evaluate(weights, coefficients=coefficients)
             for rig, (coefficients, weights) in (

@@ -100,7 +100,7 @@ def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str
     The others are at their defaults, at their least and at their largest values meanwhile: what two sliders do together
     counts for both. Sliders that the first layer weighs with 0 do nothing.
     """
-    by_name = {one.name: one for one in sliders}
+    by_name = {slider.name: slider for slider in sliders}
     ranges = np.array(
         [[by_name[name].default, by_name[name].minimum, by_name[name].maximum] for name in network.sliders]
     )

@@ -99,14 +99,16 @@ def kept(slider: Slider, joint: Callable[[str], bool], shape: Callable[[str], bo
     """A slider with only the channels and shapes whose names pass."""
     return with_entries(
         slider,
-        [one for one in channel_entries(slider) if joint(one[0][0])],
-        [one for one in shape_entries(slider) if shape(one[0][0])],
+        [entry for entry in channel_entries(slider) if joint(entry[0][0])],
+        [entry for entry in shape_entries(slider) if shape(entry[0][0])],
     )
 
 
 def with_mutual_mirrors(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
     """The sliders without the mirrors that are not there or that name another."""
-    return tuple(one if mirror_fault(one, sliders) is None else replace(one, mirror=None) for one in sliders)
+    return tuple(
+        slider if mirror_fault(slider, sliders) is None else replace(slider, mirror=None) for slider in sliders
+    )
 
 
 @lru_cache(maxsize=1 << 14)
@@ -207,7 +209,8 @@ def independent(sliders: Sequence[Slider]) -> BoolArray:
 def _effects(sliders: Sequence[Slider]) -> FloatArray:
     """(s, targets) gains of each slider on each shape and channel."""
     gains = [
-        {**{(joint, channel): gain for joint, channel, gain in one.channels}, **dict(one.shapes)} for one in sliders
+        {**{(joint, channel): gain for joint, channel, gain in slider.channels}, **dict(slider.shapes)}
+        for slider in sliders
     ]
     columns = {target: i for i, target in enumerate(dict.fromkeys(target for effect in gains for target in effect))}
     table = np.zeros((len(sliders), len(columns)))

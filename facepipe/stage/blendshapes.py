@@ -95,7 +95,7 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
                 normal_offsets=merge.optional(f"inbetweens:{name}:normalOffsets", normals),
             )
         )
-    if len({one.weight for one in parts}) != len(parts):
+    if len({part.weight for part in parts}) != len(parts):
         raise SchemaError(merge.where, "two inbetweens have the same weight")
     return tuple(sorted(parts, key=lambda one: one.weight))
 

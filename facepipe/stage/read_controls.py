@@ -167,10 +167,10 @@ def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...
             for attribute in prim.GetAuthoredAttributes()
             if attribute.IsCustom() and attribute.HasAuthoredValue()
         ]
-        numbers = [one for one in numbers if str(one.GetTypeName()) in _NUMBERS]
+        numbers = [number for number in numbers if str(number.GetTypeName()) in _NUMBERS]
         if not numbers:
             raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
-        tracks += [_track(one) for one in numbers]
+        tracks += [_track(number) for number in numbers]
     return tuple(tracks)
 
 

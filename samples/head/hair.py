@@ -281,7 +281,7 @@ def hair_grids(template: Template, skin: Skin, style: Style, scalp: Array) -> Gr
 
 def _texture(style: Style, locks: list[Lock], rng: Any) -> Array:
     """(n, rows, 2, 2) texture coordinates of cards that show locks, some of them mirrored."""
-    left, bottom, height = (np.array([getattr(one, name) for one in locks]) for name in ("left", "bottom", "height"))
+    left, bottom, height = (np.array([getattr(lock, name) for lock in locks]) for name in ("left", "bottom", "height"))
     sides = np.where(rng.random((len(locks), 1)) < 0.5, [0.03, 0.97], [0.97, 0.03])
     u = (left[:, None] + WIDE * sides) / 1024
     v = 1 - (bottom[:, None] - 3 - (height[:, None] - 8) * _shares(style)) / 1024

@@ -35,7 +35,9 @@ class Canvas:
         """A hair through places (m,) in texels; `width` in texels and `value` (grey) along it."""
         count = int(4 * FINE * (np.abs(np.diff(x)).sum() + np.abs(np.diff(y)).sum())) + 2
         t, fine = np.linspace(0, 1, len(x)), np.linspace(0, 1, count)
-        x, y, width, value = (np.interp(fine, t, one) for one in np.broadcast_arrays(x, y, width, value))
+        x, y, width, value = (
+            np.interp(fine, t, broadcast_array) for broadcast_array in np.broadcast_arrays(x, y, width, value)
+        )
         reach = int(np.ceil(width.max() * FINE / 2 + 1))
         for dy in range(-reach, reach + 1):
             for dx in range(-reach, reach + 1):

@@ -124,8 +124,8 @@ def _check_finite(document: Document, parts: FaceParts) -> None:
         arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
         arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
         for shape in mesh.blendshapes:
-            arrays += [shape.offsets, shape.normal_offsets, *(one.offsets for one in shape.inbetweens)]
-            arrays += [one.normal_offsets for one in shape.inbetweens]
+            arrays += [shape.offsets, shape.normal_offsets, *(inbetween.offsets for inbetween in shape.inbetweens)]
+            arrays += [inbetween.normal_offsets for inbetween in shape.inbetweens]
         if not all(array is None or np.isfinite(array).all() for array in arrays):
             raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
     for animation in parts.animations:
@@ -141,14 +141,14 @@ def _note_losses(document: Document, *, ours: bool) -> None:
     """
     for kind in _KINDS:
         _note_extras(document, kind, document.entries(kind))
-    primitives = [one for mesh in document.entries("meshes") for one in members(mesh.get("primitives"))]
+    primitives = [member for mesh in document.entries("meshes") for member in members(mesh.get("primitives"))]
     _note_extras(document, "primitives", primitives)
     if not ours:
         _note_tangents(document, primitives)
     cameras = len(document.entries("cameras"))
     if cameras:
         document.warn(document.root, f"{_counted(cameras, 'camera')} left out")
-    sharp = sum(any(_filter(one, key) in _NEAREST for key in _FILTERS) for one in document.entries("samplers"))
+    sharp = sum(any(_filter(entry, key) in _NEAREST for key in _FILTERS) for entry in document.entries("samplers"))
     if sharp:
         document.warn(document.root, f"{_counted(sharp, 'nearest texel filter')} left out: USD has none")
 
@@ -183,13 +183,15 @@ def _extras(value: Value) -> Iterator[str]:
 
 
 def _note_tangents(document: Document, primitives: Sequence[Value]) -> None:
-    tangents = sum(one.require("attributes").get("TANGENT") is not None for one in primitives)
+    tangents = sum(primitive.require("attributes").get("TANGENT") is not None for primitive in primitives)
     if tangents:
         document.warn(
             document.root,
             f"TANGENT of {_counted(tangents, 'primitive')} left out: exports compute it where a normal map needs it",
         )
-    morphs = sum(target.get("TANGENT") is not None for one in primitives for target in members(one.get("targets")))
+    morphs = sum(
+        target.get("TANGENT") is not None for primitive in primitives for target in members(primitive.get("targets"))
+    )
     if morphs:
         document.warn(document.root, f"tangents of {_counted(morphs, 'morph target')} left out")
 

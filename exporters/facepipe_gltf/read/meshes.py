@@ -28,8 +28,8 @@ def _landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, 
     for scheme in listed.member_names():
         try:
             entry = listed.require(scheme)
-            points = [place[one.integer()] for one in entry.require("points").items()]
-            names = tuple(one.text() for one in entry.require("names").items())
+            points = [place[item.integer()] for item in entry.require("points").items()]
+            names = tuple(item.text() for item in entry.require("names").items())
             if names and len(names) != len(points):
                 raise entry.error(f"{len(names)} names, expected {len(points)}")
             landmarks[scheme] = Landmarks(indices=np.array(points, np.int32), names=names)

@@ -184,14 +184,14 @@ def _join_target(targets: list[Target], starts: list[int]) -> Target:
     none = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
     return Target(
         positions=_join_deltas([target.positions for target in targets], starts),
-        normals=_join_deltas([one or none for one in normals], starts) if any(normals) else None,
+        normals=_join_deltas([normal or none for normal in normals], starts) if any(normals) else None,
     )
 
 
 def _join_deltas(parts: list[Deltas], starts: list[int]) -> Deltas:
     return Deltas(
         np.concatenate([one.indices + start for one, start in zip(parts, starts, strict=True)]),
-        np.concatenate([one.values for one in parts]),
+        np.concatenate([part.values for part in parts]),
     )
 
 

@@ -73,7 +73,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
         raise _misfit(f"{counts[0]} meshes, expected {counts[1]}")
     joints_as_recorded(record, read.skeleton)
     pairs = zip(face.meshes, record.meshes, read.meshes, strict=True)
-    meshes = tuple(_mesh(*one) for one in pairs)
+    meshes = tuple(_mesh(*pair) for pair in pairs)
     renamed = _new_names(read.meshes, face.meshes)
     return replace(
         face,

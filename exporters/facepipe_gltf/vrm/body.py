@@ -105,7 +105,7 @@ def _eyes(
     if marks is not None:
         return np.stack([marks[_LEFT_EYE].mean(axis=0), marks[_RIGHT_EYE].mean(axis=0)])
     lids = [_moved_by(f"eyeBlink{side}", meshes, points) for side in ("Left", "Right")]
-    return None if any(one is None for one in lids) else np.stack([one for one in lids if one is not None])
+    return None if any(lid is None for lid in lids) else np.stack([lid for lid in lids if lid is not None])
 
 
 def _moved_by(shape: str, meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:

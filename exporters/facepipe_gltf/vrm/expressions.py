@@ -30,7 +30,7 @@ def table() -> Mapping[str, Any]:
     """The table: ``preset``, name -> ARKit shape -> weight, and ``degrees``, kind -> direction -> angle."""
     read = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
     for name, weights in read["preset"].items():
-        read["preset"][name] = {one: weight for shape, weight in weights.items() for one in _sides(shape)}
+        read["preset"][name] = {side: weight for shape, weight in weights.items() for side in _sides(shape)}
     return read
 
 
@@ -104,7 +104,7 @@ def _targets(nodes: Sequence[Json], meshes: Sequence[Json]) -> Iterator[Target]:
 
 def _expression(weights: Mapping[str, float], targets: Mapping[str, Sequence[Target]]) -> Json:
     binds = [one.bind(weight) for shape, weight in weights.items() for one in targets[shape]]
-    found = sorted((one for one in binds if one is not None), key=lambda one: (one["node"], one["index"]))
+    found = sorted((bind for bind in binds if bind is not None), key=lambda one: (one["node"], one["index"]))
     return {"morphTargetBinds": found} if found else {}
 
 

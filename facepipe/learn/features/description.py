@@ -154,7 +154,7 @@ def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> dic
     for kind, outputs in several.items():
         if kind not in KINDS:
             raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
-        if not isinstance(outputs, list) or not all(type(one) in (str, int) for one in outputs):
+        if not isinstance(outputs, list) or not all(type(output) in (str, int) for output in outputs):
             raise InputError(f"{where} -> kinds -> {kind}", "expected a list of output names or positions")
         kinds[kind] = tuple(outputs)
     if len(kinds) > 1 and not all(kinds.values()):

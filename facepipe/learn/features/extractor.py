@@ -87,7 +87,7 @@ def _exported(path: Path) -> Program:
         raise InputError(path, "is damaged or no torch.export program") from error
     if not isinstance(picture, Tensor) or picture.dtype != torch.float32:
         raise InputError(path, f"input of type {getattr(picture, 'dtype', picture)}, expected float32")
-    names = tuple(str(one) for one in signature.user_outputs)
+    names = tuple(str(output) for output in signature.user_outputs)
 
     def build(chosen: Chosen) -> nn.Module:
         return _Chosen(module, [names.index(_name(path, names, one)) for one in chosen], path)

@@ -46,7 +46,7 @@ def opset(model: Any) -> int:
 
 def properties(model: Any) -> dict[str, str]:
     """Its metadata by key."""
-    return {one.key: one.value for one in model.metadata_props}
+    return {prop.key: prop.value for prop in model.metadata_props}
 
 
 def array(tensor: Any) -> AnyArray:
@@ -73,7 +73,7 @@ def array(tensor: Any) -> AnyArray:
 def _faults(model: Any) -> Iterator[str]:
     graph = model.graph
     names = [*graph.initializer, *graph.input, *graph.output, *graph.node]
-    texts = [one.name for one in names] + [text for node in graph.node for text in (*node.input, *node.output)]
+    texts = [name.name for name in names] + [text for node in graph.node for text in (*node.input, *node.output)]
     if not all(isinstance(text, str) for text in texts):
         yield "names that are not UTF-8, expected text"
     versions = [one.version for one in model.opset_import if one.domain in _DOMAINS]

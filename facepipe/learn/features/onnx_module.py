@@ -35,7 +35,7 @@ def check_sizes(steps: Sequence[tuple[Node, Operator]], values: Mapping[str, Ten
         if any(name and name not in known for name in node.inputs):
             continue
         outputs = _shapes(node, operator, [known[name] if name else None for name in node.inputs])
-        total += sum(one.numel() for one in outputs)
+        total += sum(output.numel() for output in outputs)
         if total > MOST * pictures:
             raise node.refuse(f"{total} numbers by then, expected at most {MOST} for a picture")
         known.update(zip(node.outputs, map(_kept, outputs), strict=False))
@@ -91,12 +91,12 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         self.outputs: tuple[str, ...] = tuple(outputs or (one.name for one in graph.output))
         nodes = list(_needed(list(graph.node), self.outputs))
         self._buffer_of: dict[str, str] = {}
-        used = {name for one in nodes for name in one.input} | set(self.outputs)
+        used = {name for node in nodes for name in node.input} | set(self.outputs)
         try:
             for name in sorted(used & set(weights)):
                 self._keep(name, torch.from_numpy(array(weights[name])))
             version = opset(model)
-            self._steps = [step for one in nodes for step in self._step(one, version)]
+            self._steps = [step for node in nodes for step in self._step(node, version)]
             _check_order(self._steps, {*self.inputs, *self._buffer_of}, self.outputs)
         except InputError as error:
             raise error.under(where) from None

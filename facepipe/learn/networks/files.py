@@ -69,7 +69,7 @@ class LandmarkSession:
             self._session = ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's own classes share no other base
             raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
-        outputs = {one.name for one in self._session.get_outputs()}
+        outputs = {output.name for output in self._session.get_outputs()}
         try:
             described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
             known = described["kind"] == "landmarks" and {"landmarks", "presence"} <= outputs

@@ -124,7 +124,7 @@ def descend(
         if step == options.iterations:
             break
         slopes = torch.autograd.grad(terms["total"], at.tensors(), allow_unused=True, materialize_grads=True)
-        if not all(bool(one.isfinite().all()) for one in slopes):
+        if not all(bool(slope.isfinite().all()) for slope in slopes):
             return Descent(best=best, kept=kept, history=tuple(history), stopped="not-finite")
         with torch.no_grad():
             rate = options.rate * _pace(step, options)

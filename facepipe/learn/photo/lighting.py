@@ -140,7 +140,7 @@ class _Search:
 
     def best(self, directions: Iterable[Tensor]) -> _Candidate:
         """The lamp of the least cost in one of the directions (3,)."""
-        return min((self._lamp(one) for one in directions), key=lambda candidate: candidate.cost)
+        return min((self._lamp(direction) for direction in directions), key=lambda candidate: candidate.cost)
 
     def cost_without(self) -> float:
         """What harmonics alone leave."""

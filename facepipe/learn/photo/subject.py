@@ -62,7 +62,7 @@ class Subject:
 
     def slider_values(self, shares: FloatArray) -> FloatArray:
         """(..., s) values of all sliders from the free ones' shares 0..1 of their ranges (..., f)."""
-        own = [one.default if one.value is None else one.value for one in self.parts.sliders]
+        own = [slider.default if slider.value is None else slider.value for slider in self.parts.sliders]
         values = np.broadcast_to(np.array(own), (*shares.shape[:-1], len(own))).copy()
         values[..., list(self.sliders)] = self.lower + shares * (self.upper - self.lower)
         return values
@@ -70,17 +70,17 @@ class Subject:
     @property
     def lower(self) -> FloatArray:
         """(f,) least values of the free sliders."""
-        return np.array([one.minimum for one in self.free_sliders])
+        return np.array([slider.minimum for slider in self.free_sliders])
 
     @property
     def upper(self) -> FloatArray:
         """(f,) largest values of the free sliders."""
-        return np.array([one.maximum for one in self.free_sliders])
+        return np.array([slider.maximum for slider in self.free_sliders])
 
     @property
     def default_shares(self) -> FloatArray:
         """(f,) where the defaults of the free sliders lie in their ranges, 0..1."""
-        default = np.array([one.default for one in self.free_sliders])
+        default = np.array([slider.default for slider in self.free_sliders])
         return np.asarray((default - self.lower) / (self.upper - self.lower))
 
     def shape_weights(self, expressions: FloatArray) -> FloatArray:
@@ -94,7 +94,7 @@ def _learned(parts: FaceParts, rig: Rig) -> dict[str, dict[str, float]]:
     """What the face's network changes by each slider, by shape."""
     if parts.slider_network is None:
         return {}
-    check_network(parts.slider_network, {one.name for one in parts.sliders}, rig.joints)
+    check_network(parts.slider_network, {slider.name for slider in parts.sliders}, rig.joints)
     return shape_changes(parts.slider_network, parts.sliders)
 
 

@@ -30,7 +30,7 @@ def view_image(model: FaceModel, view: FittedView, points: FloatArray, size: tup
     share = min(1.0, LARGEST / max(size))
     width, height = (max(1, round(each * share)) for each in size)
     numbers = (view.light, view.key, points)
-    light, key, place = (torch.as_tensor(np.asarray(one), dtype=torch.float32) for one in numbers)
+    light, key, place = (torch.as_tensor(np.asarray(number), dtype=torch.float32) for number in numbers)
     camera = camera_of(view.camera, share, torch.float32)
     with torch.no_grad():
         shadows = Shadows.from_lamp(model, place, camera, key)
@@ -48,5 +48,5 @@ def view_image(model: FaceModel, view: FittedView, points: FloatArray, size: tup
 def camera_of(camera: FittedCamera, share: float, dtype: torch.dtype) -> Camera:
     """The camera of a photo that is reduced to a share of its size."""
     numbers = (camera.rotation, camera.translation, camera.focal * share, np.array(camera.center) * share)
-    rotation, translation, focal, center = (torch.as_tensor(np.asarray(one), dtype=dtype) for one in numbers)
+    rotation, translation, focal, center = (torch.as_tensor(np.asarray(number), dtype=dtype) for number in numbers)
     return Camera(rotation=rotation, translation=translation, focal=focal, center=center)

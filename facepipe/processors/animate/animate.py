@@ -131,7 +131,7 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     """Where weights go: to shapes, and to sliders that are not called as one of these."""
     shapes = parts.shapes
     taken = {spelling(shape) for shape in shapes}
-    sliders = [one.name for one in parts.sliders if spelling(one.name) not in taken]
+    sliders = [slider.name for slider in parts.sliders if spelling(slider.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
     names = [name for name in performance.names if not angle_of(name)]
     matched = match_shapes(names, [*shapes, *sliders])
@@ -187,7 +187,7 @@ def _moved(
 
 
 def _another_face(performance: Performance, parts: FaceParts) -> str:
-    shapes, first = [*parts.shapes, *(one.name for one in parts.sliders)], performance.names[0]
+    shapes, first = [*parts.shapes, *(slider.name for slider in parts.sliders)], performance.names[0]
     some = first_names(shapes, 4) or "none, there are none"
     names = f"{len(performance.names)} names ('{first[:40]}' ...) of {Path(performance.where).name}"
     return f"none of its shapes and sliders is among the {names}, expected some of {some}{did_you_mean(first, shapes)}"

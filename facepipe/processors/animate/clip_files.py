@@ -202,9 +202,9 @@ def _read_json(path: Path, fps: float | None, *, degrees: bool) -> Performance:
         frames: Any = _zipped(path, names, rows)
     else:
         frames = content if isinstance(content, list) else top.get("frames")
-    if not isinstance(frames, list) or not frames or not all(isinstance(one, Mapping) for one in frames):
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, Mapping) for frame in frames):
         raise InputError(path, f"another form, expected {_EXPECTED}")
-    return _performance(path, [_keyed(one) for one in frames], frames, rate, degrees=degrees)
+    return _performance(path, [_keyed(frame) for frame in frames], frames, rate, degrees=degrees)
 
 
 def _performance(
@@ -212,7 +212,7 @@ def _performance(
 ) -> Performance:
     where = [f"{path} -> frame {number}" for number in range(1, len(frames) + 1)]
     weights = [_weights(*one) for one in zip(where, keyed, frames, strict=True)]
-    names = list(dict.fromkeys(name for one in weights for name in one))
+    names = list(dict.fromkeys(name for weight in weights for name in weight))
     if not names:
         raise InputError(path, "no weights, expected names of shapes with numbers")
     for trail, frame_weights in zip(where, weights, strict=True):
@@ -237,7 +237,7 @@ def _weights(where: str, keyed: Mapping[str, Any], frame: Mapping[str, Any]) -> 
     held = _first(keyed, _WEIGHTS)
     if isinstance(held, list):
         rows = [_keyed(one) if isinstance(one, Mapping) else {} for one in held]
-        held = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in rows}
+        held = {str(_first(row, ("categoryname", "name"))): _first(row, ("score", "value")) for row in rows}
     skipped = (*_WEIGHTS, *_SECONDS, "timecode", "frame", "index")
     beside = {name: value for name, value in frame.items() if name.casefold() not in skipped}
     if held is not None:
@@ -295,7 +295,7 @@ def _parsed(where: str, code: str, nominal: int) -> tuple[int, float]:
     match = _CODE.fullmatch(code.strip())
     if match is None:
         raise InputError(where, f"timecode '{code[:40]}', expected HH:MM:SS:FF or HH:MM:SS:FF.sub")
-    hours, minutes, seconds = (int(one) for one in match.groups()[:3])
+    hours, minutes, seconds = (int(group) for group in match.groups()[:3])
     frame = float(match.group(4))
     if hours > 23 or minutes > 59 or seconds > 59:
         raise InputError(where, f"timecode '{code[:40]}', expected a time of day")

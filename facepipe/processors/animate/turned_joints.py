@@ -69,7 +69,11 @@ def _name(joint: str) -> str:
 
 def turned_by_sliders(sliders: Sequence[Slider], joint: str, chosen: Collection[str]) -> str | None:
     """A slider of those `chosen` that moves the joint."""
-    found = (one.name for one in sliders if one.name in chosen and any(joint == path for path, _, _ in one.channels))
+    found = (
+        slider.name
+        for slider in sliders
+        if slider.name in chosen and any(joint == path for path, _, _ in slider.channels)
+    )
     return next(found, None)
 
 
@@ -149,9 +153,11 @@ def driven(
     if not tracks:
         return Driven(at_rest, {})
     needed = {*tracks, *(() if parts.slider_network is None else parts.slider_network.sliders)}
-    sliders = [replace(one, value=None) for one in parts.sliders if one.name in needed]
+    sliders = [replace(slider, value=None) for slider in parts.sliders if slider.name in needed]
     values = {
-        one.name: one.default + tracks[one.name] * (one.maximum - one.default) for one in sliders if one.name in tracks
+        slider.name: slider.default + tracks[slider.name] * (slider.maximum - slider.default)
+        for slider in sliders
+        if slider.name in tracks
     }
     still, weights_still = slide(sliders, joints, network=parts.slider_network)
     coefficients, weights = at_rest, np.zeros((frames, len(names := parts.shapes)))

@@ -126,7 +126,7 @@ class _Eye:
         """How far beyond the sources a point goes at most, and its depths in all, mm."""
         beyond = depths[-1] - np.max(depths[:-1], axis=0)
         point = beyond.argmax() if beyond.max() > 0 else depths[-1].argmax()
-        return float(beyond[point]) * self._mm, [float(one[point]) * self._mm for one in depths]
+        return float(beyond[point]) * self._mm, [float(depth[point]) * self._mm for depth in depths]
 
     def _posed(self, number: int, rest: list[FloatArray]) -> list[FloatArray]:
         """Depths of the face around the eye under one sculpt, in every source and in the blend."""

@@ -128,7 +128,7 @@ def _flipped(session: BlendSession, solution: Solution, number: int, moving: Boo
 
 def _triangle_mix(shares: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:
     """(t, 3) mean normals of the triangles over the sources' points (K, n, 3): wherever these lie, and however far."""
-    return mix(shares[triangles].mean(axis=1), np.stack([triangle_normals(one, triangles) for one in points]))
+    return mix(shares[triangles].mean(axis=1), np.stack([triangle_normals(point, triangles) for point in points]))
 
 
 def _warnings(session: BlendSession) -> list[str]:

@@ -47,7 +47,8 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
         meshes=meshes,
         skeleton=skeleton,
         animations=tuple(
-            _without_tracks(one, gone) for one in rebase_animations(base.animations, base.skeleton, skeleton)
+            _without_tracks(animation, gone)
+            for animation in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
         sliders=tuple(_without_shapes(slider, gone) for slider in base.sliders),
         slider_network=_network_without(base.slider_network, gone),

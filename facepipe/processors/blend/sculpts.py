@@ -92,7 +92,13 @@ def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | 
 
 
 def _shapes(parts: Sequence[FaceParts], shape: str) -> list[Blendshape]:
-    return [one for face in parts for mesh in face.meshes for one in mesh.blendshapes if one.name == shape]
+    return [
+        blendshape
+        for face in parts
+        for mesh in face.meshes
+        for blendshape in mesh.blendshapes
+        if blendshape.name == shape
+    ]
 
 
 def _stacked(sources: Sources, shape: str, weight: float) -> FloatArray:
@@ -102,9 +108,9 @@ def _stacked(sources: Sources, shape: str, weight: float) -> FloatArray:
         starts = sources.mesh_offsets[:-1]
         for mesh, start, space in zip(parts.meshes, starts, mesh_spaces(parts), strict=True):
             linear = sources.to_base[k, :3, :3] @ space[:3, :3]
-            for one in mesh.blendshapes:
-                if one.name == shape:
-                    offsets[k, start + one.point_indices] = _at(one, weight) @ linear.T
+            for blendshape in mesh.blendshapes:
+                if blendshape.name == shape:
+                    offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
     return offsets
 
 

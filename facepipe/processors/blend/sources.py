@@ -74,8 +74,8 @@ def stack(faces: Sequence[Face]) -> Sources:
             warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
     for name, face_parts in zip(names, parts, strict=True):
         check_spaces(name, face_parts)
-    rigs = [replace(build(one), targets=()) for one in parts]  # offsets are read from the parts, once
-    to_base = np.array([_to_base(one, base) for one in parts])
+    rigs = [replace(build(part), targets=()) for part in parts]  # offsets are read from the parts, once
+    to_base = np.array([_to_base(part, base) for part in parts])
     base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
     moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
@@ -89,7 +89,7 @@ def stack(faces: Sequence[Face]) -> Sources:
         points=np.stack(moved),
         mm_per_unit=base.meters_per_unit * 1000.0 * _unit(base.skeleton.transform),
         joint_maps=tuple(
-            np.array([base_joints[joint] for joint in one.skeleton.joints], dtype=np.int32) for one in parts
+            np.array([base_joints[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
         ),
         warnings=tuple(warnings),
     )

@@ -113,7 +113,7 @@ def weights_to_json(weights: Weights) -> dict[str, Any]:
     return {
         "regions": {name: [float(one) for one in weights.regions[name]] for name in sorted(weights.regions)},
         "default": None if weights.default is None else [float(one) for one in weights.default],
-        "gains": None if weights.gains is None else [float(one) for one in weights.gains],
+        "gains": None if weights.gains is None else [float(gain) for gain in weights.gains],
         "locked": {name: int(weights.locked[name]) for name in sorted(weights.locked)},
     }
 

@@ -55,7 +55,7 @@ def create_database(
         raise InputError("sources", f"{len(sources)} face, expected 2 or more")
     facts = _read(sources, None, done)
     shapes = shapes_in_common(None, facts)
-    identity = IdentityModel.from_faces(np.stack([one.points for one in facts]))
+    identity = IdentityModel.from_faces(np.stack([fact.points for fact in facts]))
     return _grown(None, sources, facts, identity, shapes, {}, (), options.tolerance_mm, done)
 
 
@@ -80,12 +80,12 @@ def add_faces(
     if not sources:
         raise InputError("sources", "no face, expected 1 or more")
     facts = _read(sources, database, done)
-    ignored = _gate([one.name for one in facts], qualities, options)
+    ignored = _gate([fact.name for fact in facts], qualities, options)
     shapes = shapes_in_common(database, facts)
     if shapes.dropped and not options.drop_shapes:
-        name, lost = next((one.name, lost) for one in facts if (lost := _lost(one, database)))
+        name, lost = next((fact.name, lost) for fact in facts if (lost := _lost(fact, database)))
         raise InputError(name, f"lacks {', '.join(lost)}, expected the shapes of the database (or --drop-shapes)")
-    identity = database.identity.with_faces(np.stack([one.points for one in facts]))
+    identity = database.identity.with_faces(np.stack([fact.points for fact in facts]))
     return _grown(database, sources, facts, identity, shapes, qualities, ignored, database.tolerance_mm, done)
 
 
@@ -132,13 +132,13 @@ def _grown(
     version = database.version + 1 if database else 1
     entries = database.entries if database else ()
     entries += tuple(_entry(one, version, error, qualities) for one, error in zip(facts, errors, strict=True))
-    neutrals = np.concatenate([*([database.neutrals()] if database else []), [one.points for one in facts]])
+    neutrals = np.concatenate([*([database.neutrals()] if database else []), [fact.points for fact in facts]])
     coefficients = identity.coefficients(neutrals)
     people = [number for number, entry in enumerate(entries) if entry.stored_error is not None]
     update = Update(
         version=version,
         verb="add" if database else "create",
-        entries=tuple(one.name for one in facts),
+        entries=tuple(fact.name for fact in facts),
         dropped=shapes.dropped,
         ignored=ignored,
         facepipe=__version__,
@@ -157,7 +157,7 @@ def _grown(
         history=(*(database.history if database else ()), update),
         tolerance_mm=tolerance,
     )
-    warnings = [line for one in facts for line in one.warnings]
+    warnings = [line for fact in facts for line in fact.warnings]
     return Made(made, (*warnings, *shapes.warnings, *mesh_warnings(facts, shapes.meshes), *ignored))
 
 

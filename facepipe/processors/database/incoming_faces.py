@@ -124,8 +124,10 @@ def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
     topology = database.topology if database else facts[0].topology
     mean = database.identity.mean if database else facts[0].points
     entries = database.entries if database else ()
-    names = {one.name: "the database" for one in entries}
-    known = {one.content: one.name for one in entries} | {one.digest: one.name for one in entries if one.digest}
+    names = {entry.name: "the database" for entry in entries}
+    known = {entry.content: entry.name for entry in entries} | {
+        entry.digest: entry.name for entry in entries if entry.digest
+    }
     for face in facts:
         if face.topology.digest != topology.digest:
             raise TopologyError(face.name, f"{face.topology.digest[:14]} of meshes, expected {topology.digest[:14]}")
@@ -179,7 +181,7 @@ class Shapes(NamedTuple):
 
 def shapes_in_common(database: FaceDatabase | None, facts: Sequence[Facts]) -> Shapes:
     """The shapes of the entries of a database and of faces that come to it."""
-    coming = [one for one in facts if one.shapes]
+    coming = [fact for fact in facts if fact.shapes]
     former = _with_expressions(database)
     before = database.shapes if database and former else _first_names(coming)
     names = tuple(shape for shape in before if all(shape in one.shapes for one in coming))

@@ -150,7 +150,7 @@ def _delta(parts: FaceParts, shape: str) -> FloatArray:
 
 
 def _having(parts: FaceParts, shape: str) -> tuple[str, ...]:
-    return tuple(mesh.name for mesh in parts.meshes if any(one.name == shape for one in mesh.blendshapes))
+    return tuple(mesh.name for mesh in parts.meshes if any(blendshape.name == shape for blendshape in mesh.blendshapes))
 
 
 def to_millimetres(parts: FaceParts) -> list[FloatArray]:

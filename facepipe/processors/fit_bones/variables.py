@@ -157,7 +157,7 @@ def _partners(rig: Rig) -> list[int | None]:
         others = mirrored_names(name)
         wanted = partners[above] if above >= 0 else -1
         options = next((named[other] for other in others if other in named), [])
-        below = [one for one in options if rig.parents[one] == wanted] or options
+        below = [option for option in options if rig.parents[option] == wanted] or options
         partners.append(number if not others else below[0] if len(below) == 1 else None)
     return [other if other is not None and partners[other] == own else None for own, other in enumerate(partners)]
 

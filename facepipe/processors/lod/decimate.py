@@ -34,7 +34,7 @@ class Surface:
         """:param rig: of these parts"""
         meshes, self._spaces = parts.meshes, mesh_spaces(parts)
         self._wedges = [wedges_of(mesh) for mesh in meshes]
-        self._starts = np.cumsum([0, *(len(one.points) for one in self._wedges)])
+        self._starts = np.cumsum([0, *(len(wedge.points) for wedge in self._wedges)])
         firsts = rig.mesh_offsets
         self._point = _joined(one.points + first for one, first in zip(self._wedges, firsts, strict=False))
         self._triangles = _joined(one.triangles + start for one, start in zip(self._wedges, self._starts, strict=False))
@@ -144,7 +144,7 @@ class Surface:
 
     def _rims(self) -> IntArray:
         """Points where materials meet."""
-        materials = _joined(one.materials for one in self._wedges)
+        materials = _joined(wedge.materials for wedge in self._wedges)
         points, counts = np.unique(np.unique(np.stack([self._point, materials]), axis=1)[0], return_counts=True)
         return np.asarray(points[counts > 1])
 
@@ -194,7 +194,7 @@ def _marks_of(mesh: Mesh) -> IntArray:
 
 def _strongest(rig: Rig) -> IntArray:
     """The point that each sculpt moves most: no level lacks a shape."""
-    moving = [one for one in rig.targets if len(one.offsets)]
+    moving = [target for target in rig.targets if len(target.offsets)]
     return np.array([one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving], np.int64)
 
 

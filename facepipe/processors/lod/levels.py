@@ -217,10 +217,10 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         for count in counts:
             rows.append(surface.level(count, skin_share, rows[-1]))
             bar.update()
-        errors = full.errors([(surface.points_of(one), surface.places(one)) for one in rows[1:]], bar.update)
-    made = [surface.meshes(one) for one in rows[1:]]
+        errors = full.errors([(surface.points_of(row), surface.places(row)) for row in rows[1:]], bar.update)
+    made = [surface.meshes(row) for row in rows[1:]]
     author_levels(face, made)
-    each = zip(made, (surface.skin_triangles(one) for one in rows[1:]), errors, strict=True)
+    each = zip(made, (surface.skin_triangles(row) for row in rows[1:]), errors, strict=True)
     levels = tuple(_level(f"lod{number}", *one) for number, one in enumerate(each, 1))
     return LodReport(triangles=total, levels=levels, warnings=tuple(_warnings(levels, counts)))
 

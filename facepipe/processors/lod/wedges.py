@@ -66,10 +66,10 @@ def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
         face_vertex_counts=np.full(len(triangles), 3, np.int32),
         face_vertex_indices=place[wedges.points[triangles]].astype(np.int32).ravel(),
         normals=None if mesh.normals is None else mesh.normals[corners if _by_corner(mesh) else kept],
-        uv_sets=tuple(_uv_set(one, kept, corners) for one in mesh.uv_sets),
+        uv_sets=tuple(_uv_set(uv_set, kept, corners) for uv_set in mesh.uv_sets),
         colors=None if mesh.colors is None else mesh.colors[kept],
         skin=None if mesh.skin is None else _skin(mesh.skin, kept),
-        blendshapes=tuple(_shape(one, place) for one in mesh.blendshapes),
+        blendshapes=tuple(_shape(blendshape, place) for blendshape in mesh.blendshapes),
         regions={name: mask[kept] for name, mask in mesh.regions.items()},
         point_subsets=_subsets(mesh.point_subsets, place),
         landmarks={name: _landmarks(one, place) for name, one in mesh.landmarks.items()},
@@ -97,8 +97,13 @@ def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
         return None if values is None else values[kept]
 
     inbetweens = tuple(
-        Inbetween(name=one.name, weight=one.weight, offsets=one.offsets[kept], normal_offsets=rows(one.normal_offsets))
-        for one in shape.inbetweens
+        Inbetween(
+            name=inbetween.name,
+            weight=inbetween.weight,
+            offsets=inbetween.offsets[kept],
+            normal_offsets=rows(inbetween.normal_offsets),
+        )
+        for inbetween in shape.inbetweens
     )
     return replace(
         shape,

@@ -218,23 +218,25 @@ def _clips(
     """Clips of shapes that are there, and of joints: as they are where the skin is the face's, else by shapes too."""
     meshes = _meshes(parts, rig, (), {})
     other_skin = any(one.skin is not two.skin for one, two in zip(parts.meshes, meshes, strict=True))
-    joints = [one for one in parts.animations if one.joints and other_skin]
+    joints = [animation for animation in parts.animations if animation.joints and other_skin]
     baked = BakedClips(animations=(), shapes=np.zeros((0, *rig.rest.shape)), error_mm=0.0)
     if joints:
         pairs = zip(_spaces(parts, rig), mesh_spaces(parts), strict=True)
         spaces = [(there @ np.linalg.inv(here))[:3, :3] for there, here in pairs]
         baked = baked_clips(parts, replace(parts, meshes=meshes), joints, shapes, spaces, tolerance)
-    again = {one.name: one for one in baked.animations}
+    again = {animation.name: animation for animation in baked.animations}
     kept = [
-        again.get(one.name, one) for one in parts.animations if one.name in again or set(one.shapes) <= set(kept_shapes)
+        again.get(animation.name, animation)
+        for animation in parts.animations
+        if animation.name in again or set(animation.shapes) <= set(kept_shapes)
     ]
     return replace(baked, animations=tuple(kept))
 
 
 def _photos(parts: FaceParts, animations: Sequence[Animation]) -> tuple[PhotoView, ...]:
     """Photos, without the poses that are gone."""
-    names = {one.name for one in animations}
-    return tuple(one if one.animation in names else replace(one, animation=None) for one in parts.photos)
+    names = {animation.name for animation in animations}
+    return tuple(photo if photo.animation in names else replace(photo, animation=None) for photo in parts.photos)
 
 
 def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shapes: tuple[Blendshape, ...]) -> Mesh:
@@ -263,7 +265,7 @@ def _fewer(skin: Skin, most: int) -> Skin:
 
 
 def _dropped(parts: FaceParts, attached: FaceParts, rig: NeuralRig) -> tuple[str, ...]:
-    lines, network, controls = [], parts.slider_network, {one.name for one in rig.controls}
+    lines, network, controls = [], parts.slider_network, {control.name for control in rig.controls}
     if network is not None and network.info.get("kind") != "neural rig" and set(network.sliders) - controls:
         lines.append("left out: the learned network of the sliders, which takes others than the rig's controls")
     for kind, before, after in (

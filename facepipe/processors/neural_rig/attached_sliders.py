@@ -106,13 +106,13 @@ def kept_sliders(parts: FaceParts, rig: NeuralRig, shapes: Collection[str]) -> t
 
     :param shapes: that the face keeps
     """
-    controls = {one.name for one in rig.controls}
+    controls = {control.name for control in rig.controls}
     return tuple(
-        one
-        for one in parts.sliders
-        if one.name not in controls
-        and all(shape in shapes for shape, _ in one.shapes)
-        and (rig.bones is not None or not one.channels)
+        slider
+        for slider in parts.sliders
+        if slider.name not in controls
+        and all(shape in shapes for shape, _ in slider.shapes)
+        and (rig.bones is not None or not slider.channels)
     )
 
 
@@ -127,8 +127,12 @@ def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
         return None if offsets is None else np.einsum("kij,kj->ki", turns, offsets)
 
     inbetweens = tuple(
-        replace(one, offsets=np.einsum("kij,kj->ki", turns, one.offsets), normal_offsets=turned(one.normal_offsets))
-        for one in shape.inbetweens
+        replace(
+            inbetween,
+            offsets=np.einsum("kij,kj->ki", turns, inbetween.offsets),
+            normal_offsets=turned(inbetween.normal_offsets),
+        )
+        for inbetween in shape.inbetweens
     )
     return replace(
         shape,
@@ -162,7 +166,9 @@ def baked_clips(
     :param spaces: (3, 3) of every mesh from skeleton space at bind time to millimetres of the shapes
     :param tolerance: millimetres that weights and further shapes may leave, RMS
     """
-    frames = np.stack([moved for one in animations for moved in _beyond_joints(parts, attached, spaces, one)])
+    frames = np.stack(
+        [moved for animation in animations for moved in _beyond_joints(parts, attached, spaces, animation)]
+    )
     left = frames.reshape(len(frames), -1)  # in place: frames may be many
     rig_shapes = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
     weights = np.linalg.lstsq(rig_shapes @ rig_shapes.T, rig_shapes.astype(np.float32) @ left.T, rcond=1e-9)[0].T
@@ -174,20 +180,20 @@ def baked_clips(
     left -= amounts @ further.reshape(len(further), left.shape[1]).astype(np.float32)
     every = (*shapes, *map(clip_shape_name, range(len(further))))
     rows = np.concatenate([weights, amounts], axis=1)
-    ends = np.cumsum([one.samples for one in animations])
+    ends = np.cumsum([animation.samples for animation in animations])
     return BakedClips(
         animations=tuple(
             replace(one, shapes=every, shape_weights=own_rows)
             for one, own_rows in zip(animations, np.split(rows, ends[:-1]), strict=True)
         ),
         shapes=further,
-        error_mm=float(max(np.linalg.norm(one, axis=1).max() for one in frames)),
+        error_mm=float(max(np.linalg.norm(frame, axis=1).max() for frame in frames)),
     )
 
 
 def _further(frames: FloatArray, tolerance: float) -> FloatArray:
     """(k, n, 3) orthonormal shapes that leave `tolerance` of frames (f, n, 3), RMS; none where that is all there is."""
-    squares = sum(float(np.square(one, dtype=np.float64).sum()) for one in frames)
+    squares = sum(float(np.square(frame, dtype=np.float64).sum()) for frame in frames)
     if squares <= tolerance**2 * len(frames) * frames.shape[1]:
         return np.zeros((0, *frames.shape[1:]))
     return motion_basis(frames[:: max(1, -(-len(frames) // _MOST_FRAMES))], tolerance, _MOST_SHAPES)[0]

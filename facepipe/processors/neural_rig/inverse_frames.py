@@ -97,7 +97,9 @@ class SkinnedData:
         slopes, matrices = np.empty_like(x), np.empty((len(x), x.shape[1], x.shape[1]))
         scale = 2.0 / len(self.rig.rest)
         for number in range(len(x)):
-            outputs, by_control = (one[0] for one in output_derivatives(self.rig, x[number : number + 1]))
+            outputs, by_control = (
+                output_derivative[0] for output_derivative in output_derivatives(self.rig, x[number : number + 1])
+            )
             off = self.rig.deformed(outputs) - self._targets[frames[number]]
             slopes[number] = scale * by_control.T @ self._all.gradient(outputs, off)
             by_point = self._some.derivatives(outputs) * self._weights
@@ -115,7 +117,7 @@ class SkinnedData:
         random = np.random.default_rng(0)
         for pose in range(_POSES):
             x = random.uniform(*ends) * (random.random(controls) < (_BUSY_POSE if pose else 0.0))
-            outputs, by_control = (one[0] for one in output_derivatives(self.rig, x[None]))
+            outputs, by_control = (output_derivative[0] for output_derivative in output_derivatives(self.rig, x[None]))
             moved = (by_control.T @ self._all.derivatives(outputs).reshape(len(outputs), -1)).reshape(len(x), 3, -1)
             shares += (1.0 - _EVEN) / _POSES * _leverage(moved)
         places = (np.arange(some) + 0.5) / some * shares.sum()
@@ -197,9 +199,9 @@ class Frames:
         if not batches:
             return Settled(x=start, cost=np.zeros(0), steps=np.zeros(0, np.int64))
         return Settled(
-            x=np.concatenate([one.x for one in batches]),
-            cost=np.concatenate([one.cost for one in batches]),
-            steps=np.concatenate([one.steps for one in batches]),
+            x=np.concatenate([batch.x for batch in batches]),
+            cost=np.concatenate([batch.cost for batch in batches]),
+            steps=np.concatenate([batch.steps for batch in batches]),
         )
 
     def _settle(self, start: FloatArray, frames: IntArray, smoothness: Smoothness | None = None) -> Settled:

@@ -28,7 +28,7 @@ _SPARSE = ("data", "indices", "indptr")
 _ENCODER = "encoder"
 _ENCODER_ARRAYS: tuple[str, ...] = ("rest", "point", "point_bias", "feature", "feature_bias", "token", "places")
 _ENCODER_ARRAYS += ("reduce", "reduce_bias", "last", "straight", "offset")
-_LAYER_ARRAYS = tuple(one.name for one in dataclasses.fields(EncoderLayer))
+_LAYER_ARRAYS = tuple(field.name for field in dataclasses.fields(EncoderLayer))
 
 
 def save_neural_rig(

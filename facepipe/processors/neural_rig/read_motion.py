@@ -59,7 +59,7 @@ class ReadMotion:
             return self._animated(path, tracks, np.array(sampled), cache)
         if len(cache.codes) < 2:
             raise InputError(path, "one frame, expected several")
-        guessed = [(one.mesh.name, one.guessed) for one in cache.meshes]
+        guessed = [(mesh.mesh.name, mesh.guessed) for mesh in cache.meshes]
         _check_times(path, tracks, np.array(sampled), cache.codes, cache.codes[cache.moving], guessed)
         return self._motion(path, tracks, cache, cached_points(cache, path), cache.codes)
 

@@ -67,7 +67,7 @@ def compared(
     def distances(model: NeuralRig, as_its_own: _Way, as_subjects: _Way) -> FloatArray:
         controls = values
         if controls is None:
-            controls = InvertNeuralRig()(model, np.stack([as_its_own(one) for one in points])).values
+            controls = InvertNeuralRig()(model, np.stack([as_its_own(point) for point in points])).values
         made = np.stack([as_subjects(model.points(row)) for row in controls])
         return np.asarray(np.linalg.norm(made - points, axis=2))
 

@@ -114,9 +114,14 @@ def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, 
 
     :param also: shapes that are controls though sliders drive them
     """
-    sliders = [one for one in parts.sliders if one.minimum < one.maximum]
-    driven = {shape for one in sliders for shape, _ in one.shapes} - set(also) | {one.name for one in sliders}
-    found = [Control(name=one.name, minimum=one.minimum, maximum=one.maximum, default=one.default) for one in sliders]
+    sliders = [slider for slider in parts.sliders if slider.minimum < slider.maximum]
+    driven = {shape for slider in sliders for shape, _ in slider.shapes} - set(also) | {
+        slider.name for slider in sliders
+    }
+    found = [
+        Control(name=slider.name, minimum=slider.minimum, maximum=slider.maximum, default=slider.default)
+        for slider in sliders
+    ]
     return (*found, *(Control(name=shape) for shape in parts.shapes if shape not in driven))
 
 
@@ -125,7 +130,7 @@ class _Sliders:
 
     def __init__(self, parts: FaceParts, controls: Sequence[Control]) -> None:
         self._parts = parts
-        own = {one.name for one in parts.sliders}
+        own = {slider.name for slider in parts.sliders}
         self._slider = [control.name in own for control in controls]
         self._names = [control.name for control in controls]
 
@@ -147,7 +152,9 @@ def plan(controls: Sequence[Control], options: SampleMotionOptions) -> tuple[Flo
 
     :raises InputError: no frame asked for
     """
-    low, high, rest = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum", "default"))
+    low, high, rest = (
+        np.array([getattr(control, key) for control in controls]) for key in ("minimum", "maximum", "default")
+    )
     pieces = list(_sweeps(low, high, rest, options.sweep))
     random = np.random.default_rng(options.seed)
     spread = low + (high - low) * _hypercube(options.spread, len(controls), random)

@@ -82,7 +82,7 @@ def _check_expressions(face: Face, where: str, expressions: Mapping[str, float])
 
 
 def _check_tint(face: Face, fit: PhotoFit) -> None:
-    known = [one.name for one in face.materials]
+    known = [material.name for material in face.materials]
     for name, tint in fit.tint.items():
         if name and name not in known:  # "" are surfaces without a material
             raise InputError(f"{face.where} -> tint {name}", f"no such material{suggestion(name, known)}")
@@ -94,9 +94,9 @@ def mixed_sliders(sliders: Sequence[Slider], views: Sequence[FittedView]) -> tup
     """A line where sliders off their defaults drive shapes that are expressions of a photo too."""
     expressions = {name for view in views for name in view.expressions}
     mixed = [
-        one.name
-        for one in sliders
-        if one.value not in (None, one.default) and any(shape in expressions for shape, _ in one.shapes)
+        slider.name
+        for slider in sliders
+        if slider.value not in (None, slider.default) and any(shape in expressions for shape, _ in slider.shapes)
     ]
     if not mixed:
         return ()
@@ -163,7 +163,7 @@ class AuthorPhotoFit:
         changed, posed = SetSliders(values=values, name=self.name).changed(face)
         changed = _without_photos(changed, self.name)
         names = _names(face, changed, photos)
-        neutral = next(one for one in changed.animations if one.name == self.name)
+        neutral = next(animation for animation in changed.animations if animation.name == self.name)
         points = face.evaluate(sliders=values)
         views = tuple(_view(face, *one, fit, points) for one in zip(names, photos, fit.views, strict=True))
         poses = (_pose(neutral, name, view) for name, view in zip(names, fit.views, strict=True))
@@ -185,17 +185,19 @@ class AuthorPhotoFit:
 def _without_photos(parts: FaceParts, neutral: str) -> FaceParts:
     """Without the photos of a fit before, and their poses."""
     gone = {photo.animation for photo in parts.photos} - {neutral}
-    return replace(parts, animations=tuple(one for one in parts.animations if one.name not in gone), photos=())
+    return replace(
+        parts, animations=tuple(animation for animation in parts.animations if animation.name not in gone), photos=()
+    )
 
 
 def _names(face: Face, parts: FaceParts, photos: Sequence[Photo]) -> tuple[str, ...]:
     """A name for pose and camera of each photo."""
-    taken = {one.name for one in parts.animations}
-    removed = {one.name for one in face.animations} | {one.name for one in face.photos}
+    taken = {animation.name for animation in parts.animations}
+    removed = {animation.name for animation in face.animations} | {photo.name for photo in face.photos}
     for scope in (tokens.ANIMATIONS_SCOPE, tokens.PHOTOS_SCOPE):
         folder = face.prim.GetChild(scope)
         taken |= {str(one.GetName()) for one in folder.GetChildren()} - removed if folder else set()
-    return unique_identifiers([*sorted(taken), *(Path(one.name).stem for one in photos)], "photo")[len(taken) :]
+    return unique_identifiers([*sorted(taken), *(Path(photo.name).stem for photo in photos)], "photo")[len(taken) :]
 
 
 def _pose(neutral: Animation, name: str, view: FittedView) -> Animation:

@@ -125,7 +125,7 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
     @property
     def options(self) -> PhotoFitOptions:
         """The options of the fit."""
-        terms = {one.name: getattr(self, one.name) for one in fields(PhotoTermOptions)}
+        terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
         return PhotoFitOptions(**terms, landmarks=self.landmark_weight)
 
     def check(self) -> None:

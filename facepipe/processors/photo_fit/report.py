@@ -36,7 +36,7 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str
     for name, photo in report.photos.items():
         share = f"{percent(photo):.1f} %"
         rows.append([name, f"{photo.landmark_error_px:.2f}", share, _largest(photo.expressions, {})])
-    ranges = {one.name: one for one in sliders}
+    ranges = {slider.name: slider for slider in sliders}
     off = {name: value - ranges[name].default for name, value in report.sliders.items()}
     spans = {name: ranges[name].maximum - ranges[name].minimum for name in off}
     moved = sum(abs(value) > _OFF * spans[name] for name, value in off.items())

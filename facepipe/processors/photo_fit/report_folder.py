@@ -47,7 +47,9 @@ def report_sheet(
     from facepipe.learn.face_model import FaceModel
     from facepipe.pictures import PhotoSheet
 
-    tinted = replace(parts, materials=tuple(_tinted(one, fit.tint.get(one.name)) for one in parts.materials))
+    tinted = replace(
+        parts, materials=tuple(_tinted(material, fit.tint.get(material.name)) for material in parts.materials)
+    )
     rig, model = build(tinted), FaceModel(tinted)
     return PhotoSheet(
         parts=tinted,

@@ -96,7 +96,11 @@ class AuthorNeutral:
         still = {}
         for name, delta in self.shapes.items():
             if np.linalg.norm(delta, axis=1).max(initial=0.0) < _STILL_MM:
-                holding = [mesh.name for mesh in parts.meshes if any(one.name == name for one in mesh.blendshapes)]
+                holding = [
+                    mesh.name
+                    for mesh in parts.meshes
+                    if any(blendshape.name == name for blendshape in mesh.blendshapes)
+                ]
                 still[name] = tuple(holding or [parts.meshes[0].name])
         return still
 
@@ -152,10 +156,12 @@ def _kept_shape(shape: Blendshape, points: FloatArray, triangles: IntArray) -> B
     if shape.normal_offsets is not None:
         shape = _with_normals(shape, points, triangles)
     between = tuple(
-        one
-        if one.normal_offsets is None
-        else replace(one, normal_offsets=_shape_normals(shape.point_indices, one.offsets, points, triangles))
-        for one in shape.inbetweens
+        inbetween
+        if inbetween.normal_offsets is None
+        else replace(
+            inbetween, normal_offsets=_shape_normals(shape.point_indices, inbetween.offsets, points, triangles)
+        )
+        for inbetween in shape.inbetweens
     )
     return replace(shape, inbetweens=between)
 

@@ -125,13 +125,13 @@ def split_files(
     :param base: the personal template's neutral and shapes
     :raises InputError: no expression, two of one name, or one of shapes that are not there
     """
-    names = [one.name for one in expressions]
+    names = [expression.name for expression in expressions]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(base.name, f"two expressions are called '{twice}', expected each name once")
-    composites = {one.name: one.composite for one in expressions}
+    composites = {expression.name: expression.composite for expression in expressions}
     fit = split(template, base.points, base.deltas, composites)
-    warnings = tuple(line for one in expressions for line in one.warnings)
+    warnings = tuple(line for expression in expressions for line in expression.warnings)
     flipped = np.zeros(len(template.topology.triangles), bool)
     for name in seen_shapes(fit):
         before, after = (base.points + deltas[name] for deltas in (base.deltas, fit.shapes))

@@ -160,7 +160,7 @@ def neutral_fit(
     report = NeutralReport(
         fit=fit,
         quality=_quality(fit, template, model, points),
-        coefficients=tuple(float(one) for one in registered.coefficients),
+        coefficients=tuple(float(coefficient) for coefficient in registered.coefficients),
         residual_mean_mm=float(off.mean()) if len(off) else 0.0,
         residual_max_mm=float(off.max(initial=0.0)),
         weights=weights,

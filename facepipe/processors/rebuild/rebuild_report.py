@@ -199,7 +199,9 @@ class RebuildPictures:
 
         rows = self.template.rows
         skin, marks = self.rebuilt.neutral[rows], rows[self.template.landmarks]
-        seen = np.concatenate([self.rebuilt.neutral[marks], *(one[marks] for one in self.rebuilt.composites.values())])
+        seen = np.concatenate(
+            [self.rebuilt.neutral[marks], *(composite[marks] for composite in self.rebuilt.composites.values())]
+        )
         height = np.ptp(self.rebuilt.neutral[marks, 1])
         return np.concatenate([skin[skin[:, 1] >= seen[:, 1].min() - _BELOW_CHIN * height], seen])
 

@@ -107,7 +107,7 @@ def sphere_views(middle: FloatArray, radius: float) -> list[Pinhole]:
     turn = np.pi * (1 + 5**0.5) * np.arange(_AROUND)
     flat = np.sqrt(1 - height**2)
     directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], axis=1)
-    return [_view(middle, radius, one, np.eye(3)[np.abs(one).argmin()]) for one in directions]
+    return [_view(middle, radius, direction, np.eye(3)[np.abs(direction).argmin()]) for direction in directions]
 
 
 def candidates(

@@ -109,8 +109,8 @@ class ScanPhotos:
         step("cameras", 1)
         known = None if self.cameras is None else _known(self.cameras, photos, folder)
         structure = find_structure(photos, self.options, known)
-        made = self._scan(folder.name, [one for one in photos if one.name in structure.cameras], structure, step)
-        unused = tuple(one.name for one in photos if one.name not in structure.cameras)
+        made = self._scan(folder.name, [photo for photo in photos if photo.name in structure.cameras], structure, step)
+        unused = tuple(photo.name for photo in photos if photo.name not in structure.cameras)
         if unused:
             reason = "have no known camera" if known is not None else "could not be placed"
             warnings.append(f"{len(unused)} of {len(photos)} photos {reason}: {', '.join(unused[:8])}")
@@ -128,7 +128,7 @@ class ScanPhotos:
         subject, structure = find_subject(structure)
         if self.cameras is None:
             structure, subject = self._placed(photos, structure, subject)
-        cameras = [structure.cameras[one.name] for one in photos]
+        cameras = [structure.cameras[photo.name] for photo in photos]
         pairs = choose_pairs(structure, subject, options.neighbours)
         each_pair, each_photo = (lambda: step("depth", len(pairs))), (lambda: step("points", len(photos)))
         maps = depth_maps(photos, structure, pairs, options.agreement, options.texture, each_pair)
@@ -137,7 +137,7 @@ class ScanPhotos:
         scan = make_surface(cloud, name, gap=options.gap, smallest=options.smallest)
         landmarks, lost = self._landmarks(photos, structure, scan, step)
         report = ScanPhotosReport(
-            photos_used=tuple(one.name for one in photos),
+            photos_used=tuple(photo.name for photo in photos),
             cameras="found" if self.cameras is None else "given",
             unit=self._unit,
             reprojection_px=structure.error,
@@ -153,7 +153,7 @@ class ScanPhotos:
             markers=len(landmarks.markers),
             warnings=(*_doubts(structure), *lost),
         )
-        full = {one.name: structure.cameras[one.name].scaled(*one.full_size) for one in photos}
+        full = {photo.name: structure.cameras[photo.name].scaled(*photo.full_size) for photo in photos}
         return PhotoScan(scan=scan, cameras=Cameras(cameras=full, unit=self._unit), landmarks=landmarks, report=report)
 
     def _landmarks(
@@ -161,7 +161,7 @@ class ScanPhotos:
     ) -> tuple[ScanLandmarks, list[str]]:
         """Landmarks and markers on the scan, and a warning for each marker that has no place."""
         markers = self._markers(photos, structure)
-        names = {name for one in self.markers.values() for name in one}
+        names = {name for marker in self.markers.values() for name in marker}
         lost = [f"marker {one}: no 2 photos show it at one place" for one in sorted(names - set(markers))]
         if not self.options.landmarks:
             return ScanLandmarks(markers=markers), lost

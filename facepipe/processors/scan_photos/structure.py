@@ -105,9 +105,9 @@ def _lenses(
             for name, one in known.items()
         }
     return {
-        files[one.name]: {"model": "SIMPLE_RADIAL", "params": [one.focal, one.width / 2, one.height / 2, 0.0]}
-        for one in photos
-        if one.focal is not None
+        files[photo.name]: {"model": "SIMPLE_RADIAL", "params": [photo.focal, photo.width / 2, photo.height / 2, 0.0]}
+        for photo in photos
+        if photo.focal is not None
     }
 
 

@@ -41,7 +41,8 @@ def find_subject(structure: Structure) -> tuple[Subject, Structure]:
     cameras = list(structure.cameras.values())
     center = _look_at(cameras)
     reach = [
-        0.5 * max(one.width, one.height) / one.focal[0] * float(np.linalg.norm(one.eye - center)) for one in cameras
+        0.5 * max(camera.width, camera.height) / camera.focal[0] * float(np.linalg.norm(camera.eye - center))
+        for camera in cameras
     ]
     subject = Subject(center=center, radius=_CROP * float(np.median(reach)))
     inside = subject.holds(structure.points)
@@ -53,7 +54,9 @@ def find_subject(structure: Structure) -> tuple[Subject, Structure]:
 
 def _look_at(cameras: list[PhotoCamera]) -> FloatArray:
     """(3,) the point nearest to the axes of all cameras."""
-    return nearest_to_lines(np.array([one.eye for one in cameras]), np.array([one.ahead for one in cameras]))
+    return nearest_to_lines(
+        np.array([camera.eye for camera in cameras]), np.array([camera.ahead for camera in cameras])
+    )
 
 
 def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> list[tuple[int, int]]:
@@ -104,8 +107,8 @@ def upright(structure: Structure, subject: Subject, radius: float) -> tuple[Stru
     :param radius: of the ball
     """
     cameras = list(structure.cameras.values())
-    down = np.mean([one.rotation[1] for one in cameras], axis=0)
-    backward = -np.mean([one.ahead for one in cameras], axis=0)
+    down = np.mean([camera.rotation[1] for camera in cameras], axis=0)
+    backward = -np.mean([camera.ahead for camera in cameras], axis=0)
     if np.linalg.norm(down) < 1e-6 or np.linalg.norm(np.cross(down, backward)) < 1e-6:
         down, backward = cameras[0].rotation[1], -cameras[0].ahead
     up = -down / np.linalg.norm(down)

@@ -49,7 +49,7 @@ class Cloud:
 
     def only(self, kept: BoolArray) -> Cloud:
         """The points marked in `kept` (n,)."""
-        arrays = {one.name: getattr(self, one.name)[kept] for one in fields(self) if one.name != "spacing"}
+        arrays = {field.name: getattr(self, field.name)[kept] for field in fields(self) if field.name != "spacing"}
         return Cloud(spacing=self.spacing, **arrays)
 
 
@@ -89,7 +89,7 @@ def make_cloud(
 
 def _width_of_pixels(cameras: Sequence[PhotoCamera], subject: Subject) -> float:
     """How wide a pixel is on the subject, of the median camera."""
-    return float(np.median([np.linalg.norm(one.eye - subject.center) / one.focal[0] for one in cameras]))
+    return float(np.median([np.linalg.norm(camera.eye - subject.center) / camera.focal[0] for camera in cameras]))
 
 
 def _voxel_means(values: FloatArray, size: float) -> FloatArray:

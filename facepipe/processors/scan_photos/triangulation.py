@@ -65,12 +65,12 @@ def triangulate_all(
     :param sightings: in pixels of the cameras' photos
     :param tolerance: pixels
     """
-    names = sorted({name for one in sightings.values() for name in one})
+    names = sorted({name for sighting in sightings.values() for name in sighting})
     places = {}
     for name in names:
-        photos = [one for one in sorted(cameras) if name in sightings.get(one, {})]
-        pixels = np.array([sightings[one][name] for one in photos])
-        place = triangulate([cameras[one] for one in photos], pixels, tolerance, least)
+        photos = [camera for camera in sorted(cameras) if name in sightings.get(camera, {})]
+        pixels = np.array([sightings[photo][name] for photo in photos])
+        place = triangulate([cameras[photo] for photo in photos], pixels, tolerance, least)
         if place is not None:
             places[name] = place
     return places
@@ -86,7 +86,7 @@ def triangulate(
     """
     if len(cameras) < max(least, 2):
         return None
-    eyes = np.array([one.eye for one in cameras])
+    eyes = np.array([camera.eye for camera in cameras])
     rays = np.concatenate([_ray(one, pixel) for one, pixel in zip(cameras, pixels, strict=True)])
     best: tuple[int, float] = (0, 0.0)
     chosen = None
@@ -111,7 +111,7 @@ def _ray(camera: PhotoCamera, pixel: FloatArray) -> FloatArray:
 
 def _errors(cameras: Sequence[PhotoCamera], pixels: FloatArray, place: FloatArray) -> FloatArray:
     """(k,) pixels between where a place shows and where it was seen; infinite behind a camera."""
-    shown = np.concatenate([one.project(place[None]) for one in cameras])
+    shown = np.concatenate([camera.project(place[None]) for camera in cameras])
     return np.asarray(np.nan_to_num(np.linalg.norm(shown - pixels, axis=1), nan=np.inf))
 
 
@@ -143,12 +143,14 @@ def place_landmarks(
     points = no_landmarks()
     if not sightings:
         return points
-    size = float(np.median([max(one.width, one.height) for one in cameras.values()]))
+    size = float(np.median([max(camera.width, camera.height) for camera in cameras.values()]))
     for name, place in triangulate_all(sightings, cameras, _TOLERANCE * size, _LEAST).items():
         points[int(name)] = place
     known = np.isfinite(points).all(axis=1)
     if known.any():
-        reach = _TOLERANCE * size * float(np.median([_pixel_width(one, points[known]) for one in cameras.values()]))
+        reach = (
+            _TOLERANCE * size * float(np.median([_pixel_width(camera, points[known]) for camera in cameras.values()]))
+        )
         distance, near = cKDTree(scan.points).query(points[known])
         points[known] = np.where((distance <= reach)[:, None], scan.points[near], points[known])
     return points

@@ -98,7 +98,7 @@ def eyeballs_of(surface: Surface) -> tuple[Eyeball, ...]:
     for number in np.unique(surface.component[surface.loose]):
         points = np.flatnonzero(surface.component == number)
         ball = _ball(surface.points[points], areas[points])
-        if ball is not None and not any(np.isin(points[0], one.points) for one in eyeballs):
+        if ball is not None and not any(np.isin(points[0], eyeball.points) for eyeball in eyeballs):
             eyeballs.append(Eyeball(centre=ball[0], radius=ball[1], points=_with_contents(surface, points, *ball)))
     return tuple(eyeballs)
 

@@ -143,7 +143,7 @@ def _joint(where: str, path: str, content: object) -> JointSpec:
     if radius is not None and _numbers(f"{where} -> radius", [radius], 1)[0] <= 0:
         raise InputError(f"{where} -> radius", f"{radius}, expected a length above 0")
     regions = content.get("regions", [])
-    if not isinstance(regions, list) or not all(isinstance(one, str) for one in regions):
+    if not isinstance(regions, list) or not all(isinstance(region, str) for region in regions):
         raise InputError(f"{where} -> regions", "expected a list of region names")
     surface = content.get("surface")
     if surface is not None and not isinstance(surface, bool):
@@ -160,9 +160,9 @@ def _joint(where: str, path: str, content: object) -> JointSpec:
 
 def _numbers(where: str, values: Any, count: int) -> tuple[float, ...]:
     good = isinstance(values, list) and len(values) == count
-    if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in values):
+    if not good or not all(type(value) in (int, float) and abs(value) <= _LARGEST for value in values):
         raise InputError(where, f"{str(values)[:60]}, expected {count} finite numbers")  # NaN fails the comparison
-    return tuple(float(one) for one in values)
+    return tuple(float(value) for value in values)
 
 
 def _parts(where: str, content: object) -> dict[str, tuple[str, str]]:

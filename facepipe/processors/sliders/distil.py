@@ -152,7 +152,7 @@ def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: Sl
 def _spread(sizes: list[Any]) -> Spread | None:
     if not sizes:
         return None
-    whole = np.concatenate([np.atleast_1d(one) for one in sizes])
+    whole = np.concatenate([np.atleast_1d(size) for size in sizes])
     mean, p95, largest = whole.mean(), np.percentile(whole, 95), whole.max()
     return Spread(mean=float(mean), p95=float(p95), max=float(largest))
 

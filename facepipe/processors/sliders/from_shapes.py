@@ -90,7 +90,7 @@ class SliderMaker:
         shapes = sorted(shape for slider in sliders for _, shape in slider.ends)  # as of the mirror, to the last digit
         motions = [np.linalg.norm(self.targets[shape] - self.fits.points) for shape in shapes]
         left = [np.linalg.norm(self.targets[shape] - self.poses[shape].points) for shape in shapes]
-        return reach_of([float(one) for one in motions], [float(one) for one in left])
+        return reach_of([float(motion) for motion in motions], [float(one) for one in left])
 
     def _residual(self, shape: str) -> Residual | None:
         """What bones leave beyond the threshold."""

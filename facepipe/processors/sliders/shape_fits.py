@@ -170,7 +170,7 @@ class ShapeFits:
             except np.linalg.LinAlgError:
                 what = "the scale of a joint fell to 0, expected limits that keep it away from there"
                 raise FitError(self.rig.name, what) from None
-        return [_Found(one.coefficients, one.points, session.symmetry is not None) for one in poses]
+        return [_Found(pose.coefficients, pose.points, session.symmetry is not None) for pose in poses]
 
     def _session(self, lower: FloatArray, upper: FloatArray, *, symmetric: bool = False) -> BoneFit:
         return BoneFit(

@@ -75,10 +75,10 @@ def shape_sliders(shapes: Sequence[str], pairs: Sequence[tuple[str, str]]) -> tu
     """
     ends = _ends(shapes, pairs)
     words = [_words(own[-1][1], pairs if len(own) == 2 else ()) for own in ends]
-    stems = Counter(_joined(one.stem, one.side).lower() for one in words)
+    stems = Counter(_joined(word.stem, word.side).lower() for word in words)
     names = [
-        _joined((*one.stem, one.end) if stems[_joined(one.stem, one.side).lower()] > 1 else one.stem, one.side)
-        for one in words
+        _joined((*word.stem, word.end) if stems[_joined(word.stem, word.side).lower()] > 1 else word.stem, word.side)
+        for word in words
     ]
     made = [
         ShapeSlider(name=name, group=_group(one), ends=own)

@@ -139,7 +139,7 @@ def shape_targets(where: str, target: str, shapes: Sequence[str]) -> list[str]:
 
     :raises InputError: it matches none
     """
-    matching = [target] if target in shapes else [one for one in shapes if fnmatchcase(one, target)]
+    matching = [target] if target in shapes else [shape for shape in shapes if fnmatchcase(shape, target)]
     if not matching:
         raise InputError(where, f"'{target[:60]}' {unmatched(target, shapes, 'shapes')}")
     return matching

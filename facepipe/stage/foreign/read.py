@@ -207,7 +207,7 @@ def _sliders(scene: Scene) -> tuple[Slider, ...]:
 
 def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | None:
     """The first learned network that takes none but the given sliders; others are left out."""
-    names, chosen = {one.name for one in sliders}, None
+    names, chosen = {slider.name for slider in sliders}, None
     for prim in _prims(scene):
         try:
             network = read_slider_network(prim)

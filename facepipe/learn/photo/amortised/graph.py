@@ -34,8 +34,12 @@ FURTHER_OPERATORS = ("Conv",)  # beside those that every engine has for per-fram
 def controls(subject: Subject) -> dict[str, Any]:
     """What a network's outputs stand for: sliders with their ranges, expressions, the axis that points up."""
     sliders = [
-        {"name": one.name, "range": [_short(one.minimum), _short(one.maximum)], "default": _short(one.default)}
-        for one in subject.free_sliders
+        {
+            "name": slider.name,
+            "range": [_short(slider.minimum), _short(slider.maximum)],
+            "default": _short(slider.default),
+        }
+        for slider in subject.free_sliders
     ]
     shapes = [subject.rig.shapes[i] for i in subject.expressions]
     return {"sliders": sliders, "expressions": shapes, "up_axis": subject.parts.up_axis}

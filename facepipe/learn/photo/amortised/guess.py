@@ -43,9 +43,9 @@ class Guess:
         """
         crop = Picture.from_photo(photo, landmarks, space).crop(landmarks)
         fed = {"image": crop.image.numpy()[None], "landmarks": crop.landmarks.numpy()[None]}
-        names = [one.name for one in self.session.get_outputs()]
+        names = [output.name for output in self.session.get_outputs()]
         values = [np.asarray(one[0], np.float64) for one in self.session.run(None, fed)]
-        if not all(np.isfinite(one).all() for one in values):
+        if not all(np.isfinite(value).all() for value in values):
             raise InputError(self.path, "gives NaN or infinity, expected numbers")
         outputs = dict(zip(names, values, strict=True))
         poses = crop.space(space, self.subject.parts.up_axis)
@@ -62,9 +62,9 @@ class Guess:
         """One person in several photos: the mean of the sliders, each photo's own expression and pose."""
         guesses = [self(*each) for each in zip(photos, landmarks, spaces, strict=True)]
         return State(
-            shares=np.mean([one.shares for one in guesses], axis=0),
-            expressions=np.concatenate([one.expressions for one in guesses]),
-            poses=np.concatenate([one.poses for one in guesses]),
+            shares=np.mean([guess.shares for guess in guesses], axis=0),
+            expressions=np.concatenate([guess.expressions for guess in guesses]),
+            poses=np.concatenate([guess.poses for guess in guesses]),
         )
 
 
@@ -147,6 +147,6 @@ def _check_signature(path: Path, guess: Guess) -> None:
     sizes = {"shares": len(guess.subject.sliders), "expressions": len(guess.subject.expressions), "pose": NUMBERS}
     expected = {name: count for name, count in sizes.items() if count}
     inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
-    outputs = {one.name: one.shape[-1] for one in guess.session.get_outputs()}
+    outputs = {output.name: output.shape[-1] for output in guess.session.get_outputs()}
     if inputs != {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)} or outputs != expected:
         raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")

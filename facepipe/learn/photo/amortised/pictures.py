@@ -34,7 +34,7 @@ def noisy_landmarks(picture: Picture, sigma: float, rng: np.random.Generator) ->
 
 def batch(crops: Sequence[Crop]) -> tuple[Tensor, Tensor]:
     """What the network takes."""
-    return torch.stack([one.image for one in crops]), torch.stack([one.landmarks for one in crops])
+    return torch.stack([crop.image for crop in crops]), torch.stack([crop.landmarks for crop in crops])
 
 
 def varied(images: Tensor, rng: np.random.Generator) -> Tensor:

@@ -90,7 +90,7 @@ class WarmUp:
         people = random_people(subject, space, LANDMARK_BATCH, rng)
         exact = self._portraits.marks(people)
         marks = np.stack([one + self._noise(one) for one in exact])
-        matrices = np.stack([face_crop(one, SIZE) for one in marks])
+        matrices = np.stack([face_crop(mark, SIZE) for mark in marks])
         places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
         crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
         return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
@@ -104,13 +104,13 @@ class WarmUp:
         crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
         truths = [one.truth for one in chosen if one.truth is not None]
         people = People(
-            shares=np.stack([one.shares for one in truths]),
-            expressions=np.stack([one.expressions for one in truths]),
-            poses=np.stack([one.pose for one in truths]),
+            shares=np.stack([truth.shares for truth in truths]),
+            expressions=np.stack([truth.expressions for truth in truths]),
+            poses=np.stack([truth.pose for truth in truths]),
         )
         space = CropSpace(
             space=self._portraits.space,
-            crop=np.stack([one.matrix for one in crops]),
+            crop=np.stack([crop.matrix for crop in crops]),
             side=SIZE,
             up_axis=self._portraits.subject.parts.up_axis,
         )
@@ -176,15 +176,15 @@ class NetworkDescent:
         crops = [picture.crop(each) for picture, each in zip(pictures, marks, strict=True)]
         images, places = batch(crops)
         outputs = self.network(varied(images, rng), places)
-        leaves = Output(*(one.detach().requires_grad_() for one in outputs))
+        leaves = Output(*(output.detach().requires_grad_() for output in outputs))
         outside(leaves).backward()
         for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
             loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
             if not bool(loss.detach().isfinite()):
                 return False
             loss.backward()
-        slopes = [one.grad for one in leaves]
-        if not all(one is not None and bool(one.isfinite().all()) for one in slopes):
+        slopes = [leaf.grad for leaf in leaves]
+        if not all(slope is not None and bool(slope.isfinite().all()) for slope in slopes):
             return False
         torch.autograd.backward(list(outputs), slopes)
         return True
