@@ -221,6 +221,7 @@ def broken(name: str) -> FaceParts:
     head, skeleton = face.meshes[0], face.skeleton
     assert head.skin is not None
     shape = head.blendshapes[0]
+    half = shape.inbetweens[0]
     changes: dict[str, Callable[[], FaceParts]] = {
         "points": lambda: with_head(face, points=spoiled(head.points)),
         "Head -> transform": lambda: with_head(face, transform=np.diag([1e200, 1.0, 1.0, 1.0])),
@@ -240,6 +241,9 @@ def broken(name: str) -> FaceParts:
         "jawOpen -> offsets": lambda: with_head(face, blendshapes=(replace(shape, offsets=spoiled(shape.offsets)),)),
         "jawOpen -> pointIndices": lambda: with_head(
             face, blendshapes=(replace(shape, point_indices=shape.point_indices[::-1]),)
+        ),
+        "jawOpen -> half -> offsets": lambda: with_head(
+            face, blendshapes=(replace(shape, inbetweens=(replace(half, offsets=spoiled(half.offsets)),)),)
         ),
         "two morph targets": lambda: with_head(face, blendshapes=(shape, replace(shape, name="jawOpen_half"))),
         "faceVertexIndices": lambda: with_head(face, face_vertex_indices=spoiled(head.face_vertex_indices, 36)),
@@ -267,6 +271,7 @@ def broken(name: str) -> FaceParts:
         "jointIndices",
         "jawOpen -> offsets",
         "jawOpen -> pointIndices",
+        "jawOpen -> half -> offsets",
         "two morph targets",
         "faceVertexIndices",
         "rest_transforms",

@@ -26,6 +26,7 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
+from facepipe.processors.neural_rig.sample_motion import BakeMotion
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import slide
 from facepipe.stage import save_parts
@@ -68,6 +69,17 @@ def test_frames_are_what_the_face_evaluates(up_axis: str, tmp_path: Path, capsys
         assert np.abs(points - expected).max() < 1e-5 * np.ptp(found.rest)
     talk = found.values[-41:-1]
     assert np.allclose(talk, np.stack([0.0 * AMOUNTS, 0.1 * AMOUNTS, AMOUNTS], axis=1), atol=1e-6)
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(30.0, 30.0), (0.0, 24.0)])
+def test_frames_come_as_fast_as_those_of_the_face(rate: float, expected: float, tmp_path: Path) -> None:
+    """A rate of 0 is none: USD's own is taken."""
+    save_parts(acted(), tmp_path / "head.usda")
+    face = facepipe.open(tmp_path / "head.usda")
+    face.stage.SetTimeCodesPerSecond(rate)
+    few = SampleMotionOptions(spread=2, sweep=2, together=2)
+    BakeMotion(options=few)(face, tmp_path / "head.usda", tmp_path / "frames.usdc")
+    assert Usd.Stage.Open(str(tmp_path / "frames.usdc")).GetTimeCodesPerSecond() == expected
 
 
 def test_sweeps_and_random_frames_are_apart_and_the_same_as_for_training(

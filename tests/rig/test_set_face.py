@@ -30,6 +30,7 @@ from facepipe.rig import (
     set_face,
     slide,
 )
+from facepipe.rig.set_mesh import _rotations
 from facepipe.rig.set_person import random_poses
 from facepipe.stage import save_parts
 
@@ -152,6 +153,17 @@ def test_a_rigid_person_is_exact_and_turns_normals() -> None:
     np.testing.assert_allclose(found.parts.meshes[0].normals, normals @ turn.T, atol=1e-6)
     scales = np.linalg.norm(found.parts.skeleton.rest_transforms[:, :3, :3], axis=1)
     np.testing.assert_allclose(scales, 1.0, atol=1e-12)  # no engine has to keep it
+
+
+def test_the_smallest_rotation_between_directions_turns_about_what_is_square_to_both() -> None:
+    rng = np.random.default_rng(1)
+    start, end = (axes / np.linalg.norm(axes, axis=1, keepdims=True) for axes in rng.normal(size=(2, 20, 3)))
+    found = _rotations(start, end)
+    np.testing.assert_allclose(found @ np.swapaxes(found, 1, 2), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", found, start), end, atol=1e-12)
+    square = np.cross(start, end)
+    np.testing.assert_allclose(np.einsum("nij,nj->ni", found, square), square, atol=1e-12)
+    np.testing.assert_array_equal(_rotations(start, -start), np.tile(np.eye(3), (20, 1, 1)))
 
 
 def test_dual_quaternions_are_baked_as_they_move_points() -> None:
