@@ -191,6 +191,14 @@ def at_any_time(imported: Imported, folder: Path, model: Model, tracks: Tracks, 
     return np.array(off)
 
 
+def test_an_animation_of_lines_alone_is_read_without_a_warning(tmp_path: Path) -> None:
+    builder, *_ = animated(make_model())
+    (animation,) = builder.root["animations"]
+    straight = [number for number, one in enumerate(animation["samplers"]) if one["interpolation"] == "LINEAR"]
+    animation["channels"] = [one for one in animation["channels"] if one["sampler"] in straight]
+    assert read(tmp_path, builder).warnings == ()
+
+
 def test_steps_and_curves_mean_the_same_at_any_time_in_usd(tmp_path: Path) -> None:
     model = make_model()
     builder, _, tracks = animated(model)

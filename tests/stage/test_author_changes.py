@@ -24,6 +24,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.levels import author_levels
+from facepipe.stage.values import to_ints
 
 Change = Callable[[p.FaceParts], p.FaceParts]
 
@@ -370,7 +371,8 @@ def own_joints(stage: Usd.Stage) -> None:
     binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Tiny/Head"))
     binding.CreateJointsAttr(["root/jaw/lip", "root", "root/jaw"])
     primvar = binding.GetJointIndicesPrimvar()
-    primvar.SetIndices(list(range(36)))
+    primvar.Set(to_ints(np.reshape(primvar.Get(), (36, -1))[::-1]))
+    primvar.SetIndices(list(range(36))[::-1])
 
 
 def shared(stage: Usd.Stage) -> None:

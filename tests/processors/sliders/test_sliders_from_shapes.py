@@ -307,6 +307,20 @@ def test_with_a_residual_the_ends_are_the_shapes(name: str) -> None:
             assert (f"{end.shape}_residual" in face.shapes) == (end.residual_points > 0)
 
 
+def test_a_slider_and_its_mirror_are_both_made_or_neither_is() -> None:
+    """By what bones reach of both, though they reach more of one."""
+
+    def made(least_reach: float) -> dict[str, float]:
+        maker = SlidersFromShapes(shapes="jawOpen,mouthSmile*", least_reach=least_reach, residual=False)
+        return {name: one.reach for name, one in made_of(sample(), maker)[1].sliders.items()}
+
+    reaches = made(0.0)
+    low, high = sorted(reach for name, reach in reaches.items() if name != "jawOpen")
+    assert high - low > 1e-3
+    assert made(0.95 * low + 0.05 * high).keys() == {"jawOpen", "mouthSmileLeft", "mouthSmileRight"}
+    assert made(0.05 * low + 0.95 * high).keys() == {"jawOpen"}
+
+
 def test_shapes_that_bones_hardly_reach_are_left_out_or_drive_their_slider_alone() -> None:
     for residual in (False, True):
         maker = SlidersFromShapes(
