@@ -24,7 +24,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.levels import author_levels
-from facepipe.stage.values import to_ints
+from facepipe.stage.values import to_floats, to_ints
 
 Change = Callable[[p.FaceParts], p.FaceParts]
 
@@ -367,12 +367,12 @@ def unsorted(stage: Usd.Stage) -> None:
 
 
 def own_joints(stage: Usd.Stage) -> None:
-    """Joint indices into the mesh's own order of joints, as indexed primvars."""
+    """Joint indices into the mesh's own order of joints; both primvars of the skin indexed, from the last point."""
     binding = UsdSkel.BindingAPI(stage.GetPrimAtPath("/Tiny/Head"))
     binding.CreateJointsAttr(["root/jaw/lip", "root", "root/jaw"])
-    primvar = binding.GetJointIndicesPrimvar()
-    primvar.Set(to_ints(np.reshape(primvar.Get(), (36, -1))[::-1]))
-    primvar.SetIndices(list(range(36))[::-1])
+    for primvar, put in ((binding.GetJointIndicesPrimvar(), to_ints), (binding.GetJointWeightsPrimvar(), to_floats)):
+        primvar.Set(put(np.reshape(primvar.Get(), (36, -1))[::-1]))
+        primvar.SetIndices(list(range(36))[::-1])
 
 
 def shared(stage: Usd.Stage) -> None:
