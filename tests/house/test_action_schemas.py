@@ -16,6 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.declare import Field, fields_of, option, schema_of
 from facepipe.kinds import FOUND, StageAction
 from facepipe.performing import recipe_to
+from facepipe.processors.rebuild import RegisterScansOptions
 
 # a source of any action; `rebuild` alone reads it
 _PROJECT = 'template = "smile.toml"\ndatabase = "smile.toml"\n[neutral]\nscan = "smile.toml"\n'
@@ -91,3 +92,8 @@ def admits(one: Field, value: Any) -> bool:
     except InputError:
         return False
     return True
+
+
+def test_options_are_checked_when_they_are_made() -> None:
+    with pytest.raises(InputError, match=r"option reach_mm: is 0\.0, expected a number from 0\.1 to 1000"):
+        RegisterScansOptions(reach_mm=0.0)
