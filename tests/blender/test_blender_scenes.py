@@ -59,6 +59,17 @@ def test_edit_mode_exports_what_is_being_edited(scenes: Scenes) -> None:
     assert face.skeleton.joints == ("root", "extra")
 
 
+def test_a_part_that_hangs_on_a_bone_follows_it_alone(scenes: Scenes) -> None:
+    folder, shown, _ = scenes
+    (face,) = faces(folder, "part_on_a_bone")
+    eye = next(mesh for mesh in face.meshes if mesh.name == "Eye")
+    assert eye.skin is not None
+    assert set(eye.skin.joint_indices.ravel().tolist()) == {face.skeleton.joints.index("root")}
+    assert (eye.skin.joint_weights == 1.0).all()
+    points = np.concatenate([shown[f"part_on_a_bone {mesh.name}"] for mesh in face.meshes])
+    assert off(face, points, {}) < 1e-5
+
+
 def test_keys_relative_to_others_muted_keys_and_stretched_objects(scenes: Scenes) -> None:
     folder, shown, _ = scenes
     (face,) = faces(folder, "relative_keys")

@@ -75,6 +75,11 @@ export("relative_keys")
 
 part = head("Eye")
 armature = rig("Rig", head("Head"))
+part.parent, part.parent_type, part.parent_bone = armature, "BONE", "root"
+export("part_on_a_bone")
+
+part = head("Eye")
+armature = rig("Rig", head("Head"))
 part.modifiers.new("Armature", "ARMATURE").object = armature
 part.hide_render = True
 export("hidden_mesh")
