@@ -60,7 +60,7 @@ def folder(drawer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 @pytest.fixture(scope="module")
 def one_sample_a_pixel() -> Iterator[None]:
-    """Pictures that are drawn on the way are rough, and quick: what antialiasing does is told by its own tests."""
+    """Pictures that are drawn on the way are rough, and quick: antialiasing has tests of its own."""
     defaults = PictureOptions.__init__.__kwdefaults__
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(defaults, "samples", 1)

@@ -350,8 +350,8 @@ def test_the_text_tells_of_each_file_and_why(chain: Path, capsys: Capsys) -> Non
 
 def test_the_report_holds_what_the_command_reports(chain: Path, capsys: Capsys) -> None:
     _, report, _ = cook(capsys, "posed.usda", "--force")
-    told = json.loads(done(capsys, *LINES[2], "--force", "--json"))
-    assert report["nodes"][-1]["report"]["values"] == told["values"]
+    printed = json.loads(done(capsys, *LINES[2], "--force", "--json"))
+    assert report["nodes"][-1]["report"]["values"] == printed["values"]
 
 
 def test_the_python_of_the_page_runs(folder: Path, capsys: Capsys) -> None:

@@ -51,8 +51,8 @@ def test_a_delivery_is_four_files_that_agree(delivered: Path) -> None:
     assert sorted(files) == ["face.glb", "face.onnx", "face.onnx.json", "face.report.json"]
     assert [one.name for one in report.files] == ["other.glb", "other.onnx", "other.onnx.json", "other.report.json"]
     assert all(one.is_file() for one in report.files)
-    told = json.loads(Path("other.report.json").read_text())
-    assert told["files"] == [one.name for one in report.files]
+    content = json.loads(Path("other.report.json").read_text())
+    assert content["files"] == [one.name for one in report.files]
     assert Path("other.glb").read_bytes() != files["face.glb"]
     with pytest.raises(InputError, match=r"face\.glb: exists"):
         deliver(Path("face.usda"), Path(), "face")

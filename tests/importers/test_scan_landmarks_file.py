@@ -1,4 +1,4 @@
-"""Landmark files of scans: what is written reads back, and what is wrong is told in one line."""
+"""Landmark files of scans: what is written reads back, and what is wrong is named in one line."""
 
 from __future__ import annotations
 

@@ -55,8 +55,8 @@ NEW = {"fresh": "new", "main": "new", "beside": "new", "report/two": "new"}
 @pytest.mark.parametrize("scenario", ["single", "several", "failing", "whole_folder", "two_renames", "settling"])
 def test_a_kill_at_any_step_leaves_old_or_new_and_the_next_run_is_clean(tmp_path: Path, scenario: str) -> None:
     script = SUPPORT / "kill_points.py"
-    told = subprocess.run([sys.executable, script, scenario, tmp_path], stdout=subprocess.PIPE, check=True)
-    steps = json.loads(told.stdout)
+    traced = subprocess.run([sys.executable, script, scenario, tmp_path], stdout=subprocess.PIPE, check=True)
+    steps = json.loads(traced.stdout)
     assert (
         len(steps)
         > {"single": 8, "several": 50, "whole_folder": 12, "two_renames": 20, "settling": 20, "failing": 50}[scenario]

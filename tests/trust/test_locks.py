@@ -53,19 +53,19 @@ def test_counts_of_many_threads_add_up(tmp_path: Path) -> None:
 
 
 def test_another_process_is_waited_for_and_told_of(tmp_path: Path) -> None:
-    path, told = tmp_path / "faces.fpdb", []
+    path, waits = tmp_path / "faces.fpdb", []
     holder = _holder(path)
     try:
         with (
             pytest.raises(InputError, match=r"faces\.fpdb: is being changed by another process"),
-            locked(path, patience=0.0, waiting=lambda: told.append(1)),
+            locked(path, patience=0.0, waiting=lambda: waits.append(1)),
         ):
             pass
     finally:
         holder.kill()
         holder.wait()
     with locked(path, patience=30.0):  # the lock of a process that was killed is gone
-        assert len(told) <= 1
+        assert len(waits) <= 1
 
 
 def test_an_error_within_gives_the_lock_back(tmp_path: Path) -> None:
