@@ -50,7 +50,7 @@ def check_same(before: FaceParts, after: FaceParts, height: float) -> None:
         )
     bare = [replace(parts, materials=(), recipe=None) for parts in (before, after)]
     assert same(*bare)
-    assert {one.name for one in before.materials} == {one.name for one in after.materials}
+    assert {material.name for material in before.materials} == {material.name for material in after.materials}
 
 
 def dense(mesh: Mesh) -> dict[str, np.ndarray]:
@@ -91,7 +91,7 @@ def _in_one_material(mesh: Mesh) -> Mesh:
 def sample(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample face."""
     path, parts = tmp_path_factory.mktemp("sample") / "face.usda", make()
-    alone = [one if len(one.material_faces) != 1 else _in_one_material(one) for one in parts.meshes]
+    alone = [mesh if len(mesh.material_faces) != 1 else _in_one_material(mesh) for mesh in parts.meshes]
     save_parts(replace(parts, meshes=tuple(alone)), path)
     return path
 
@@ -199,7 +199,7 @@ def test_a_face_made_in_blender(tmp_path: Path, options: dict[str, object], up: 
     np.testing.assert_allclose(sum(mesh.regions.values()), 1.0, atol=1e-6)
     assert "unused" in said
     smile, wide = mesh.blendshapes
-    assert [(one.name, one.weight) for one in smile.inbetweens] == [("half", 0.5)]
+    assert [(inbetween.name, inbetween.weight) for inbetween in smile.inbetweens] == [("half", 0.5)]
     assert smile.normal_offsets is not None
     assert wide.normal_offsets is not None
     # Blender's own deformation is the oracle: shapes, pose, and the places of its objects

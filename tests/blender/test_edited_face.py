@@ -46,7 +46,7 @@ def hosted(parts: FaceParts) -> FaceParts:
             replace_mesh(
                 mesh,
                 skin=skin,
-                blendshapes=tuple(shape(one, mesh.points) for one in mesh.blendshapes),
+                blendshapes=tuple(shape(blendshape, mesh.points) for blendshape in mesh.blendshapes),
                 landmarks={},
                 anchor=None,
             )

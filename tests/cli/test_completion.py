@@ -66,7 +66,7 @@ def in_bash(script: Path, *lines: str) -> list[set[str]]:
     calls = "\n".join(f'{one}; _facepipe; echo "${{COMPREPLY[*]}}"' for one in asked)
     ended = subprocess.run(["bash", "-c", f"source {script}\n{calls}"], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
-    return [{*one.split(" ")} - {""} for one in ended.stdout.splitlines()]
+    return [{*splitline.split(" ")} - {""} for splitline in ended.stdout.splitlines()]
 
 
 def _bash_words(line: str) -> str:
@@ -87,7 +87,7 @@ def test_bash_offers_every_command_and_flag(scripts: dict[str, Path]) -> None:
     for command in commands_of():
         parser = Parser(prog=command)
         command_module(command).configure(parser, ["--help"])
-        shown = [one for one in parser._actions if one.help != argparse.SUPPRESS]
+        shown = [action for action in parser._actions if action.help != argparse.SUPPRESS]
         flags[command] = {flag for one in shown for flag in one.option_strings}
     every, *offered = in_bash(scripts["bash"], "facepipe ", *(f"facepipe {command} -" for command in flags))
     assert every == {*flags, "--help", "--version", "--verbose", "--quiet"}

@@ -66,7 +66,7 @@ def test_an_option_of_one_format_is_left_out_for_another(show: Path, capsys: Cap
 def test_a_fault_is_one_line(show: Path, capsys: Capsys, text: str, said: str) -> None:
     (show / "facepipe.toml").write_text(text)
     lines = {"batch": "plan.toml", "blender-addon": "-o a.zip", "neural-rig train": "face.usda -o a.fpnr"}
-    command = next((one for one in lines if one in text), "render")
+    command = next((line for line in lines if line in text), "render")
     words = f"{command} {lines.get(command, 'face.usda -o a.png')}".split()
     code, _, err = run(capsys, *words)
     assert code == 2

@@ -76,7 +76,7 @@ def test_a_table_changes_what_follows_it_alone(chain: Path, capsys: Capsys) -> N
         table.write('[slider.up]\nchannels = { "jaw:ty" = 0.25 }\n')
     _, report, _ = cook(capsys, "posed.usda")
     assert actions(report) == {"mix.usda": "up to date", "controls.usda": "cooked", "posed.usda": "cooked"}
-    assert "up" in {one.name for one in facepipe.open("posed.usda").sliders}
+    assert "up" in {slider.name for slider in facepipe.open("posed.usda").sliders}
 
 
 def test_what_comes_out_as_before_stops_there(chain: Path, capsys: Capsys) -> None:
@@ -290,7 +290,7 @@ def test_a_file_that_another_process_cooks_is_waited_for_and_not_cooked_twice(ch
         thread.start()
         assert exit_code("blend", "--edit", "mix.usda", "--force") == 0
     thread.join()
-    assert [(one.action, one.why) for one in second[0].nodes] == [("up to date", ("another process cooked it",))]
+    assert [(node.action, node.why) for node in second[0].nodes] == [("up to date", ("another process cooked it",))]
 
 
 def test_a_stage_that_is_open_sees_files_changed_on_disk(chain: Path) -> None:

@@ -202,7 +202,7 @@ def test_roots_are_those_in_force_in_the_program(show: Path) -> None:
     _stale(show)
     with trusting(Trust(roots=(show / "shots",))):
         report = cooking.cook(["shots/posed.usda"], CookOptions(dry_run=True))
-    assert [one.action for one in report.nodes] == ["outside the roots", "stale", "stale"]
+    assert [node.action for node in report.nodes] == ["outside the roots", "stale", "stale"]
     assert report.nodes[1].warnings == (_NOTE,)
     with trusting(Trust(roots=(show,))):
         assert cooking.cook(["shots/posed.usda"]).good

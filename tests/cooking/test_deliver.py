@@ -42,7 +42,7 @@ def delivered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def _content(folder: Path) -> dict[str, bytes]:
     assert not [one.name for one in folder.iterdir() if one.name.startswith(".")]
-    return {one.name: one.read_bytes() for one in outputs(folder, "face") if one.exists()}
+    return {output.name: output.read_bytes() for output in outputs(folder, "face") if output.exists()}
 
 
 def test_a_delivery_is_four_files_that_agree(delivered: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_delivery_that_fails_leaves_the_old_one(delivered: Path, monkeypatch: 
 def test_a_delivery_killed_between_its_files_is_never_old_beside_new(delivered: Path) -> None:
     old = _content(delivered)
     assert subprocess.run([sys.executable, "-c", _KILLED], check=False).returncode == -signal.SIGKILL
-    left = {one.name: one.read_bytes() for one in outputs(delivered, "face") if one.exists()}
+    left = {output.name: output.read_bytes() for output in outputs(delivered, "face") if output.exists()}
     collect(delivered)
     new = _content(delivered)
     assert sorted(left) == ["face.glb", "face.onnx"]

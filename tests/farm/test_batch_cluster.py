@@ -77,7 +77,7 @@ def killed(farm: Farm, ticks: Iterable[Callable[[], object]]) -> Iterator[set[in
             tick()
             if over.is_set():
                 return
-            victim = next(one for one in farm.workers if one.poll() is None)
+            victim = next(worker for worker in farm.workers if worker.poll() is None)
             orphans.update(children(victim))
             victim.kill()
             victim.wait()
@@ -189,7 +189,7 @@ def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: 
     farm.scheduler.kill()
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (1, "")
-    (line,) = [one for one in out.splitlines() if "gone" in one]
+    (line,) = [splitline for splitline in out.splitlines() if "gone" in splitline]
     left = int(re.fullmatch(r"failed: the cluster is gone: (\d+) tasks are left, run it again to do them", line)[1])
     assert dict(run(show, slow, None).counts) == {"kept": 24 - left, "made": left}
     again = [name for name, times in Counter(log(show)).items() if times > 1]

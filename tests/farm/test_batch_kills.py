@@ -48,7 +48,11 @@ def start(show: Path, program: list[str]) -> subprocess.Popen[bytes]:
 def recorded(show: Path) -> dict[str, dict[str, Any]]:
     """What the ledger has of each task that was done."""
     path = show / "state/tasks.jsonl"
-    whole = [one for one in path.read_text().splitlines(keepends=True) if one.endswith("\n")] if path.exists() else []
+    whole = (
+        [splitline for splitline in path.read_text().splitlines(keepends=True) if splitline.endswith("\n")]
+        if path.exists()
+        else []
+    )
     return {one["task"]: one for one in map(json.loads, whole)}
 
 

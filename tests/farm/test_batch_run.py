@@ -133,7 +133,7 @@ def test_a_process_that_loses_memory_is_replaced_and_no_task_is_lost(show: Path,
     assert dict(report.counts) == {"made": 14}
     assert len({one.read_text() for one in (show / "built/mixed").iterdir()}) > 1
     records = json.loads((show / "state/report.json").read_text())["records"]
-    assert {one["lost"] for one in records} == {0}
+    assert {record["lost"] for record in records} == {0}
 
 
 def test_a_full_disk_is_tried_again_and_then_told(show: Path, run_plan: Runner) -> None:

@@ -54,7 +54,7 @@ def test_quads_have_no_preferred_diagonal():
     one, other = (graph_distances(surface_graph(points, x), sources) for x in (quads, turned))
     np.testing.assert_allclose(one, other, atol=1e-12)
     mirror = np.arange(400).reshape(20, 20)[:, ::-1].ravel()
-    mirrored = graph_distances(surface_graph(points, quads), [mirror[one] for one in sources])[:, mirror]
+    mirrored = graph_distances(surface_graph(points, quads), [mirror[source] for source in sources])[:, mirror]
     np.testing.assert_allclose(mirrored, one, atol=1e-12)
 
 

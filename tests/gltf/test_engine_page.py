@@ -92,7 +92,7 @@ def test_the_script_runs_as_it_stands(made: Path, tmp_path: Path) -> None:
     assert {name: weight for name, weight in found["shapes"].items() if weight} == {
         mesh.name: pytest.approx(0.7)
         for mesh in face.meshes
-        if "mouthSmileLeft" in [one.name for one in mesh.blendshapes]
+        if "mouthSmileLeft" in [blendshape.name for blendshape in mesh.blendshapes]
     }
     document = gltf_reader.read(glb)
     moved = {"head": coefficient_matrices(turned(face))[document.joint_names().index("head")]}

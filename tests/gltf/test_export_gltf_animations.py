@@ -194,7 +194,7 @@ def test_clips_are_sampled_at_a_frame_rate_as_usd_draws_them(writing: Writing) -
         weights = dict(zip(names, query.GetAnimQuery().ComputeBlendShapeWeights(code), strict=True))
         expected = rig.split(rig.evaluate(weights, joint_transforms=local) @ to_gltf(parts).T)
         assert difference(file.pose("talk", time), expected, parts) < TOLERANCE * head_height(parts)
-    (line,) = (one for one in report.warnings if "sampled at 8 frames per second" in one)
+    (line,) = (warning for warning in report.warnings if "sampled at 8 frames per second" in warning)
     assert line.endswith("off by at most nothing")  # all keys are on frames
 
 

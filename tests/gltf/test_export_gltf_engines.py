@@ -51,7 +51,7 @@ def shaped(count: int, reach: float, seed: int = 8) -> FaceParts:
 def stored_types(file: Gltf, name: str) -> set[int]:
     """Component types of an attribute of all morph targets."""
     targets = [t for mesh in file.list("meshes") for one in mesh["primitives"] for t in one.get("targets", [])]
-    return {file.list("accessors")[one[name]]["componentType"] for one in targets if name in one}
+    return {file.list("accessors")[target[name]]["componentType"] for target in targets if name in target}
 
 
 @pytest.mark.parametrize("name", FACES)

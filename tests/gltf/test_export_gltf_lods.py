@@ -97,7 +97,7 @@ class Finest(File):
     """The file with what is in its scene alone."""
 
     def primitives(self) -> list[tuple[str, np.ndarray]]:
-        return [one for one in super().primitives() if "_lod" not in one[0]]
+        return [primitive for primitive in super().primitives() if "_lod" not in primitive[0]]
 
 
 @pytest.mark.slow

@@ -270,10 +270,10 @@ def test_one_primitive_a_material_all_with_the_same_targets(quantize: bool, writ
     parts = replace(parts, meshes=(head, parts.meshes[1]), materials=materials)
     file, report = writing(parts, quantize=quantize)
     primitives = file.mesh("Head")["primitives"]
-    names = [file.list("materials")[one["material"]]["name"] for one in primitives]
+    names = [file.list("materials")[primitive["material"]]["name"] for primitive in primitives]
     assert names == ["skin", "lips", "brow"]
-    assert [len(file.stored(one["indices"])) // 3 for one in primitives] == [2 * 21, 2 * 3, 2]
-    assert {len(one["targets"]) for one in primitives} == {3}
+    assert [len(file.stored(primitive["indices"])) // 3 for primitive in primitives] == [2 * 21, 2 * 3, 2]
+    assert {len(primitive["targets"]) for primitive in primitives} == {3}
     assert len(file.mesh("Head")["weights"]) == len(file.targets("Head")) == 3
     assert report.counts["primitives"] == 4
 

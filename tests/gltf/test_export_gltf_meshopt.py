@@ -39,7 +39,7 @@ def same_in_three(parts: FaceParts, plain: Path, small: Path) -> None:
     names = random_weights(parts, np.random.default_rng(4))
     ours, theirs = (three_load(path, names, {})["meshes"] for path in (plain, small))
     assert ours == theirs
-    assert any(one["targets"] for one in theirs)
+    assert any(their["targets"] for their in theirs)
 
 
 @pytest.mark.parametrize("quantize", [False, True])
@@ -52,9 +52,9 @@ def test_three_reads_what_it_reads_of_the_plain_file(quantize: bool, tmp_path: P
 @pytest.mark.slow
 def test_babylon_reads_what_it_reads_of_the_plain_file(tmp_path: Path) -> None:
     weights = [{"Head": {"jawOpen": one, "mouthSmileLeft": 1.0}, "Teeth": {"jawOpen": one}} for one in (0.0, 0.7)]
-    poses = [{"weights": one, "joints": {}} for one in weights]
+    poses = [{"weights": weight, "joints": {}} for weight in weights]
     reports = pair(tiny_face(), tmp_path, quantize=True)
-    outs = [one.path.with_suffix(".bin") for one in reports]
+    outs = [report.path.with_suffix(".bin") for report in reports]
     asked = [{"path": str(one.path), "out": str(out), "poses": poses} for one, out in zip(reports, outs, strict=True)]
     run_node("babylon_poses.mjs", [], json.dumps(asked))
     plain, small = (np.fromfile(out, "<f4").reshape(2, -1) for out in outs)

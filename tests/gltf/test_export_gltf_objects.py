@@ -110,7 +110,7 @@ def test_a_renamed_mesh_is_what_an_import_reads(tmp_path: Path) -> None:
             one.name = "Renamed"
 
     path = saved(tiny_face(), tmp_path / "face.glb", rename)
-    assert [one.name for one in gltf.read(path, gltf.Options()).parts.meshes] == ["Renamed", "Teeth"]
+    assert [mesh.name for mesh in gltf.read(path, gltf.Options()).parts.meshes] == ["Renamed", "Teeth"]
 
 
 def test_a_document_is_changed_once_for_each_file(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_eyes_look_at_what_is_within_their_reach(kind: str, tmp_path: Path) -> N
     between = np.mean([answer["bones"][eye] for eye in ("leftEye", "rightEye")], axis=0)
     rest = {eye: rotation(turn) for eye, turn in answer["poses"][0]["eyes"].items()}
     targets = ([0.3, 0.2, 1.0], [-0.4, -0.3, 1.2], [0.0, 0.0, 2.0], [3.0, 0.0, 1.0], [0.0, 9.0, 9.0])
-    answer, _ = seen(tmp_path / "head.vrm", parts, [{"lookAt": (between + one).tolist()} for one in targets])
+    answer, _ = seen(tmp_path / "head.vrm", parts, [{"lookAt": (between + target).tolist()} for target in targets])
     for (x, y, z), pose in zip(targets, answer["poses"], strict=True):
         for eye, turn in pose["eyes"].items():
             forward = rotation(turn) @ rest[eye].T @ [0.0, 0.0, 1.0]
@@ -122,7 +122,12 @@ def test_a_face_with_shapes_of_its_own_for_presets_keeps_them(tmp_path: Path) ->
     parts = tiny_face()
     names = dict(zip(("jawOpen", "smile"), ("Fcl_ALL_Joy", "neutral"), strict=True))
     meshes = tuple(
-        replace(mesh, blendshapes=tuple(replace(one, name=names.get(one.name, one.name)) for one in mesh.blendshapes))
+        replace(
+            mesh,
+            blendshapes=tuple(
+                replace(blendshape, name=names.get(blendshape.name, blendshape.name)) for blendshape in mesh.blendshapes
+            ),
+        )
         for mesh in parts.meshes
     )
     report = exported(replace(parts, meshes=meshes), tmp_path / "own.vrm")
@@ -152,7 +157,8 @@ def test_the_set_face_is_delivered(tmp_path: Path) -> None:
     values = {"noseWidth": 0.8, "jawWidth": -0.7}
     template = head()
     parts = replace(
-        template, sliders=tuple(replace(one, value=values.get(one.name, one.value)) for one in template.sliders)
+        template,
+        sliders=tuple(replace(slider, value=values.get(slider.name, slider.value)) for slider in template.sliders),
     )
     report = exported(parts, tmp_path / "set.vrm")
     exported(parts, tmp_path / "rest.vrm", pose="rest")
@@ -220,7 +226,7 @@ def test_three_vrm_moves_whole_faces_as_their_rigs_do(kind: str, tmp_path: Path)
 
 def check_sliders(parts: FaceParts, path: Path) -> None:
     """Every expression that a slider became is at full value what the slider does, and a face has each once."""
-    wanted = [one.name for one in parts.sliders if one.name in ARKIT_SHAPES]
+    wanted = [slider.name for slider in parts.sliders if slider.name in ARKIT_SHAPES]
     own = {shape.name for mesh in parts.meshes for shape in mesh.blendshapes}
     rig = build(parts)
     answer, found = seen(path, parts, [{}, *({"expressions": {name: 1.0}} for name in wanted if name not in own)])

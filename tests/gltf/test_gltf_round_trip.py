@@ -130,8 +130,8 @@ def test_animations_and_materials_come_back(tmp_path: Path) -> None:
 def triangles_of(mesh: Mesh) -> dict[str | None, int]:
     """How many triangles show each material."""
     material = np.full(len(mesh.face_vertex_counts), mesh.material, object)
-    for one in mesh.material_faces:
-        material[one.faces] = one.material
+    for material_face in mesh.material_faces:
+        material[material_face.faces] = material_face.material
     return dict(Counter(material[triangulate(mesh.face_vertex_counts).faces]))
 
 

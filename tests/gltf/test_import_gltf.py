@@ -456,7 +456,10 @@ def test_primitives_become_one_mesh_with_material_faces(tmp_path: Path) -> None:
     (mesh,) = imported.parts.meshes
     assert len(mesh.points) == 5  # one corner in common
     assert mesh.material is None
-    assert [(one.material, one.faces.tolist()) for one in mesh.material_faces] == [("mat", [0]), ("mat_2", [1])]
+    assert [(material_face.material, material_face.faces.tolist()) for material_face in mesh.material_faces] == [
+        ("mat", [0]),
+        ("mat_2", [1]),
+    ]
     assert [material.name for material in imported.parts.materials] == ["mat", "mat_2"]
     assert any("lines are left out" in line for line in imported.warnings)
 

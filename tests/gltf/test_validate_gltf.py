@@ -132,7 +132,7 @@ def joint_out_of_range(document: Json, binary: bytearray) -> None:
 
 def beyond_the_buffer(document: Json, binary: bytearray) -> None:
     views = [one for i, one in enumerate(document["bufferViews"]) if any(i in _views(a) for a in document["accessors"])]
-    end = max(one["byteOffset"] + one["byteLength"] for one in views) - 64
+    end = max(view["byteOffset"] + view["byteLength"] for view in views) - 64
     del binary[end:]
     document["buffers"][0]["byteLength"] = end
 

@@ -52,7 +52,7 @@ def test_models_look_along_z_and_stand_on_the_ground(up: Literal["Y", "Z"], turn
     assert max(np.abs(points - plain[name]).max() for name, points in turned.items()) < 1e-6
     assert any("about the up axis" in line for line in report.added) == (turn != 0)
     findings = vrm.validate(tmp_path / "turned.vrm", khronos=False)
-    assert not [one for one in findings if one.check == "facepipe:VrmPose"]
+    assert not [finding for finding in findings if finding.check == "facepipe:VrmPose"]
 
 
 def test_bones_that_are_missing_are_named_and_nothing_is_written(
@@ -211,7 +211,7 @@ def test_scales_that_vrm_does_not_have_are_named(tmp_path: Path) -> None:
     report = exported(replace(parts, skeleton=replace(parts.skeleton, rest_transforms=rest)), tmp_path / "head.vrm")
     assert [line for line in report.warnings if line.startswith("mixamorig:LeftHand: scaled unevenly")]
     findings = vrm.validate(tmp_path / "head.vrm", khronos=False)
-    assert [one.check for one in findings if one.severity != "info"] == ["facepipe:VrmScales"]
+    assert [finding.check for finding in findings if finding.severity != "info"] == ["facepipe:VrmScales"]
 
 
 @pytest.mark.parametrize("without", ["Head", "LeftForeArm"])

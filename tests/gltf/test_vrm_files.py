@@ -98,7 +98,7 @@ def test_validate_finds(check: str, tmp_path: Path) -> None:
     marks = {"multipie68": Landmarks(indices=np.arange(68) % len(parts.meshes[0].points))}
     exported(with_head(parts, landmarks=marks), tmp_path / "one.vrm")
     findings = vrm.validate(tmp_path / "one.vrm", khronos=False)
-    assert not [one for one in findings if one.severity == "error"]
+    assert not [finding for finding in findings if finding.severity == "error"]
     document = read_json(tmp_path / "one.vrm")
     DAMAGES[check](document)
     data = (tmp_path / "one.vrm").read_bytes()
@@ -109,7 +109,7 @@ def test_validate_finds(check: str, tmp_path: Path) -> None:
     head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
     (tmp_path / "two.vrm").write_bytes(head + text + rest)
     found = {one.check for one in vrm.validate(tmp_path / "two.vrm", khronos=False)}
-    assert f"facepipe:{check}" in found - {one.check for one in findings}
+    assert f"facepipe:{check}" in found - {finding.check for finding in findings}
 
 
 WEIRD = st.sampled_from([None, True, -1, 1.5, 1e999, "x", [], [None], {}, {"node": "x"}, {"": 0}, [[1]], 2**70])

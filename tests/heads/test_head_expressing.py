@@ -22,7 +22,7 @@ def moved(face: Face, mesh: str, sliders: dict[str, float]) -> np.ndarray:
 
 def test_there_is_every_viseme_of_oculus(face: Face) -> None:
     names = ["sil", "PP", "FF", "TH", "DD", "kk", "CH", "SS", "nn", "RR", "aa", "E", "I", "O", "U"]
-    assert {one.name for one in face.sliders if one.group == "visemes"} == {f"viseme_{name}" for name in names}
+    assert {slider.name for slider in face.sliders if slider.group == "visemes"} == {f"viseme_{name}" for name in names}
 
 
 def test_visemes_are_told_apart_by_lips_and_tongue(face: Face) -> None:

@@ -78,15 +78,15 @@ def test_every_material_that_a_mesh_asks_for_is_there(head: FaceParts, style: st
     look = Look(style=style)
     for size in (SIZE, None):
         made = dressed(head, look, size)
-        asked = {one.material for mesh in made.meshes for one in mesh.material_faces}
+        asked = {material_face.material for mesh in made.meshes for material_face in mesh.material_faces}
         asked |= {mesh.material for mesh in made.meshes}
-        assert asked - {None} <= {one.name for one in made.materials}
+        assert asked - {None} <= {material.name for material in made.materials}
         assert ("Hair" in asked) == (size is not None and style in HAIR)
 
 
 @pytest.mark.parametrize("eyes", list(IRIS)[::3])
 def test_an_eye_is_clear_before_the_iris_and_white_around_it(head: FaceParts, eyes: str) -> None:
-    cornea = next(one for one in dressed(head, Look(eyes=eyes), SIZE).materials if one.name == "Cornea")
+    cornea = next(material for material in dressed(head, Look(eyes=eyes), SIZE).materials if material.name == "Cornea")
     assert isinstance(cornea.opacity, TextureInput)
     alpha = np.asarray(Image.open(io.BytesIO(cornea.opacity.texture.data)))[..., 3] / 255
     middle = len(alpha) // 2
@@ -143,7 +143,7 @@ def test_hair_follows_the_skull(head: FaceParts) -> None:
 def test_without_textures_the_skin_is_coloured_at_its_points(head: FaceParts) -> None:
     look = Look(tone=6.0)
     made = dressed(head, look, None)
-    assert not any(isinstance(value, TextureInput) for one in made.materials for value in vars(one).values())
+    assert not any(isinstance(value, TextureInput) for material in made.materials for value in vars(material).values())
     colors = made.meshes[0].colors
     assert colors is not None
     lips = [made.meshes[0].landmarks["multipie68"].indices[number] for number in (62, 66)]

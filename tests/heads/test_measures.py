@@ -25,7 +25,7 @@ def effects() -> FloatArray:
     head, deviations = asset(), arrays("measures")["deviations"]
     functionals = measures.functionals(measures.spots(head.points, head.landmarks))
     face = Face.from_parts(make(0))
-    names = [one.name for one in directions()[: len(deviations)]]
+    names = [direction.name for direction in directions()[: len(deviations)]]
     moved = np.stack([face.evaluate(sliders={name: 1.0})[: measures.SKIN] for name in names])
     moved -= face.evaluate()[: measures.SKIN]
     return np.einsum("dnc,enc->de", functionals, moved, optimize=True) / deviations[:, None] / REACH
@@ -53,12 +53,12 @@ def test_directions_are_symmetric_and_their_halves_add_up() -> None:
 
     points = asset().points
     other = cKDTree(points[: measures.SKIN]).query(points[: measures.SKIN] * (-1, 1, 1))[1]
-    for one in directions():
-        skin = one.offsets[: measures.SKIN]
-        assert np.abs(skin - skin[other] * (-1, 1, 1)).max() < 0.02, one.name
-        if one.sided:
-            left, right = one.shapes
-            assert np.abs(left.offsets + right.offsets - one.offsets).max() < 0.0021, one.name
+    for direction in directions():
+        skin = direction.offsets[: measures.SKIN]
+        assert np.abs(skin - skin[other] * (-1, 1, 1)).max() < 0.02, direction.name
+        if direction.sided:
+            left, right = direction.shapes
+            assert np.abs(left.offsets + right.offsets - direction.offsets).max() < 0.0021, direction.name
             assert not left.offsets[points[:, 0] < -1.01].any()
 
 

@@ -52,7 +52,9 @@ def test_hair_and_eyes_go_with_the_tone(people: list[Person]) -> None:
 
 
 def test_some_of_the_old_are_grey_and_few_of_the_others(people: list[Person]) -> None:
-    grey, old = (np.array(each) for each in zip(*((_is_grey(one), one.years > 55) for one in people), strict=True))
+    grey, old = (
+        np.array(each) for each in zip(*((_is_grey(person), person.years > 55) for person in people), strict=True)
+    )
     assert 0.25 < grey[old].mean() < 0.5
     assert grey[~old].mean() < 0.1
     assert 4 <= sum(_is_grey(draw(seed)) for seed in range(1, 51)) <= 7

@@ -44,7 +44,7 @@ def test_seeds_are_different_people_on_one_topology(seed: int) -> None:
         np.testing.assert_array_equal(a.face_vertex_counts, b.face_vertex_counts)
         np.testing.assert_array_equal(a.face_vertex_indices, b.face_vertex_indices)
         np.testing.assert_array_equal(a.uv_sets[0].indices, b.uv_sets[0].indices)
-        assert [one.name for one in a.blendshapes] == [one.name for one in b.blendshapes]
+        assert [blendshape.name for blendshape in a.blendshapes] == [blendshape.name for blendshape in b.blendshapes]
     moved = np.linalg.norm(mesh(first, "Head").points - mesh(other, "Head").points, axis=1)
     assert moved.max() > 4 * MM
 
@@ -68,7 +68,7 @@ def test_values_are_finite_and_sizes_human(seed: int) -> None:
             part.points,
             part.uv_sets[0].values,
             part.skin.joint_weights,
-            *(one.offsets for one in part.blendshapes),
+            *(blendshape.offsets for blendshape in part.blendshapes),
         ]
         assert all(np.isfinite(array).all() for array in arrays)
 
@@ -84,8 +84,13 @@ def test_head_is_manifold_with_one_border_at_the_neck() -> None:
 
 def test_it_has_the_52_shapes_of_arkit_and_each_moves_its_own_part_of_the_face() -> None:
     head = mesh(sample(0), "Head")
-    shapes = {one.name: one for part in sample(0).meshes for one in part.blendshapes if part.name == "Head"}
-    assert {one.name for part in sample(0).meshes for one in part.blendshapes} >= ARKIT_SHAPES
+    shapes = {
+        blendshape.name: blendshape
+        for part in sample(0).meshes
+        for blendshape in part.blendshapes
+        if part.name == "Head"
+    }
+    assert {blendshape.name for part in sample(0).meshes for blendshape in part.blendshapes} >= ARKIT_SHAPES
     low, high = {"brow": 3.0, "eye": 0.5, "jaw": -25.0, "mouth": -12.0, "nose": -4.0, "cheek": -10.0}, 9.0
     for name in ARKIT_SHAPES - {"tongueOut"}:
         moved = np.linalg.norm(shapes[name].offsets, axis=1)

@@ -46,7 +46,7 @@ def test_an_option_is_declared_once(verb: str) -> None:
         assert len(declared) == 1, one.name
     own = argparse.ArgumentParser(add_help=False)
     kind.add_flags(own)
-    known = {one.shown for one in fields if not one.stands_alone} | {*own._option_string_actions}
+    known = {field.shown for field in fields if not field.stands_alone} | {*own._option_string_actions}
     assert flags(verb) <= known | OF_ALL | LAST | LISTED.get(verb, set())
 
 
@@ -58,7 +58,7 @@ def flags(verb: str) -> set[str]:
     assert module is not None
     module.configure(parser, words)
     for word in words:
-        (group,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
+        (group,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
         parser = group.choices[word]
-    shown = [one for one in parser._actions if one.option_strings and one.help != argparse.SUPPRESS]
+    shown = [action for action in parser._actions if action.option_strings and action.help != argparse.SUPPRESS]
     return {next(flag for flag in one.option_strings if flag.startswith("--")) for one in shown}

@@ -35,7 +35,7 @@ def test_what_a_recipe_holds_is_valid(verb: str, tmp_path: Path) -> None:
     kind = action_of(verb)
     file = tmp_path / "smile.toml"
     file.write_text(_PROJECT)
-    needed = {one.name: (str(file),) if one.several else file for one in fields_of(kind) if one.needed}
+    needed = {field.name: (str(file),) if field.several else file for field in fields_of(kind) if field.needed}
     options = dict(recipe_to(kind(**needed), tmp_path / "out.usda").options)
     options.pop(FOUND, None)
     schema = schema_of(kind)
@@ -64,10 +64,10 @@ class Lists:
 @pytest.mark.parametrize("kind", [*map(find_action, summaries()), Lists], ids=[*summaries(), "lists"])
 def test_values_are_valid_that_a_recipe_can_have(kind: type[Any]) -> None:
     schema, tried = schema_of(kind), 0
-    for one in fields_of(kind):
-        validator = Draft202012Validator(schema["properties"][one.name])
-        for value in candidates(one):
-            assert validator.is_valid(value) == admits(one, value), (one.name, value)
+    for field in fields_of(kind):
+        validator = Draft202012Validator(schema["properties"][field.name])
+        for value in candidates(field):
+            assert validator.is_valid(value) == admits(field, value), (field.name, value)
             tried += 1
     assert tried >= 5
 

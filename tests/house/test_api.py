@@ -152,6 +152,6 @@ def test_a_function_says_what_it_takes(name: str) -> None:
 
 
 def test_no_function_is_called_as_a_room() -> None:
-    rooms = {one.name for one in pkgutil.iter_modules(facepipe.__path__)}
+    rooms = {iter_module.name for iter_module in pkgutil.iter_modules(facepipe.__path__)}
     assert not rooms & {*facepipe.__all__, *names()}
     assert {*facepipe.__all__, *names()} <= {*dir(facepipe)}

@@ -44,7 +44,7 @@ def test_export_benchmark_measures_ict_without_blender(tmp_path: Path) -> None:
     sizes = face["sizes"]["facepipe"]
     assert sizes["quantised"] < sizes["sparse"] < sizes["dense"]
     heads = content["of_mesh"].values()
-    assert sizes["dense"] > sum(12 * one["targets"] * one["vertices"] for one in heads)
+    assert sizes["dense"] > sum(12 * head["targets"] * head["vertices"] for head in heads)
 
 
 def test_export_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:

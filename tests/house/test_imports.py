@@ -82,9 +82,13 @@ def test_no_module_imports_one_that_imports_it() -> None:
     graph = grimp.build_graph(*OURS, exclude_type_checking_imports=True, cache_dir=None)
     given = grimp.build_graph(*OURS, cache_dir=None)
     imports = {
-        one: graph.find_modules_directly_imported_by(one)
-        | (given.find_modules_directly_imported_by(one) if given.find_children(one) and one != "facepipe" else set())
-        for one in graph.modules
+        module: graph.find_modules_directly_imported_by(module)
+        | (
+            given.find_modules_directly_imported_by(module)
+            if given.find_children(module) and module != "facepipe"
+            else set()
+        )
+        for module in graph.modules
     }
     assert len(imports) > 400
     graphlib.TopologicalSorter(imports).prepare()  # raises CycleError, which names the circle
@@ -95,10 +99,12 @@ def packages() -> list[str]:
     return [
         *OURS,
         *(
-            one.name
+            walk_package.name
             for name, root in roots
-            for one in pkgutil.walk_packages(root.__path__, f"{name}.", onerror=lambda _: None)  # without torch
-            if one.ispkg and not one.name.startswith("facepipe.learn")
+            for walk_package in pkgutil.walk_packages(
+                root.__path__, f"{name}.", onerror=lambda _: None
+            )  # without torch
+            if walk_package.ispkg and not walk_package.name.startswith("facepipe.learn")
         ),
     ]
 
@@ -108,7 +114,7 @@ def test_no_module_is_called_as_a_name_that_its_package_gives() -> None:
     for name in packages():
         package = importlib.import_module(name)
         given = {*getattr(package, "__all__", ())}
-        assert not given & {one.name for one in pkgutil.iter_modules(package.__path__)}, name
+        assert not given & {iter_module.name for iter_module in pkgutil.iter_modules(package.__path__)}, name
         found += len(given)
     assert found > 150
 

@@ -167,34 +167,42 @@ def test_sliders_turn_bones_as_pose_units_in_part(face: Any) -> None:
 
 
 def test_sliders_have_mirrors_and_groups() -> None:
-    sliders = {one.name: one for one in base().sliders}
+    sliders = {slider.name: slider for slider in base().sliders}
     mirrored = [name for name in sliders if ("Left" in name or "Right" in name)]
     for name in mirrored:
         assert sliders[sliders[name].mirror or ""].mirror == name
     assert sliders["LeftEyeturnRight"].mirror == "RightEyeturnLeft"
     assert [one.mirror for name, one in sliders.items() if name not in mirrored] == [None] * (59 - len(mirrored))
-    assert {one.group for one in sliders.values()} == {"brows", "eyes", "nose", "cheeks", "tongue", "jaw", "mouth"}
+    assert {slider.group for slider in sliders.values()} == {
+        "brows",
+        "eyes",
+        "nose",
+        "cheeks",
+        "tongue",
+        "jaw",
+        "mouth",
+    }
 
 
 def test_arkit_sliders_are_what_their_pose_units_do_together() -> None:
     parts = read(shared(PACKED), Options(sliders="arkit")).parts
-    assert {one.name for one in parts.sliders} <= ARKIT_SHAPES
+    assert {slider.name for slider in parts.sliders} <= ARKIT_SHAPES
     assert {"jawOpen", "eyeBlinkLeft", "mouthSmileLeft", "mouthSmileRight", "tongueOut"} <= set(ARKIT_UNITS)
-    assert {one.name for one in parts.sliders} == set(ARKIT_UNITS)
-    units = {one.name: one for one in base().sliders}
-    by_name = {one.name: one for one in parts.sliders}
+    assert {slider.name for slider in parts.sliders} == set(ARKIT_UNITS)
+    units = {slider.name: slider for slider in base().sliders}
+    by_name = {slider.name: slider for slider in parts.sliders}
     blink, closed = by_name["eyeBlinkLeft"].channels, units["LeftUpperLidClosed"].channels
     assert [one[:2] for one in blink] == [one[:2] for one in closed]
     assert [one[2] for one in blink] == pytest.approx([one[2] for one in closed], rel=1e-9)  # sums of other lengths
     assert by_name["eyeLookInRight"].mirror == "eyeLookInLeft"
-    local = {one.name: local_transforms(one) for one in base().animations}
+    local = {animation.name: local_transforms(animation) for animation in base().animations}
     rest, rig = parts.skeleton.rest_transforms, build(parts)
     for name in ("mouthFunnel", "browInnerUp"):
         upper, lower = (np.linalg.solve(rest, local[unit]) for unit in ARKIT_UNITS[name])
         coefficients, _ = slide(parts.sliders, parts.skeleton.joints, {name: 1.0})
         expected = rig.evaluate(joint_transforms=rest @ upper @ lower)
         assert 100 * np.abs(rig.evaluate(coefficients=coefficients) - expected).max() < 5e-4
-    eye = parts.skeleton.joints.index(next(one for one in parts.skeleton.joints if one.endswith("eye_L")))
+    eye = parts.skeleton.joints.index(next(joint for joint in parts.skeleton.joints if joint.endswith("eye_L")))
     ahead = []
     for name in ("eyeLookOutLeft", "eyeLookInLeft"):
         coefficients, _ = slide(parts.sliders, parts.skeleton.joints, {name: 1.0})

@@ -462,7 +462,7 @@ def test_primvars_and_normals(tmp_path: Path) -> None:
     UsdGeom.Mesh(stage.GetPrimAtPath(TEETH)).SetNormalsInterpolation("uniform")
     imported = read(written(stage, tmp_path / "face.usda"))
     mesh, teeth = imported.parts.meshes
-    assert [one.name for one in mesh.uv_sets] == ["corner", "st"]
+    assert [uv_set.name for uv_set in mesh.uv_sets] == ["corner", "st"]
     assert mesh.normals is not None
     assert (mesh.normals == [0, 1, 0]).all()
     assert teeth.normals is None
@@ -577,7 +577,9 @@ def test_materials_and_textures_in_every_layout(tmp_path: Path) -> None:
     assert third.clearcoat == 0.5
     head, teeth = imported.parts.meshes
     assert (head.material, teeth.material) == (first.name, third.name)
-    assert [(one.material, one.faces.tolist()) for one in head.material_faces] == [(second.name, [1, 2])]
+    assert [(material_face.material, material_face.faces.tolist()) for material_face in head.material_faces] == [
+        (second.name, [1, 2])
+    ]
     save_parts(imported.parts, tmp_path / "out.usdz")
     assert validate(tmp_path / "out.usdz") == ()
 

@@ -56,7 +56,10 @@ def network() -> Extractor:
 def subject() -> tuple[FaceParts, FaceModel]:
     """With brows and hair that are no longer cut out of their cards: the renderer leaves out what is not opaque."""
     parts = heads.make(SEED, textures=128, controls="bones")
-    shown = [replace(one, opacity=1.0) if one.name in ("Brows", "Hair") else one for one in parts.materials]
+    shown = [
+        replace(material, opacity=1.0) if material.name in ("Brows", "Hair") else material
+        for material in parts.materials
+    ]
     parts = replace(parts, materials=tuple(shown))
     return parts, FaceModel(parts)
 
@@ -67,13 +70,13 @@ def triangle_classes() -> np.ndarray:
     parts, _ = subject()
     names = {"EyeballLeft": "leftEye", "EyeballRight": "rightEye", "Hair": "hair", "Head": "face"}
     of_points = np.concatenate(
-        [np.full(len(one.points), CLASSES.index(names.get(one.name, "teeth"))) for one in parts.meshes]
+        [np.full(len(mesh.points), CLASSES.index(names.get(mesh.name, "teeth"))) for mesh in parts.meshes]
     )
     head = parts.meshes[0]
     of_points[: len(head.points)][np.asarray(head.regions["nose"]) > 0.5] = CLASSES.index("nose")
     of_points[: len(head.points)][np.asarray(head.regions["neck"]) > 0.5] = IGNORED
-    first = sum(len(one.points) for one in parts.meshes[: [one.name for one in parts.meshes].index("Brows")])
-    brows = next(one for one in parts.meshes if one.name == "Brows").points
+    first = sum(len(one.points) for one in parts.meshes[: [mesh.name for mesh in parts.meshes].index("Brows")])
+    brows = next(mesh for mesh in parts.meshes if mesh.name == "Brows").points
     of_points[first : first + len(brows)] = np.where(
         brows[:, 0] > 0, CLASSES.index("leftBrow"), CLASSES.index("rightBrow")
     )
@@ -129,7 +132,7 @@ def gallery() -> tuple[tuple[Portrait, ...], dict[str, Any]]:
     """Portraits of some persons, of each two from the front and one from elsewhere, and their features."""
     rng = np.random.default_rng(0)
     persons = [random_sliders(rng) for _ in range(PERSONS)]
-    portraits = tuple(taken(one, rng, turned) for one in persons for turned in (0.0, 0.0, 0.4))
+    portraits = tuple(taken(person, rng, turned) for person in persons for turned in (0.0, 0.0, 0.4))
     with torch.no_grad():
         features = network().features(torch.cat([one.crop for one in portraits]))
     return portraits, features
@@ -140,7 +143,7 @@ def test_the_file_is_small_and_says_what_it_was_trained_on() -> None:
     assert len(data) < 5_000_000
     model = onnx.load_from_string(data)
     onnx.checker.check_model(model, full_check=True)
-    (said,) = (json.loads(one.value) for one in model.metadata_props if one.key == "facepipe.features")
+    (said,) = (json.loads(prop.value) for prop in model.metadata_props if prop.key == "facepipe.features")
     assert "synthetic heads" in said["trained_on"]
     assert said["command"].startswith("python training/train_features.py")
     assert said["command"].endswith(f"--seed {said['seed']}")

@@ -150,7 +150,7 @@ def test_one_forward_gives_several_kinds(tmp_path: Path) -> None:
     image = images(16).requires_grad_()
     found = extractor.features(image)
     assert extractor.kinds == tuple(found) == tuple(SEVERAL)
-    shapes = {kind: [tuple(one.shape) for one in tensors(parts)] for kind, parts in found.items()}
+    shapes = {kind: [tuple(tensor.shape) for tensor in tensors(parts)] for kind, parts in found.items()}
     assert shapes == {
         "content": [(2, 11, 16, 16), (2, 11, 16, 16)],
         "identity": [(2, 8)],
@@ -376,7 +376,7 @@ def test_exported_program_gives_what_the_network_gives(dynamic: bool, tmp_path: 
     torch.testing.assert_close(found, expected)
     gradients = [torch.autograd.grad(one.square().sum(), image)[0] for one in (found, expected)]
     torch.testing.assert_close(*gradients)
-    assert not any(one.requires_grad for one in extractor.parameters())
+    assert not any(parameter.requires_grad for parameter in extractor.parameters())
 
 
 @pytest.mark.usefixtures("trusted")

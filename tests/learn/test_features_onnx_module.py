@@ -117,7 +117,7 @@ def test_any_flipped_byte_is_an_input_error_or_a_network(tmp_path: Path) -> None
         errors += refused(run, path) is not None
     assert errors > 10
     assert len(found) == 150 - errors
-    assert all(torch.isfinite(one).all() for outputs in found for one in outputs)
+    assert all(torch.isfinite(output).all() for outputs in found for output in outputs)
 
 
 def test_external_data_is_refused(tmp_path: Path) -> None:

@@ -209,19 +209,19 @@ def _moves(op_type: str, value: np.ndarray) -> bool:
 def test_operator_as_onnxruntime_and_finite_differences(op_type: str, inputs: Any, attributes: Any, more: Any) -> None:
     model, feeds = one_node(op_type, inputs, attributes, more, TensorProto.FLOAT)
     module = OnnxModule(model)
-    tensors = [torch.from_numpy(one) for one in feeds.values()]
+    tensors = [torch.from_numpy(feed) for feed in feeds.values()]
     for found, expected in zip(module(*tensors), reference(model, feeds), strict=True):
         assert tuple(found.shape) == expected.shape
         np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5, atol=1e-5)
     exact = module.double()
-    free = [one.double().requires_grad_() for one in tensors]
+    free = [tensor.double().requires_grad_() for tensor in tensors]
     assert torch.autograd.gradcheck(lambda *values: exact(*values), free, fast_mode=True, eps=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize(("parameters", "kind"), OTHERS)
 def test_operator_without_gradient_as_onnxruntime(parameters: Any, kind: int) -> None:
     model, feeds = one_node(*parameters.values, kind)
-    (found,) = OnnxModule(model)(*(torch.from_numpy(one) for one in feeds.values()))
+    (found,) = OnnxModule(model)(*(torch.from_numpy(feed) for feed in feeds.values()))
     np.testing.assert_array_equal(found.numpy(), reference(model, feeds)[0])
 
 

@@ -34,7 +34,7 @@ def test_normalisation_after_a_convolution_is_folded_into_it(bias: bool) -> None
     both = trained(torch.nn.Sequential(torch.nn.Conv2d(2, 4, 3, 2, 1, bias=bias), torch.nn.BatchNorm2d(4)), images)
     write = GraphWriter()
     write.conv("folded", "image", *both)
-    assert [one.op_type for one in write.nodes] == ["Conv"]
+    assert [node.op_type for node in write.nodes] == ["Conv"]
     with torch.no_grad():
         np.testing.assert_allclose(given(write, "folded", (4, 5, 4), images), both(images).numpy(), atol=1e-5)
 

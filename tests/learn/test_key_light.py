@@ -22,7 +22,7 @@ def surface(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]
     """Random unit normals, unit directions to the eye, mostly on one side, and shares of light that arrive."""
     rng = np.random.default_rng(0)
     vectors = (rng.normal(size=(count, 3)) + np.array([0.0, 0.0, 1.5]) for _ in range(2))
-    normals, eye = (torch.tensor(one / np.linalg.norm(one, axis=1, keepdims=True)) for one in vectors)
+    normals, eye = (torch.tensor(vector / np.linalg.norm(vector, axis=1, keepdims=True)) for vector in vectors)
     return normals, eye, torch.tensor(rng.uniform(size=count))
 
 

@@ -32,7 +32,10 @@ BLUE = (0.1, 0.3, 0.6)
 def sample() -> tuple[FaceParts, FaceModel]:
     """With a texture on the face, and one colour behind it and below."""
     parts = make(0, textures=64)
-    plain = [replace(one, diffuse_color=BLUE) if one.name == "M_BackHead" else one for one in parts.materials]
+    plain = [
+        replace(material, diffuse_color=BLUE) if material.name == "M_BackHead" else material
+        for material in parts.materials
+    ]
     parts = replace(parts, materials=tuple(plain))
     return parts, FaceModel(parts)
 

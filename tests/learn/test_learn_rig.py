@@ -82,7 +82,7 @@ def test_sliders_as_the_rig(name: str, kind: str, bound: float) -> None:
     rig = build(parts)
     learned = DifferentiableRig(rig, sliders, dtype=getattr(torch, kind))
     rng = np.random.default_rng(0)
-    lower, upper = (np.array([getattr(one, side) for one in sliders]) for side in ("minimum", "maximum"))
+    lower, upper = (np.array([getattr(slider, side) for slider in sliders]) for side in ("minimum", "maximum"))
     values = rng.uniform(lower - 0.5, upper + 0.5, (20, len(sliders)))
     values[:3] = np.stack([lower, upper, np.zeros(len(sliders))])
     own = rng.uniform(0, 1, len(rig.shapes))
@@ -92,7 +92,7 @@ def test_sliders_as_the_rig(name: str, kind: str, bound: float) -> None:
         expected = rig.evaluate(rig.weight_vector(driven) + own, coefficients=coefficients)
         assert np.abs(found[number].numpy() - expected).max() <= bound * np.ptp(rig.points[:, 1])
     assert learned.sliders.value.tolist() == pytest.approx(
-        [one.default if one.value is None else one.value for one in sliders]
+        [slider.default if slider.value is None else slider.value for slider in sliders]
     )
 
 

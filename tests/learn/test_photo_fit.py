@@ -87,8 +87,8 @@ def test_a_fit_finds_the_person_and_the_camera() -> None:
 def test_results_are_in_range_and_of_the_photo() -> None:
     fit = usual()
     (view,) = fit.views
-    limits = {one.name: (one.minimum, one.maximum) for one in sample().sliders}
-    assert list(fit.sliders) == [one.name for one in subject().free_sliders]
+    limits = {slider.name: (slider.minimum, slider.maximum) for slider in sample().sliders}
+    assert list(fit.sliders) == [slider.name for slider in subject().free_sliders]
     for name, value in fit.sliders.items():
         low, high = limits[name]
         assert low <= value <= high
@@ -99,7 +99,7 @@ def test_results_are_in_range_and_of_the_photo() -> None:
     inner = sample().meshes[0].landmarks["multipie68"].indices[17:]
     np.testing.assert_allclose(project(view.camera, points[inner])[:, :2], view.landmarks[17:], atol=0.01)
     assert all(len(factor) == 3 and min(factor) > 0 for factor in fit.tint.values())
-    assert set(fit.tint) <= {one.name for one in sample().materials}
+    assert set(fit.tint) <= {material.name for material in sample().materials}
     assert np.isfinite(view.light).all()
 
 
@@ -162,7 +162,7 @@ def test_without_any_term_landmarks_decide() -> None:
 
 
 def shapeless() -> FaceParts:
-    sliders = tuple(one for one in sample().sliders if not one.shapes)
+    sliders = tuple(slider for slider in sample().sliders if not slider.shapes)
     return with_meshes(replace(sample(), sliders=sliders, animations=()), blendshapes=())
 
 

@@ -83,7 +83,7 @@ def found(
     rig: LandmarkRig, values: Mapping[str, float], camera: Camera, own: Subject | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Landmarks (68, 2) and directions across the contour (17, 2) of a face with sliders."""
-    sliders = tensor([values.get(one.name, one.default) for one in (own or subject()).parts.sliders])
+    sliders = tensor([values.get(slider.name, slider.default) for slider in (own or subject()).parts.sliders])
     marks, outward = rig.landmarks(rig.rig(sliders), camera)
     return marks.numpy(), outward.numpy()
 
@@ -129,7 +129,7 @@ def test_landmarks_are_points_of_the_rig() -> None:
         weights = rng.uniform(0, 1, len(own.rig.shapes)) * (rng.random(len(own.rig.shapes)) < 0.2)
         coefficients, driven = slide(sample().sliders, own.rig.joints, values)
         expected = own.rig.evaluate(own.rig.weight_vector(driven) + weights, coefficients=coefficients)
-        sliders = tensor([values[one.name] for one in sample().sliders])
+        sliders = tensor([values[slider.name] for slider in sample().sliders])
         placed = rig.rig(sliders, tensor(weights))
         assert np.abs(placed[:68].numpy() - expected[points]).max() < 1e-5 * np.ptp(own.rig.points[:, 1])
         camera = camera_of(turned(20, 10, -8), expected, int(SIZE))
@@ -153,7 +153,7 @@ def test_learned_networks_of_sliders_move_landmarks() -> None:
     coefficients, driven = slide(parts.sliders, own.rig.joints, values, network)
     expected = own.rig.evaluate(driven, coefficients=coefficients)[landmark_points(parts)[0]]
     rig = LandmarkRig.from_subject(own)
-    placed = rig.rig(tensor([values.get(one.name, one.default) for one in parts.sliders]))[:68].numpy()
+    placed = rig.rig(tensor([values.get(slider.name, slider.default) for slider in parts.sliders]))[:68].numpy()
     assert np.abs(placed - expected).max() < 1e-5 * np.ptp(own.rig.points[:, 1])
     assert np.abs(placed - LandmarkRig.from_subject(subject()).rig()[:68].numpy()).max() > 0.1
 
@@ -210,7 +210,7 @@ def test_sliding_never_leads_inwards(yaw: float) -> None:
 def test_gradients_of_landmarks_are_those_of_finite_differences() -> None:
     rig = LandmarkRig.from_subject(subject())
     _, camera = seen({}, turned(18, 6))
-    start = tensor([one.default + 0.1 for one in sample().sliders]).requires_grad_()
+    start = tensor([slider.default + 0.1 for slider in sample().sliders]).requires_grad_()
 
     def marks(own: torch.Tensor) -> torch.Tensor:
         return rig.landmarks(rig.rig(own), torch_camera(camera))[0]
@@ -242,7 +242,7 @@ def test_exact_landmarks_are_met(seed: int) -> None:
             for values in (fit.subject.slider_values(one.shares) for one in (start, truth, solved))
         )
     ]
-    moved, left = (np.linalg.norm(one - faces[1], axis=1)[landmark_points(sample())[0]].mean() for one in faces[::2])
+    moved, left = (np.linalg.norm(face - faces[1], axis=1)[landmark_points(sample())[0]].mean() for face in faces[::2])
     assert left < 0.5 * moved
 
 
@@ -292,7 +292,7 @@ def test_sliders_without_effect_stay_at_their_defaults() -> None:
 
 def test_sliders_end_at_their_bounds_where_more_is_asked_for() -> None:
     """One slider, seen beyond its range: at its end, and the pose makes up for no more than it can."""
-    wide = replace(next(one for one in sample().sliders if one.name == "jawWidth"), minimum=-3.0, maximum=3.0)
+    wide = replace(next(slider for slider in sample().sliders if slider.name == "jawWidth"), minimum=-3.0, maximum=3.0)
     target = LandmarkRig.from_subject(Subject.of(replace(sample(), sliders=(wide,))))
     _, camera = seen({}, turned(5))
     marks, _ = target.landmarks(target.rig(tensor([2.0])), torch_camera(camera))
@@ -305,7 +305,7 @@ def test_sliders_end_at_their_bounds_where_more_is_asked_for() -> None:
 @pytest.mark.parametrize("default", [0.0, 1.0])
 def test_sliders_come_off_a_bound_that_is_their_default(default: float) -> None:
     """Half of what a slider can do, from its end: as exactly as from its middle."""
-    wide = next(one for one in sample().sliders if one.name == "jawWidth")
+    wide = next(slider for slider in sample().sliders if slider.name == "jawWidth")
     (joint, channel, gain), *rest = wide.channels
     one_sided = replace(wide, minimum=0.0, default=default, channels=((joint, channel, gain), *rest))
     own = Subject.of(replace(sample(), sliders=(one_sided,)), ())
@@ -341,12 +341,12 @@ def test_the_same_twice() -> None:
 def test_sliders_of_expressions_are_held() -> None:
     own = subject()
     held = [one.name for i, one in enumerate(sample().sliders) if i not in own.sliders]
-    assert held == [one.name for one in sample().sliders if one.shapes]
+    assert held == [slider.name for slider in sample().sliders if slider.shapes]
     assert {"smile", "viseme_PP", "lookLeft"} < {*held}
     assert len(own.expressions) == 52
-    smiling = replace(sample(), sliders=tuple(replace(one, value=one.maximum / 2) for one in sample().sliders))
+    smiling = replace(sample(), sliders=tuple(replace(slider, value=slider.maximum / 2) for slider in sample().sliders))
     values = Subject.of(smiling).slider_values(np.zeros((2, len(own.sliders))))
-    names = [one.name for one in sample().sliders]
+    names = [slider.name for slider in sample().sliders]
     assert values.shape == (2, len(names))
     assert values[0, names.index("smile")] == 0.5
     assert values[0, names.index("noseWidth")] == -1.0
@@ -356,7 +356,7 @@ def test_expressions_are_those_that_are_named() -> None:
     own = Subject.of(sample(), ("jawOpen",))
     assert [own.rig.shapes[i] for i in own.expressions] == ["jawOpen"]
     assert [own.parts.sliders[i].name for i in own.sliders] == [
-        one.name for one in sample().sliders if "jawOpen" not in dict(one.shapes)
+        slider.name for slider in sample().sliders if "jawOpen" not in dict(slider.shapes)
     ]
     weights = own.shape_weights(np.array([[0.4], [0.7]]))
     assert weights.sum(axis=1).tolist() == [0.4, 0.7]
@@ -371,7 +371,7 @@ def test_sliders_that_act_through_a_learned_network_alone_may_move() -> None:
         biases=(np.zeros(1, np.float32),),
     )
     own = Subject.of(replace(sample(), sliders=(Slider(name="deep"), Slider(name="none")), slider_network=network))
-    assert [one.name for one in own.free_sliders] == ["deep"]
+    assert [slider.name for slider in own.free_sliders] == ["deep"]
 
 
 def learned_smile(weight: float) -> SliderNetwork:
@@ -388,17 +388,19 @@ def learned_smile(weight: float) -> SliderNetwork:
 
 def test_sliders_that_smile_through_a_learned_network_are_no_persons() -> None:
     """As those that drive an expression themselves; nearly none is none."""
-    names = [one.name for one in subject().free_sliders]
+    names = [slider.name for slider in subject().free_sliders]
 
     def free(network: SliderNetwork, expressions: Sequence[str] | None = None) -> list[str]:
         own = Subject.of(replace(sample(), slider_network=network), expressions)
-        return [one.name for one in own.free_sliders]
+        return [slider.name for slider in own.free_sliders]
 
     assert {"noseWidth", "jawWidth", "browHeight"} < set(names)
-    assert free(learned_smile(0.5)) == [one for one in names if one not in ("noseWidth", "jawWidth")]
+    assert free(learned_smile(0.5)) == [name for name in names if name not in ("noseWidth", "jawWidth")]
     for nothing in (0.0, 1e-3):
         assert free(learned_smile(nothing)) == names
-    assert free(learned_smile(0.5), ["jawOpen"]) == [one.name for one in Subject.of(sample(), ["jawOpen"]).free_sliders]
+    assert free(learned_smile(0.5), ["jawOpen"]) == [
+        slider.name for slider in Subject.of(sample(), ["jawOpen"]).free_sliders
+    ]
 
 
 def test_networks_of_other_faces_are_refused() -> None:
@@ -409,7 +411,7 @@ def test_networks_of_other_faces_are_refused() -> None:
 def test_sliders_act_through_a_learned_network_that_weighs_them() -> None:
     idle = (Slider(name="noseWidth"), Slider(name="jawWidth"), Slider(name="browHeight"))
     own = Subject.of(replace(sample(), sliders=idle, slider_network=learned_smile(0.0)))
-    assert [one.name for one in own.free_sliders] == ["noseWidth", "jawWidth"]
+    assert [slider.name for slider in own.free_sliders] == ["noseWidth", "jawWidth"]
 
 
 def test_bad_faces_are_refused() -> None:

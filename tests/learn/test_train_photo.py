@@ -137,7 +137,7 @@ def test_the_joint_loss_knows_the_lamp_of_a_render(subject: Subject, portraits: 
         assert picture.truth is not None
         pose = crop.space(picture.space, subject.parts.up_axis).to_crop(torch.as_tensor(picture.truth.pose)).numpy()
         values = (picture.truth.shares, picture.truth.expressions, (pose - POSE_MEAN) / POSE_STD)
-        right = Output(*(torch.as_tensor(one, dtype=torch.float32)[None] for one in values))
+        right = Output(*(torch.as_tensor(value, dtype=torch.float32)[None] for value in values))
         with torch.no_grad():
             lit = float(loss(picture, crop, picture.landmarks, right)["color"])
             dark = float(loss(replace(picture, truth=None), crop, picture.landmarks, right)["color"])
@@ -202,7 +202,7 @@ def test_several_photos_share_the_person(network_file: Path, subject: Subject, p
     guess = load_start(network_file, subject)
     photos, pictures = zip(*(photo_of(portraits, seed) for seed in (3, 4)), strict=True)
     alone = [guess(photo, one.landmarks, one.space) for photo, one in zip(photos, pictures, strict=True)]
-    both = guess.together(photos, [one.landmarks for one in pictures], [one.space for one in pictures])
+    both = guess.together(photos, [picture.landmarks for picture in pictures], [picture.space for picture in pictures])
     np.testing.assert_allclose(both.shares, (alone[0].shares + alone[1].shares) / 2)
     np.testing.assert_array_equal(both.poses[1], alone[1].poses[0])
     np.testing.assert_array_equal(both.expressions[1], alone[1].expressions[0])
@@ -220,14 +220,14 @@ def test_the_order_of_sliders_does_not_matter(network_file: Path, parts: FacePar
 
 
 def described(path: Path) -> dict[str, Any]:
-    return dict(json.loads({one.key: one.value for one in onnx.load(path).metadata_props}["facepipe.photo"]))
+    return dict(json.loads({prop.key: prop.value for prop in onnx.load(path).metadata_props}["facepipe.photo"]))
 
 
 def test_the_file_says_what_it_is(network_file: Path, subject: Subject) -> None:
     metadata, model = described(network_file), onnx.load(network_file)
     assert network_file.stat().st_size < 5_000_000
     assert (model.ir_version, model.opset_import[0].version) == (8, 15)
-    assert [one["name"] for one in metadata["sliders"]] == [one.name for one in subject.free_sliders]
+    assert [one["name"] for one in metadata["sliders"]] == [slider.name for slider in subject.free_sliders]
     assert metadata["trained_on"] == "16 renders of FACE"
     assert metadata["further_operators"] == ["Conv"]
     assert set(metadata["held_out"]["after"]) >= {"landmarks", "color", "total"}

@@ -237,7 +237,7 @@ def test_sidecar_is_the_metadata(tmp_path: Path) -> None:
     slider = Slider(name="jaw", channels=(("root/jaw", "rx", 0.5),), shapes=(("jawOpen", 1.0),))
     report = export_parts(replace(parts, bone_limits=limits, sliders=(slider,)), tmp_path / "face.onnx")
     beside = json.loads((tmp_path / "face.onnx.json").read_text())
-    stored = {one.key: json.loads(one.value) for one in onnx.load(tmp_path / "face.onnx").metadata_props}
+    stored = {prop.key: json.loads(prop.value) for prop in onnx.load(tmp_path / "face.onnx").metadata_props}
     assert stored == {f"facepipe.{key}": value for key, value in beside.items()}
     weights, coefficients = beside["inputs"]
     assert weights["names"] == list(build(parts).shapes)

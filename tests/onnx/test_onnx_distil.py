@@ -55,7 +55,7 @@ def graph_of(parts: FaceParts, path: Path) -> Deformer:
 def test_an_output_counts_by_how_far_it_moves_points() -> None:
     """A shape by its largest offset, or by what is taken for outputs that move none."""
     parts = replace(networked(network()), meters_per_unit=1e-4)
-    opened, smile = (replace(one, inbetweens=()) for one in parts.meshes[0].blendshapes)
+    opened, smile = (replace(blendshape, inbetweens=()) for blendshape in parts.meshes[0].blendshapes)
     parts = with_head(parts, blendshapes=(opened, replace(smile, offsets=0 * smile.offsets)))
     parts = replace(parts, meshes=parts.meshes[:1])
     found = {one.shape: one.mm for one in _driven(build(parts), parts, ()) if one.shape}
@@ -93,7 +93,7 @@ def test_what_is_straight_stays_exact() -> None:
             slide(one.sliders, rig.joints, values, one.slider_network)[0][others] for one in (parts, distilled)
         )
         assert np.array_equal(exact, found)
-    assert set(report.sliders) < {one.name for one in parts.sliders}
+    assert set(report.sliders) < {slider.name for slider in parts.sliders}
 
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])

@@ -76,7 +76,7 @@ def test_same_face_same_bytes(tmp_path: Path) -> None:
 
 def test_sidecar_is_the_metadata_and_lists_the_sliders(exported: Path) -> None:
     beside = json.loads(exported.with_name("sliders.onnx.json").read_text())
-    stored = {one.key: json.loads(one.value) for one in onnx.load(exported).metadata_props}
+    stored = {prop.key: json.loads(prop.value) for prop in onnx.load(exported).metadata_props}
     assert stored == {f"facepipe.{key}": value for key, value in beside.items()}
     sliders, weights = beside["inputs"]
     assert sliders["names"] == ["jawLeft", "jawRight", "smile"]

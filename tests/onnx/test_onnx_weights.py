@@ -83,7 +83,7 @@ def test_points_are_off_by_little_as_reported(name: str, weights: Any, share: fl
 def test_defaults_are_as_they_were(name: str, weights: Any, tmp_path: Path) -> None:
     parts = FACES[name]()
     export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, pose="rest", weights=weights))
-    defaults = {one.name: one.default for one in parts.sliders}
+    defaults = {slider.name: slider.default for slider in parts.sliders}
     off, _ = errors(parts, Deformer(tmp_path / "packed.onnx"), [defaults])
     height = 1e3 * parts.meters_per_unit * np.ptp(build(parts).points, axis=0).max()
     assert off < 1e-5 * height

@@ -376,5 +376,5 @@ def test_the_loss_that_is_shown_is_that_of_the_face() -> None:
     history = [{"total": NAN}, {"total": 2.0}, {"total": 1.0}, {"total": 1.5}]
     assert "loss 1.5 at step 3" in facts(sheet(history=history, kept=3))
     assert "loss 1 at step 2" in facts(sheet(history=history, kept=2))
-    assert not [one for one in facts(sheet(history=history)) if "loss" in one]
-    assert not [one for one in facts(sheet(history=[])) if "loss" in one]
+    assert not [fact for fact in facts(sheet(history=history)) if "loss" in fact]
+    assert not [fact for fact in facts(sheet(history=[])) if "loss" in fact]

@@ -42,7 +42,7 @@ def head(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def table(path: Path, header: str, rows: np.ndarray, clock: Callable[[int], str] | None = None) -> Path:
     """A CSV of numbers, with a first column `clock` of each row."""
     cells = [[*([clock(i)] if clock else []), *(f"{value:.6f}" for value in row)] for i, row in enumerate(rows)]
-    path.write_text("\n".join([header, *(",".join(one) for one in cells)]))
+    path.write_text("\n".join([header, *(",".join(cell) for cell in cells)]))
     return path
 
 
@@ -61,7 +61,7 @@ def test_a_recording_in_any_order_and_case(tmp_path: Path) -> None:
     order = np.random.default_rng(1).permutation(len(NAMES))
     mixed = [NAMES[i].upper() if i % 2 else NAMES[i].lower() for i in order]
     other = read_performance(live_link.write(tmp_path / "b.csv", VALUES[:, order], columns=mixed))
-    assert [one.lower() for one in other.names] == [NAMES[i].lower() for i in order]
+    assert [name.lower() for name in other.names] == [NAMES[i].lower() for i in order]
     np.testing.assert_allclose(other.values, VALUES[:, order], atol=1e-9)
 
 
@@ -200,7 +200,7 @@ def test_the_clip_is_what_usdskel_plays(head: Path, tmp_path: Path) -> None:
     assert not report.no_target
     face = facepipe.open(out)
     assert face.played == "take_1"
-    clip = next(one for one in face.animations if one.name == "take_1")
+    clip = next(animation for animation in face.animations if animation.name == "take_1")
     assert clip.times is not None
     np.testing.assert_allclose(clip.times, np.arange(12) / 60, atol=1e-12)
     for index, points in enumerate(played(out, clip.times)):
@@ -485,7 +485,7 @@ def three_agrees(path: Path, frames: list[int], folder: Path) -> float:
     assert face.played is not None
     glb = folder / "take.glb"
     assert exit_code("export", path, "-o", glb, "--animations") == 0
-    clip = next(one for one in face.animations if one.name == face.played)
+    clip = next(animation for animation in face.animations if animation.name == face.played)
     assert clip.times is not None
     answer, shown = three_play(glb, face.played, [float(clip.times[i]) for i in frames], folder / "shown.bin")
     document = read_gltf(glb).json
@@ -529,8 +529,8 @@ def test_a_long_clip_in_our_glb_comes_back_exactly(head: Path, tmp_path: Path) -
     imported = load("gltf", tmp_path / "take.glb", GltfOptions())
     assert not any("differently" in line for line in imported.warnings)
     assert imported.parts.played == "take"
-    before = next(one for one in facepipe.open(out).animations if one.name == "take")
-    after = next(one for one in imported.parts.animations if one.name == "take")
+    before = next(animation for animation in facepipe.open(out).animations if animation.name == "take")
+    after = next(animation for animation in imported.parts.animations if animation.name == "take")
     assert after.times is not None
     assert after.shape_weights is not None
     assert before.times is not None

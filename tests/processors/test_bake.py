@@ -47,8 +47,8 @@ def baked(tmp_path: Path, capsys: pytest.CaptureFixture[str], parts: FaceParts, 
 
 def ordered(found: Motion, other: Motion) -> np.ndarray:
     """(f, c) values of controls in the order of another motion."""
-    names = [one.name for one in found.controls]
-    return np.asarray(found.values[:, [names.index(one.name) for one in other.controls]])
+    names = [control.name for control in found.controls]
+    return np.asarray(found.values[:, [names.index(control.name) for control in other.controls]])
 
 
 @pytest.mark.parametrize("up_axis", ["Y", "Z"])
@@ -56,7 +56,7 @@ def test_frames_are_what_the_face_evaluates(up_axis: str, tmp_path: Path, capsys
     parts = replace(acted(), up_axis=up_axis)  # type: ignore[arg-type]
     report = baked(tmp_path, capsys, parts)
     found = ReadMotion(options=WHOLE)(tmp_path / "frames.usdc")
-    names = [one.name for one in found.controls]
+    names = [control.name for control in found.controls]
     assert names == ["chew", "jawOpen", "smile"]  # a clip moves jawOpen, though the slider drives it
     assert (report["frames"], report["clip_frames"], report["controls"]) == (18 + 3 * 5 + 41, 41, 3)
     assert len(found.values) == report["frames"]
@@ -117,8 +117,8 @@ def test_rigs_are_trained_and_carried_from_it(tmp_path: Path, capsys: pytest.Cap
     words = ("train", tmp_path / "frames.usdc", "-o", tmp_path / "own.fpnr", "--steps", 20, "--no-encoder", "--json")
     out = done(capsys, "neural-rig", *words)
     assert json.loads(out)["source"] == "samples"
-    assert {one.name for one in load_neural_rig(tmp_path / "own.fpnr").controls} == {
-        one.name for one in own.rig.controls
+    assert {control.name for control in load_neural_rig(tmp_path / "own.fpnr").controls} == {
+        control.name for control in own.rig.controls
     }
 
 
@@ -146,7 +146,7 @@ def moved(path: Path, frames: Motion, *, every: int = 1) -> Path:
     """A face whose skeleton plays frames of its sliders and shapes, with its sliders as numbers."""
     parts = turning_face()
     joints, coefficients, weights = parts.skeleton.joints, [], []
-    names = [one.name for one in frames.controls]
+    names = [control.name for control in frames.controls]
     for row in frames.values:
         values = dict(zip(names, row.tolist(), strict=True))
         own, _ = slide(parts.sliders, joints, {name: values[name] for name in ("open", "look")})

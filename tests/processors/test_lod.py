@@ -96,8 +96,8 @@ def test_a_level_keeps_what_points_and_corners_have(levels: Face, number: int) -
 def corners(mesh: Mesh) -> set[tuple[object, ...]]:
     """Place, UVs and material of each corner."""
     materials = np.empty(len(mesh.face_vertex_counts), object)
-    for one in mesh.material_faces:
-        materials[one.faces] = one.material
+    for material_face in mesh.material_faces:
+        materials[material_face.faces] = material_face.material
     columns = [np.round(mesh.points[mesh.face_vertex_indices], 4)]
     columns += [np.round(uv.values[uv.indices], 5) for uv in mesh.uv_sets if uv.indices is not None]
     rows = np.hstack(columns).tolist()
@@ -323,7 +323,7 @@ def worst(path: Path, tmp_path: Path, counts: tuple[int, ...]) -> list[tuple[flo
     report = facepipe.lod(path, out=tmp_path / "lods.usdc", triangles=counts)
     assert report.warnings == ()
     assert facepipe.validate(tmp_path / "lods.usdc") == ()
-    shapes = [one.errors.shapes.values() for one in report.levels]
+    shapes = [level.errors.shapes.values() for level in report.levels]
     return [(max(one.mean_mm for one in each), max(one.p95_mm for one in each)) for each in shapes]
 
 
@@ -344,7 +344,7 @@ def test_makehuman_turns_its_joints_as_before(tmp_path: Path) -> None:
     report = facepipe.lod(tmp_path / "mh.usdc", out=tmp_path / "lods.usdc", triangles=(4000,))
     (level,) = report.levels
     assert level.errors.rest.mean_mm < 0.3
-    assert np.median([one.mean_mm for one in level.errors.joints.values() if one.points]) < 0.5
+    assert np.median([joint.mean_mm for joint in level.errors.joints.values() if joint.points]) < 0.5
     assert facepipe.validate(tmp_path / "lods.usdc") == ()
 
 

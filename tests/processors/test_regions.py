@@ -391,7 +391,7 @@ def test_meshes_that_the_legend_names_lie_in_one_region(tiny: Path, tmp_path: Pa
     assert (masks["teeth"] == 1).all()
     assert not masks["left"].any()
     assert not masks["right"].any()
-    assert [one.mesh for one in report.meshes] == ["Head", "Teeth"]
+    assert [mesh.mesh for mesh in report.meshes] == ["Head", "Teeth"]
     assert report.warnings == ()
 
 

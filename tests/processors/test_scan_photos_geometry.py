@@ -93,7 +93,7 @@ def test_photos_of_a_plane_give_its_depth(first: tuple[int, ...], second: tuple[
     pytest.importorskip("cv2", reason="needs the extra [scan]")
     cameras = [camera_at(np.array(eye, float), distortion=LENS).scaled(400, 500) for eye in (first, second)]
     normal, offset = np.array([0.25, 0.1, 1.0]), 12.0  # of the plane normal . x = offset
-    photos, truth = zip(*(plane_photo(one, normal, offset) for one in cameras), strict=True)
+    photos, truth = zip(*(plane_photo(camera, normal, offset) for camera in cameras), strict=True)
     corners = np.array([[x, y, (offset - 0.25 * x - 0.1 * y)] for x in (-100.0, 100.0) for y in (-100.0, 100.0)])
     pair, swapped = rectify(*cameras, np.r_[corners, corners * [0.1, 0.1, 1.0]])
     order = (1, 0) if swapped else (0, 1)
@@ -162,8 +162,8 @@ def test_scans_without_known_cameras_stand_upright_and_face_z() -> None:
     moved = structure_of({name: move_camera(one, tilt) for name, one in ring.items()}, tilt.apply(points))
     subject, moved = find_subject(moved)
     found, ball = upright(moved, subject, 100.0)
-    eyes = np.array([one.eye for one in found.cameras.values()])
-    right, down = (np.array([one.rotation[row] for one in found.cameras.values()]).mean(axis=0) for row in (0, 1))
+    eyes = np.array([camera.eye for camera in found.cameras.values()])
+    right, down = (np.array([camera.rotation[row] for camera in found.cameras.values()]).mean(axis=0) for row in (0, 1))
     assert eyes[:, 2].min() > 100
     assert np.ptp(eyes[:, 1]) < 0.2 * np.ptp(eyes[:, 0])
     assert right[0] > 0.8
@@ -182,7 +182,7 @@ def test_markers_are_placed_in_spite_of_wrong_sightings() -> None:
     rng = np.random.default_rng(9)
     cameras = [camera_at(np.array([150.0 * i - 450, 80.0 * (i % 2), 700.0]), distortion=LENS) for i in range(7)]
     place = np.array([12.0, -30.0, 44.0])
-    pixels = np.concatenate([one.project(place[None]) for one in cameras]) + rng.normal(0, 0.3, (7, 2))
+    pixels = np.concatenate([camera.project(place[None]) for camera in cameras]) + rng.normal(0, 0.3, (7, 2))
     pixels[[1, 4]] += [[60.0, -20.0], [-15.0, 90.0]]
     found = triangulate(cameras, pixels, 2.0, least=3)
     assert found is not None

@@ -40,9 +40,9 @@ EXACT = 2e-5  # stage units or mm: weights in float32 sum to 1 within 1e-7
 
 
 def with_values(parts: FaceParts, values: dict[str, float]) -> FaceParts:
-    known = {one.name for one in parts.sliders}
+    known = {slider.name for slider in parts.sliders}
     assert set(values) <= known, sorted(known)
-    return replace(parts, sliders=tuple(replace(one, value=values.get(one.name)) for one in parts.sliders))
+    return replace(parts, sliders=tuple(replace(slider, value=values.get(slider.name)) for slider in parts.sliders))
 
 
 def pose(parts: FaceParts, name: str = "bones", seed: int = 1) -> Animation:
@@ -71,7 +71,7 @@ def composed(parts: FaceParts, weights: dict[str, float], expression: np.ndarray
 @pytest.fixture(scope="module")
 def sample() -> FaceParts:
     parts = make(3)
-    own = [one for one in parts.sliders if not one.shapes]
+    own = [slider for slider in parts.sliders if not slider.shapes]
     values = {one.name: one.default + 0.6 * (one.maximum - one.default) for one in own[:8]}
     return with_values(parts, values)
 
@@ -233,9 +233,9 @@ def test_clips_play_on_top(tmp_path: Path) -> None:
     """Each sample of each animation of a set face is the template's, on the person; the person's own pose is gone."""
     parts = with_person(make(3))
     found = set_face(parts, "set-joints").parts
-    assert "bones" not in {one.name for one in found.animations}
-    clips = [one for one in parts.animations if one.name != "bones"]
-    assert [one.name for one in found.animations] == [one.name for one in clips]
+    assert "bones" not in {animation.name for animation in found.animations}
+    clips = [animation for animation in parts.animations if animation.name != "bones"]
+    assert [animation.name for animation in found.animations] == [clip.name for clip in clips]
     rig, rest = build(found), np.asarray(parts.skeleton.rest_transforms)
     person = person_of(parts).matrices
     for before, after in zip(clips, found.animations, strict=True):

@@ -198,7 +198,7 @@ def test_mirrors_are_mutual(sliders: tuple[Slider, ...], message: str, tmp_path:
         author_changes(face, replace(face.parts(), sliders=sliders))
     mended = with_mutual_mirrors(sliders)
     assert sliders_fault(mended) is None
-    assert [one.name for one in mended] == [one.name for one in sliders]
+    assert [one.name for one in mended] == [slider.name for slider in sliders]
     assert with_mutual_mirrors((LEFT, RIGHT)) == (LEFT, RIGHT)
 
 

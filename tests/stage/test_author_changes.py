@@ -416,7 +416,7 @@ def test_stages_of_other_tools(source: Path, tmp_path: Path, edit: Callable[[Usd
     assert own.skin is not None
     corner = RNG.random((100, 3)).astype(np.float32)
     weights = WEIGHTS[:, :3] / WEIGHTS[:, :3].sum(axis=1, keepdims=True)
-    shapes = [replace(one, offsets=one.offsets + 1) for one in own.blendshapes]
+    shapes = [replace(blendshape, offsets=blendshape.offsets + 1) for blendshape in own.blendshapes]
     parts = head(
         points=own.points + MOVED, normals=corner, blendshapes=tuple(shapes),
         skin=replace(own.skin, joint_weights=weights),

@@ -36,7 +36,7 @@ def test_hostile_names_come_through_a_stage_to_the_byte(source: Path, tmp_path: 
 
 
 def test_a_plain_reader_finds_the_topology_and_the_names(source: Path, tmp_path: Path) -> None:
-    """Without facepipe: UsdSkel's own topology has the parents of the source, and prims hold the names of their sources."""
+    """Without facepipe: UsdSkel's own topology has the parents of the source, and prims hold their sources' names."""
     save_parts(load("gltf", source).parts, tmp_path / "face.usda")
     stage = Usd.Stage.Open(str(tmp_path / "face.usda"))
     (skeleton,) = (UsdSkel.Skeleton(prim) for prim in stage.Traverse() if prim.IsA(UsdSkel.Skeleton))

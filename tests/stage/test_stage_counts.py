@@ -120,7 +120,11 @@ def test_inbetweens_are_counted(tmp_path: Path) -> None:
     assert any("inbetweens, expected at most" in one.message for one in validate_stage(path))
     stage.GetPrimAtPath(shape.GetPath()).RemoveProperty("inbetweens:i0")
     stage.Save()
-    read = next(one for one in Face(open_stage(path)).parts().meshes[0].blendshapes if one.name == "mouthSmileLeft")
+    read = next(
+        blendshape
+        for blendshape in Face(open_stage(path)).parts().meshes[0].blendshapes
+        if blendshape.name == "mouthSmileLeft"
+    )
     assert len(read.inbetweens) == MOST_INBETWEENS
 
 

@@ -37,7 +37,9 @@ def mirrored_z_up() -> FaceParts:
 
 def person(parts: FaceParts) -> FaceParts:
     """Somebody else: every slider a third of the way to its end."""
-    sliders = tuple(replace(one, value=one.default + (one.maximum - one.default) / 3) for one in parts.sliders)
+    sliders = tuple(
+        replace(slider, value=slider.default + (slider.maximum - slider.default) / 3) for slider in parts.sliders
+    )
     return replace(parts, sliders=sliders)
 
 
@@ -47,7 +49,7 @@ def real_person() -> FaceParts:
 
 def turned(triangles: np.ndarray) -> Triangles:
     """Each from its lowest point on, in its own sense."""
-    return {tuple(np.roll(one, -int(np.argmin(one))).tolist()) for one in triangles}
+    return {tuple(np.roll(triangle, -int(np.argmin(triangle))).tolist()) for triangle in triangles}
 
 
 def exported(glb: gltf_reader.Gltf, name: str) -> Triangles:

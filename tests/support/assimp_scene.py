@@ -113,8 +113,8 @@ def _held(mesh: _Mesh) -> dict[str, Any]:
             weights[bone.weights[i].vertex, column] += bone.weights[i].weight
     return {
         "positions": _array(mesh.vertices, count),
-        "names": [_text(one.name) for one in targets],
-        "targets": [_array(one.vertices, count) for one in targets],
+        "names": [_text(target.name) for target in targets],
+        "targets": [_array(target.vertices, count) for target in targets],
         "bones": [_text(one.name) for one in bones],
         "weights": weights,
         "binds": [_matrix(one.offset) for one in bones],

@@ -18,7 +18,7 @@ DOCS = (REPOSITORY / "docs/neural_rig.md").read_text(encoding="utf-8")
 def docs_bake() -> Callable[..., None]:
     """The writer that docs/neural_rig.md shows."""
     found: dict[str, Any] = {}
-    exec(next(one for one in blocks(DOCS, "python") if "def bake" in one), found)
+    exec(next(block for block in blocks(DOCS, "python") if "def bake" in block), found)
     bake: Callable[..., None] = found["bake"]
     return bake
 

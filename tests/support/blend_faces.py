@@ -139,13 +139,16 @@ def livelier(parts: FaceParts, factor: float = 1.3, degrees: float = 10.0) -> Fa
 def without_shapes(parts: FaceParts, *names: str) -> FaceParts:
     """The face without the shapes called `names`."""
     return changed(
-        parts, lambda m: replace_mesh(m, blendshapes=tuple(one for one in m.blendshapes if one.name not in names))
+        parts,
+        lambda m: replace_mesh(
+            m, blendshapes=tuple(blendshape for blendshape in m.blendshapes if blendshape.name not in names)
+        ),
     )
 
 
 def only_shapes(parts: FaceParts, *names: str) -> FaceParts:
     """The face with no shapes but those called `names`, and no control over the others."""
-    shapes = {one.name for mesh in parts.meshes for one in mesh.blendshapes}
+    shapes = {blendshape.name for mesh in parts.meshes for blendshape in mesh.blendshapes}
     return replace(without_shapes(parts, *(shapes - set(names))), sliders=(), animations=())
 
 
@@ -163,10 +166,10 @@ def sources(kind: str, count: int = 2, variant: str = "aligned") -> tuple[Face, 
     """
     parts = [head(kind, number) for number in range(count)]
     if "neutral" in variant:
-        parts = [only_shapes(one) for one in parts]
+        parts = [only_shapes(part) for part in parts]
     if "misaligned" in variant:
         parts = [parts[0], *(misaligned(livelier(one), seed=i) for i, one in enumerate(parts[1:]))]
-    return tuple(Face.from_parts(one) for one in parts)
+    return tuple(Face.from_parts(part) for part in parts)
 
 
 @functools.cache

@@ -22,7 +22,7 @@ needs_blender = pytest.mark.skipif(
 def run_blender(script: str, *arguments: Any) -> subprocess.CompletedProcess[str]:
     """Run a script with JSON arguments; its output."""
     paths = [REPOSITORY, REPOSITORY / "schemas", REPOSITORY / "exporters", SUPPORT / "blender"]
-    words = [json.dumps(str(one) if isinstance(one, Path) else one) for one in arguments]
+    words = [json.dumps(str(argument) if isinstance(argument, Path) else argument) for argument in arguments]
     return subprocess.run(
         [os.environ[PYTHON], str(SUPPORT / "blender" / script), *words],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))},

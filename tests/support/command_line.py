@@ -55,4 +55,4 @@ def content(folder: Path) -> dict[Path, bytes]:
 def plain_actions() -> set[str]:
     """Commands that do an action alone, and write its face alone: as that of every action is written."""
     kinds = {verb: cookable(verb) for verb in summaries() if " " not in verb and verb not in COMMANDS}
-    return {verb for verb, kind in kinds.items() if kind and all(one.role != "beside" for one in fields_of(kind))}
+    return {verb for verb, kind in kinds.items() if kind and all(field.role != "beside" for field in fields_of(kind))}

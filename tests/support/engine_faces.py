@@ -57,11 +57,13 @@ class Case(NamedTuple):
 
     def worst(self, pieces: Sequence[Piece], poses: slice = slice(None)) -> float:
         """Largest distance of a vertex from where it should be, in head heights."""
-        assert sum(len(one.points) for one in pieces) == sum(len(points) for _, points in self.file.primitives())
+        assert sum(len(piece.points) for piece in pieces) == sum(len(points) for _, points in self.file.primitives())
         with np.errstate(invalid="ignore", over="ignore"):  # what an engine reads wrong may be any number
             found = [
-                np.linalg.norm(one.positions[i].astype(np.float64) - self.expected[i][one.mesh][one.points], axis=1)
-                for one in pieces
+                np.linalg.norm(
+                    piece.positions[i].astype(np.float64) - self.expected[i][piece.mesh][piece.points], axis=1
+                )
+                for piece in pieces
                 for i in range(len(self.expected))[poses]
             ]
         return float(np.nan_to_num(np.concatenate(found), nan=np.inf).max()) / self.height
@@ -129,7 +131,7 @@ def _case(posed: Posed, layout: str, folder: Path) -> Case:
     path = folder / f"{posed.parts.name} {layout}.glb"
     report = facepipe_gltf.export(Parts(posed.parts), path, Options(**LAYOUTS[layout]))
     document = read(path)
-    poses = [pose_in(posed.parts, document, *one) for one in posed.poses]
+    poses = [pose_in(posed.parts, document, *pose) for pose in posed.poses]
     height = posed.face.head_height * posed.face.meters_per_unit
     return Case(File(path, poses), posed.points, height, (report.error_mm or 0.0) / 1000 / height)
 

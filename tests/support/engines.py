@@ -75,10 +75,10 @@ class File(NamedTuple):
         """What the programs in tests/support/js, blender and godot are asked, in the engine's names."""
         poses = [
             {
-                "weights": one.weights,
-                "joints": {renamed(ENGINES[engine], key, True): x for key, x in one.joints.items()},
+                "weights": pose.weights,
+                "joints": {renamed(ENGINES[engine], key, True): x for key, x in pose.joints.items()},
             }
-            for one in self.poses
+            for pose in self.poses
         ]
         return {"path": str(self.path), "poses": poses, **more}
 
@@ -208,7 +208,10 @@ def _in_assimp(file: File, out: Path) -> list[Piece]:
     command = [sys.executable, str(HERE / "assimp_scene.py"), str(file.path), str(out)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE)
     if done.returncode < 0:  # a signal ended it: it read past the end of its memory
-        return [Piece(*one, np.full((len(file.poses), len(one[1]), 3), np.inf)) for one in file.primitives()]
+        return [
+            Piece(*primitive, np.full((len(file.poses), len(primitive[1]), 3), np.inf))
+            for primitive in file.primitives()
+        ]
     assert done.returncode == 0, done.stderr[-2000:]
     with np.load(out) as arrays:
         return _of_assimp(file, arrays)

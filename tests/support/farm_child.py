@@ -59,7 +59,7 @@ def read_line(words: list[str]) -> Line:
 
 
 def _copy(sources: list[Path], out: list[Path]) -> Outcome:
-    out[0].write_bytes(b"".join(one.read_bytes() for one in sources))
+    out[0].write_bytes(b"".join(source.read_bytes() for source in sources))
     with Path("log").open("a") as log:  # what was really done
         log.write(f"{out[0].as_posix()}\n")
     return Outcome(report={"off_mm": 0.25})

@@ -87,4 +87,4 @@ def until(asked: Callable[[], T], seconds: float = _PATIENCE) -> T:
 
 def children(process: subprocess.Popen[bytes]) -> set[int]:
     """The ids of all processes below one."""
-    return {one.pid for one in psutil.Process(process.pid).children(recursive=True)}
+    return {child.pid for child in psutil.Process(process.pid).children(recursive=True)}

@@ -63,4 +63,4 @@ def read(path: Path, **options: str) -> Imported:
 
 
 def warned(imported: Imported, text: str) -> None:
-    assert any(text in one for one in imported.warnings), imported.warnings
+    assert any(text in warning for warning in imported.warnings), imported.warnings

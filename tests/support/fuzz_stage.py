@@ -61,9 +61,11 @@ def damage_value(rng: random.Random, layer: Sdf.Layer) -> None:
     specs: list[Any] = []
     layer.Traverse("/", lambda path: specs.append(layer.GetObjectAtPath(path)))
     kinds: dict[str, Callable[[], None]] = {
-        "attribute": lambda: _damage_attribute(rng, [one for one in specs if isinstance(one, Sdf.AttributeSpec)]),
-        "relationship": lambda: _damage_targets(rng, [one for one in specs if isinstance(one, Sdf.RelationshipSpec)]),
-        "prim": lambda: _damage_prim(rng, [one for one in specs if isinstance(one, Sdf.PrimSpec) and one.name]),
+        "attribute": lambda: _damage_attribute(rng, [spec for spec in specs if isinstance(spec, Sdf.AttributeSpec)]),
+        "relationship": lambda: _damage_targets(
+            rng, [spec for spec in specs if isinstance(spec, Sdf.RelationshipSpec)]
+        ),
+        "prim": lambda: _damage_prim(rng, [spec for spec in specs if isinstance(spec, Sdf.PrimSpec) and spec.name]),
         "unit": lambda: _damage_units(rng, layer),
     }
     kinds[rng.choice(["attribute"] * 6 + ["relationship", "prim", "unit"])]()

@@ -173,7 +173,7 @@ def recipe(verb: str = "blend", sources: tuple[str, ...] = (), **options: Any) -
     """mix.usda has another recipe."""
 
     def make(world: World) -> None:
-        named = tuple(one.format(top=world.top) for one in sources)
+        named = tuple(source.format(top=world.top) for source in sources)
         made = Recipe(verb=verb, sources=named, digests=("sha256:0",) * len(named), options=options, version="0")
         path = world.sent / "mix.usda"
         from facepipe.stage import open_face

@@ -132,7 +132,7 @@ class Steps:
         if event in _PATHS and not self._busy:
             if event == "open" and not _is_write(arguments[1], arguments[2]):
                 return
-            if any(self._is_inside(one) for one in arguments[: _PATHS[event]]):
+            if any(self._is_inside(argument) for argument in arguments[: _PATHS[event]]):
                 self._step(f"{event} {Path(os.fsdecode(arguments[0])).name}")
 
     def _is_inside(self, path: Any) -> bool:
@@ -446,7 +446,7 @@ class Killing:
 
     def kills(self, case: Case, share: int, moments: int) -> None:
         """Kill at all steps, or some at random, and at random moments."""
-        blows = {start: [Blow(step=one) for one in steps] for start, steps in self._branches(case, share)}
+        blows = {start: [Blow(step=step) for step in steps] for start, steps in self._branches(case, share)}
         for start, more in self._moments(case, moments).items():
             blows.setdefault(start, []).extend(more)
         struck = self._strike(case, blows)
@@ -471,7 +471,7 @@ class Killing:
         """SIGTERM at a step leaves what SIGINT leaves."""
         both = (signal.SIGINT, signal.SIGTERM)
         blows = {
-            start: [Blow(number, one) for one in steps for number in both]
+            start: [Blow(number, step) for step in steps for number in both]
             for start, steps in self._branches(case, share)
         }
         struck = self._strike(case, blows)

@@ -29,7 +29,7 @@ def face_with_lips() -> FaceParts:
     x, y = (one.ravel() for one in np.meshgrid(grid, grid))
     number = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
     corners = [number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]]
-    quads = np.stack([one.ravel() for one in corners], axis=1)
+    quads = np.stack([corner.ravel() for corner in corners], axis=1)
     lips = np.flatnonzero((y == 0) & (np.abs(x) < 16))
     lower = np.concatenate([np.arange(SIDE * SIDE), SIDE * SIDE + np.arange(len(lips))])
     x, y = np.concatenate([x, x[lips]]), np.concatenate([y, y[lips]])

@@ -40,7 +40,7 @@ def network(
         sliders=("smile", "jaw", "still", "lip"),
         channels=CHANNELS,
         shapes=("jawOpen", "mouthSmileLeft"),
-        weights=tuple(one.astype(np.float32) for one in layers),
+        weights=tuple(layer.astype(np.float32) for layer in layers),
         biases=tuple((random.normal(size=out) * size).astype(np.float32) for out in sizes[1:]),
         activation=activation,
         info={"trained_on": "nothing"},

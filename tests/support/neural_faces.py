@@ -75,7 +75,7 @@ def neural_rig(parts: FaceParts, *, bones: bool, shapes: int = 4, units: int = 6
 
 def random_values(rig: NeuralRig, count: int, seed: int = 1) -> np.ndarray:
     """(count, c) values in float32, some beyond their limits."""
-    low, high = (np.array([getattr(one, key) for one in rig.controls]) for key in ("minimum", "maximum"))
+    low, high = (np.array([getattr(control, key) for control in rig.controls]) for key in ("minimum", "maximum"))
     shares = np.random.default_rng(seed).uniform(-0.3, 1.3, (count, len(rig.controls)))
     return np.asarray((low + shares * (high - low)).astype(np.float32), dtype=np.float64)
 
@@ -130,7 +130,7 @@ def moving(rig: NeuralRig, count: int = 60) -> np.ndarray:
 def millimetres(parts: FaceParts, rig: NeuralRig, values: np.ndarray) -> np.ndarray:
     """What the face's own rig makes of values of the controls."""
     own, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-    names = [one.name for one in rig.controls]
+    names = [control.name for control in rig.controls]
     found = []
     for row in values:
         coefficients, weights = slide(

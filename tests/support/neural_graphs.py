@@ -31,7 +31,7 @@ class Made(NamedTuple):
 
     def fed(self, row: np.ndarray) -> dict[str, float]:
         """Values by name."""
-        return dict(zip([one.name for one in self.rig.controls], row.tolist(), strict=True))
+        return dict(zip([control.name for control in self.rig.controls], row.tolist(), strict=True))
 
 
 def asked(

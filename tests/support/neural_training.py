@@ -34,7 +34,9 @@ def second_face() -> FaceParts:
     meshes = []
     for mesh in parts.meshes:
         wide = mesh.points * np.array([1.15, 0.95, 1.05])
-        shapes = tuple(replace(one, offsets=one.offsets @ _OWN[one.name]) for one in mesh.blendshapes)
+        shapes = tuple(
+            replace(blendshape, offsets=blendshape.offsets @ _OWN[blendshape.name]) for blendshape in mesh.blendshapes
+        )
         meshes.append(replace(mesh, points=wide, blendshapes=shapes))
     return replace(parts, meshes=tuple(meshes))
 

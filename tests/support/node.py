@@ -74,7 +74,8 @@ def three_play(file: Path, clip: str, times: Sequence[float], out: Path) -> tupl
 def onnx_run(file: Path, feeds: Sequence[Mapping[str, np.ndarray]]) -> list[dict[str, np.ndarray]]:
     """The outputs of an ONNX model in onnxruntime-web for each of `feeds`, float32."""
     requests = [
-        {name: {"dims": values.shape, "data": values.ravel().tolist()} for name, values in one.items()} for one in feeds
+        {name: {"dims": values.shape, "data": values.ravel().tolist()} for name, values in feed.items()}
+        for feed in feeds
     ]
     answers = run_node("onnx_run.mjs", [str(file)], json.dumps(requests))
     return [

@@ -48,13 +48,13 @@ def played(path: Path, times: Sequence[float | None] = (None,), animation: str |
     """
     stage = Usd.Stage.Open(Usd.Stage.Open(str(path)).Flatten())
     prims = list(Usd.PrimRange(stage.GetDefaultPrim()))
-    skeleton = next(one for one in prims if one.IsA(UsdSkel.Skeleton))
+    skeleton = next(prim for prim in prims if prim.IsA(UsdSkel.Skeleton))
     if animation is not None:
-        source = next(one for one in prims if one.IsA(UsdSkel.Animation) and one.GetName() == animation)
+        source = next(prim for prim in prims if prim.IsA(UsdSkel.Animation) and prim.GetName() == animation)
         UsdSkel.BindingAPI.Apply(skeleton).CreateAnimationSourceRel().SetTargets([source.GetPath()])
     codes = [0.0 if time is None else time * stage.GetTimeCodesPerSecond() for time in times]
     assert UsdSkel.BakeSkinning(UsdSkel.Root(stage.GetDefaultPrim()), Gf.Interval.GetFullInterval())
-    meshes = [one for one in prims if one.IsA(UsdGeom.Mesh)]
+    meshes = [prim for prim in prims if prim.IsA(UsdGeom.Mesh)]
     return np.stack([np.concatenate([_world_points(mesh, code) for mesh in meshes]) for code in codes])
 
 

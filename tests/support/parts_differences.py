@@ -45,8 +45,10 @@ def _plain_animation(animation: Animation) -> Animation:
 def _plain_mesh(mesh: Mesh) -> Mesh:
     corners = np.arange(len(mesh.face_vertex_indices), dtype=np.int32)
     uvs = [
-        one if one.indices is None else UvSet(name=one.name, values=one.values[one.indices], indices=corners)
-        for one in mesh.uv_sets
+        uv_set
+        if uv_set.indices is None
+        else UvSet(name=uv_set.name, values=uv_set.values[uv_set.indices], indices=corners)
+        for uv_set in mesh.uv_sets
     ]
     skin = None if mesh.skin is None else _plain_skin(mesh.skin)
     shapes = tuple(map(_plain_shape, mesh.blendshapes))
@@ -64,8 +66,8 @@ def _plain_skin(skin: Skin) -> Skin:
 
 
 def _plain_shape(shape: Blendshape) -> Blendshape:
-    arrays = [shape.offsets, shape.normal_offsets, *(one.offsets for one in shape.inbetweens)]
-    arrays += [one.normal_offsets for one in shape.inbetweens]
+    arrays = [shape.offsets, shape.normal_offsets, *(inbetween.offsets for inbetween in shape.inbetweens)]
+    arrays += [inbetween.normal_offsets for inbetween in shape.inbetweens]
     moving = np.zeros(len(shape.point_indices), bool)
     for array in arrays:
         if array is not None:
@@ -77,11 +79,11 @@ def _plain_shape(shape: Blendshape) -> Blendshape:
         normal_offsets=None if shape.normal_offsets is None else shape.normal_offsets[moving],
         inbetweens=tuple(
             dataclasses.replace(
-                one,
-                offsets=one.offsets[moving],
-                normal_offsets=None if one.normal_offsets is None else one.normal_offsets[moving],
+                inbetween,
+                offsets=inbetween.offsets[moving],
+                normal_offsets=None if inbetween.normal_offsets is None else inbetween.normal_offsets[moving],
             )
-            for one in shape.inbetweens
+            for inbetween in shape.inbetweens
         ),
     )
 

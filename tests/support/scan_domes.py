@@ -69,7 +69,7 @@ def face(seed: int = 0) -> FaceParts:
         joint_indices=np.tile(np.arange(2, dtype=np.int32), (len(points), 1)),
         joint_weights=np.stack([1.0 - lower, lower], axis=1),
     )
-    marks = [int(np.linalg.norm(places - one, axis=1).argmin()) for one in landmark_places()]
+    marks = [int(np.linalg.norm(places - landmark_place, axis=1).argmin()) for landmark_place in landmark_places()]
     head = replace(
         _mesh("Head", points, triangles),
         normals=point_normals(points, triangles),

@@ -73,7 +73,7 @@ def without_scales(parts: FaceParts) -> FaceParts:
     sliders = tuple(
         with_entries(
             slider,
-            [one for one in channel_entries(slider) if not one[0][1].startswith("s")],
+            [entry for entry in channel_entries(slider) if not entry[0][1].startswith("s")],
             list(shape_entries(slider)),
         )
         for slider in parts.sliders

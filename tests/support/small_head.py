@@ -29,15 +29,17 @@ def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
     parts = heads.make(seed, textures=textures, controls="bones")
     kept = zip(parts.meshes, _level(), strict=False)  # without cards of hairs, which come with textures
     meshes = tuple(_moving(mesh_of(replace(wedges, mesh=mesh), triangles)) for mesh, (wedges, triangles) in kept)
-    worn = {one.material for mesh in meshes for one in mesh.material_faces}
-    materials = tuple(one for one in parts.materials if one.name in worn)
-    sliders = tuple(one for one in parts.sliders if one.name != "headSize")  # photos have no scale
+    worn = {material_face.material for mesh in meshes for material_face in mesh.material_faces}
+    materials = tuple(material for material in parts.materials if material.name in worn)
+    sliders = tuple(slider for slider in parts.sliders if slider.name != "headSize")  # photos have no scale
     return replace(parts, meshes=meshes, materials=materials, sliders=sliders)
 
 
 def _moving(mesh: Mesh) -> Mesh:
     """Without shapes that move none of its points."""
-    return replace(mesh, blendshapes=tuple(one for one in mesh.blendshapes if len(one.point_indices)))
+    return replace(
+        mesh, blendshapes=tuple(blendshape for blendshape in mesh.blendshapes if len(blendshape.point_indices))
+    )
 
 
 @cache
@@ -47,6 +49,6 @@ def _level() -> Sequence[tuple[Wedges, IntArray]]:
     surface = Surface(parts, build(parts))
     level = surface.level(_TRIANGLES, _SKIN_SHARE, surface.full)
     wedges = [wedges_of(mesh) for mesh in parts.meshes]
-    starts = np.cumsum([0, *(len(one.points) for one in wedges)])
+    starts = np.cumsum([0, *(len(wedge.points) for wedge in wedges)])
     mesh = np.searchsorted(starts, level[:, 0], side="right") - 1
     return [(one, level[mesh == i] - starts[i]) for i, one in enumerate(wedges)]

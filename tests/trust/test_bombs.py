@@ -22,7 +22,7 @@ def test_bombs_are_refused_within_bounds(group: str) -> None:
     program = SUPPORT / "bombs.py"
     done = subprocess.run([sys.executable, program, group], capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
-    for one in json.loads(done.stdout):
-        assert one["error"].count("\n") == 1, one
-        assert one["expected"].casefold() in one["error"].casefold(), one  # Pillow has changed the case of its words
-        assert (one["code"], one["peak"] < MOST) == (2, True), one
+    for load in json.loads(done.stdout):
+        assert load["error"].count("\n") == 1, load
+        assert load["expected"].casefold() in load["error"].casefold(), load  # Pillow has changed the case of its words
+        assert (load["code"], load["peak"] < MOST) == (2, True), load

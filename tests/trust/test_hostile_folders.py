@@ -341,7 +341,7 @@ def test_a_hostile_folder_is_of_no_harm(
         assert _state(world) == before, line
         assert _brought(world) == [], line
         assert code in ((1, 2) if hostile.refused and number == 0 else (0, 1, 2)), (line, error)
-        said = [one for one in error.splitlines() if not one.startswith("facepipe: warning: ")]
+        said = [splitline for splitline in error.splitlines() if not splitline.startswith("facepipe: warning: ")]
         assert len(said) == (code == 2), error
         assert all(map(str.isprintable, said)), error
 

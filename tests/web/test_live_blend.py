@@ -42,7 +42,7 @@ def live_of(path: Path) -> LiveBlend:
 
 def test_begins_with_the_recipe(child: Path) -> None:
     live = live_of(child)
-    assert [one.name for one in live.sources] == ["a.usda", "b.usda"]
+    assert [source.name for source in live.sources] == ["a.usda", "b.usda"]
     assert live.rows == {"default": [0.5, 0.5], "mouth": [0.75, 0.25]}
     assert live.regions == ("mouth", "neck")
     found = build(live.face(live.rows)).evaluate()

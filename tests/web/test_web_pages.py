@@ -191,13 +191,13 @@ def test_colours_and_comparison(url: str) -> None:
     ]
     results, problems = browse(url, *steps, legend, largest, *back, *keys)
     assert problems == []
-    hashes = [one for one in results if isinstance(one, str) and len(one) == 64]
+    hashes = [result for result in results if isinstance(result, str) and len(result) == 64]
     first, regions, distance, split, other, again, wireframe, bones = hashes
     assert again == first
     assert len({first, regions, distance, split, other, wireframe, bones}) == 7
-    mm, end = next(one for one in results if isinstance(one, list))
+    mm, end = next(result for result in results if isinstance(result, list))
     assert 3 < mm <= end
-    assert any(f"largest {mm:.2f} mm" in str(one) for one in results)
+    assert any(f"largest {mm:.2f} mm" in str(result) for result in results)
 
 
 def test_the_search_of_shapes(url: str) -> None:
@@ -223,7 +223,7 @@ def test_glb_and_onnx_of_different_faces(sample: Path, folder: Path, name: str, 
     if name == "larger":
         parts = replace(parts, meters_per_unit=1.02 * parts.meters_per_unit)
     elif name == "wider":
-        parts = replace(parts, meshes=tuple(replace(one, points=one.points * (1.02, 1, 1)) for one in parts.meshes))
+        parts = replace(parts, meshes=tuple(replace(mesh, points=mesh.points * (1.02, 1, 1)) for mesh in parts.meshes))
     elif name == "tiny":
         parts = replace(tiny_face(), sliders=(Slider(name="bend", channels=(("root/jaw", "rx", 0.3),)),))
     export_parts(parts, onnx, Options(sliders=True))

@@ -28,7 +28,7 @@ def pair(kind: str, first: int, second: int, *, aligned: bool) -> BlendSession:
     parts = [only_shapes(head(kind, number), *SHAPES) for number in (first, second)]
     if not aligned:
         parts[1] = misaligned(parts[1], seed=second)
-    return BlendSession([Face.from_parts(one) for one in parts])
+    return BlendSession([Face.from_parts(part) for part in parts])
 
 
 def distances_mm(blend: BlendSession, kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +49,7 @@ def distances_mm(blend: BlendSession, kind: str, points: np.ndarray) -> tuple[np
 
 def beyond_mm(statistic: Callable[[np.ndarray], float], found: np.ndarray, sources: list[np.ndarray]) -> float:
     """How far the statistic of `found` lies outside the range that those of the sources span."""
-    own, range_ = float(statistic(found)), [float(statistic(one)) for one in sources]
+    own, range_ = float(statistic(found)), [float(statistic(source)) for source in sources]
     return max(own - max(range_), min(range_) - own)
 
 
@@ -91,5 +91,5 @@ def test_distances_in_expressions_lie_between_those_of_the_sources(kind: str, na
         found, *of_sources = (distances_mm(blend, kind, points) for points in posed)
         for number, distances in enumerate(found):
             for statistic in (np.mean, np.min):
-                sources = [one[number] for one in of_sources]
+                sources = [of_source[number] for of_source in of_sources]
                 assert beyond_mm(statistic, distances, sources) <= MORE_MM[kind], sculpt.name

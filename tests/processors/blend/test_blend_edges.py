@@ -23,7 +23,7 @@ HALF = Weights(default=(0.5, 0.5))
 
 
 def session(*parts: FaceParts, **options: Any) -> BlendSession:
-    return BlendSession([Face.from_parts(one) for one in parts], BlendOptions(**options))
+    return BlendSession([Face.from_parts(part) for part in parts], BlendOptions(**options))
 
 
 def with_meshes(parts: FaceParts, *meshes: Mesh) -> FaceParts:
@@ -106,7 +106,10 @@ def test_inbetweens_of_one_name_at_two_weights_both_stay() -> None:
     solved = session(base, other)
     solution = solved.solve(HALF)
     result = result_parts(solved, solution).meshes[0].blendshapes[0]
-    assert [(one.name, round(one.weight, 6)) for one in result.inbetweens] == [("half", 0.5), ("half_2", 0.6)]
+    assert [(inbetween.name, round(inbetween.weight, 6)) for inbetween in result.inbetweens] == [
+        ("half", 0.5),
+        ("half_2", 0.6),
+    ]
     assert {"jawOpen", "jawOpen@0.5", "jawOpen@0.6"} <= set(measure(solved, solution)[0].shapes)
 
 
@@ -115,7 +118,7 @@ def test_only_what_moves_rigidly_in_the_sources_is_made_rigid(squash: float, kep
     base = tiny_face(0)
     own = with_meshes(base, base.meshes[0], eye(squash))
     solved = session(own)
-    number = [one.name for one in solved.sculpts].index("look")
+    number = [sculpt.name for sculpt in solved.sculpts].index("look")
     assert solved.expression(number)._rigid.all() == kept
     np.testing.assert_allclose(solved.solve(Weights()).offsets[number], eye(squash).blendshapes[0].offsets, atol=1e-6)
 
@@ -126,7 +129,7 @@ def test_an_anchor_that_moves_in_a_shape_changes_nothing_in_it() -> None:
     moving = int(parts[0].meshes[0].blendshapes[0].point_indices[1])
     weights = Weights(regions={"mouth": (0.9, 0.1)}, default=(0.2, 0.8))
     still, moved = (session(*parts, anchor=f"Head:{point}") for point in (30, moving))
-    number = [one.name for one in still.sculpts].index("jawOpen")
+    number = [sculpt.name for sculpt in still.sculpts].index("jawOpen")
     np.testing.assert_allclose(still.solve(weights).offsets[number], moved.solve(weights).offsets[number], atol=1e-9)
 
 
@@ -248,7 +251,7 @@ def test_flipped_triangles_do_not_depend_on_where_the_sources_lie() -> None:
 
 def test_a_session_that_is_not_live_solves_the_same() -> None:
     parts = [tiny_face(0), tiny_face(1)]
-    faces = [Face.from_parts(one) for one in parts]
+    faces = [Face.from_parts(part) for part in parts]
     live, once = BlendSession(faces), BlendSession(faces, live=False)
     for mine, other in zip(live.solve(HALF).offsets, once.solve(HALF).offsets, strict=True):
         np.testing.assert_array_equal(mine, other)

@@ -99,7 +99,9 @@ def still_border(parts: FaceParts) -> tuple[int, int]:
     """Two points of the head's open border near its anchor, which no shape moves."""
     mesh = next(mesh for mesh in parts.meshes if mesh.name == "Head")
     assert mesh.anchor is not None
-    still = np.setdiff1d(np.arange(len(mesh.points)), np.concatenate([one.point_indices for one in mesh.blendshapes]))
+    still = np.setdiff1d(
+        np.arange(len(mesh.points)), np.concatenate([blendshape.point_indices for blendshape in mesh.blendshapes])
+    )
     near = np.argsort(np.linalg.norm(mesh.points[still] - mesh.points[mesh.anchor], axis=1))
     return int(still[near[1]]), int(still[near[-1]])
 
@@ -146,9 +148,9 @@ def test_static_points_are_the_blended_neutral_to_the_bit(kind: str, expressions
         may_move = np.zeros(len(neutral), bool)
         for parts in blend.sources.parts:
             for mesh, start in zip(parts.meshes, blend.sources.mesh_offsets[:-1], strict=True):
-                for one in mesh.blendshapes:
-                    if one.name == shape:
-                        may_move[start + one.point_indices] = True
+                for blendshape in mesh.blendshapes:
+                    if blendshape.name == shape:
+                        may_move[start + blendshape.point_indices] = True
         posed = result.evaluate({shape: 1.0})
         np.testing.assert_array_equal(posed[~may_move], neutral[~may_move])
         assert (posed[may_move] != neutral[may_move]).any(), shape
@@ -156,7 +158,7 @@ def test_static_points_are_the_blended_neutral_to_the_bit(kind: str, expressions
 
 def test_points_that_move_less_than_the_threshold_are_static() -> None:
     parts = [only_shapes(head("sample", number), "jawForward") for number in range(2)]
-    blend = BlendSession([Face.from_parts(one) for one in parts], BlendOptions(static_mm=0.5))
+    blend = BlendSession([Face.from_parts(part) for part in parts], BlendOptions(static_mm=0.5))
     (sculpt,) = blend.sculpts
     full = np.zeros((2, blend.sources.points.shape[1], 3))
     for one, own in zip(full, parts, strict=True):
@@ -212,7 +214,7 @@ def with_inbetween(parts: FaceParts, name: str, weight: float, factor: float) ->
 def test_inbetweens_are_blended_by_weight() -> None:
     """A source without one gives the point that its shape passes there: on the line, or between its own inbetweens."""
     sources = [with_inbetween(tiny_face(0), "half", 0.5, 0.2), with_inbetween(tiny_face(1), "late", 0.75, 0.9)]
-    blend = BlendSession([Face.from_parts(one) for one in sources], BlendOptions(keep_shape=""))
+    blend = BlendSession([Face.from_parts(source) for source in sources], BlendOptions(keep_shape=""))
     shares = np.array([0.4, 0.6])
     solution = blend.solve(Weights(default=(0.4, 0.6)))
     whole = {one.shape: one.offsets for one in solution.sculpts if one.inbetween is None}

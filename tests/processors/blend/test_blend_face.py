@@ -123,7 +123,7 @@ def test_orientations_lie_between_those_of_the_sources(kind: str) -> None:
 def test_bone_coefficients_of_clips_stay(kind: str) -> None:
     """Relative to rest every pose unit and clip says the same as in the base."""
     base, result = session(kind, 2, "misaligned").faces[0], by_features(kind)
-    assert [one.name for one in result.animations] == [one.name for one in base.animations]
+    assert [animation.name for animation in result.animations] == [animation.name for animation in base.animations]
     compared = 0
     for old, new in zip(base.animations, result.animations, strict=True):
         assert (old.joints, old.shapes) == (new.joints, new.shapes)
@@ -150,7 +150,9 @@ def test_what_does_not_depend_on_form_is_carried_over(kind: str) -> None:
         np.testing.assert_array_equal(result.bone_limits.lower, base.bone_limits.lower)
     for own, old in zip(result.meshes, base.meshes, strict=True):
         assert (own.name, own.anchor, own.material) == (old.name, old.anchor, old.material)
-        assert [one.name for one in own.blendshapes] == [one.name for one in old.blendshapes]
+        assert [blendshape.name for blendshape in own.blendshapes] == [
+            blendshape.name for blendshape in old.blendshapes
+        ]
         pairs = [(own.face_vertex_indices, old.face_vertex_indices)]
         pairs += [(own.regions[name], old.regions[name]) for name in old.regions]
         pairs += [(own.point_subsets[name], old.point_subsets[name]) for name in old.point_subsets]
@@ -187,7 +189,7 @@ def test_normals_of_the_result_are_those_of_its_points() -> None:
         cosines = (np.asarray(mesh.normals) * rows).sum(axis=1)
         assert np.percentile(cosines, 1) > np.cos(np.radians(10))
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-5)
-        shape = next(one for one in mesh.blendshapes if one.name == "jawOpen")
+        shape = next(blendshape for blendshape in mesh.blendshapes if blendshape.name == "jawOpen")
         posed = np.array(mesh.points, np.float64)
         posed[shape.point_indices] += shape.offsets
         expected = (point_normals(posed, triangles) - surface)[shape.point_indices]

@@ -23,7 +23,7 @@ REGIONS = ("mouth", "neck")
 
 
 def faces(*parts: FaceParts) -> list[Face]:
-    return [Face.from_parts(one) for one in parts]
+    return [Face.from_parts(part) for part in parts]
 
 
 def blend_of(*parts: FaceParts, weights: Weights | None = None, **options: object) -> Face:
@@ -181,7 +181,7 @@ def test_a_missing_shape_names_shape_and_file(tmp_path: Path) -> None:
 
 def test_skipped_shapes_leave_shapes_sliders_and_clips() -> None:
     clip_shapes = {name for clip in head("sample", 0).animations for name in clip.shapes}
-    everything = {one.name for mesh in head("sample", 0).meshes for one in mesh.blendshapes}
+    everything = {blendshape.name for mesh in head("sample", 0).meshes for blendshape in mesh.blendshapes}
     one, two = (without_shapes(head("sample", i), *(everything - clip_shapes)) for i in range(2))
     one = replace(one, sliders=tuple(s for s in one.sliders if {name for name, _ in s.shapes} <= clip_shapes))
     two = without_shapes(two, "mouthSmileLeft")

@@ -70,7 +70,7 @@ def test_global_weights_give_the_weighted_mean_up_to_one_translation(
 def test_translating_sources_translates_the_whole_result(kind: str) -> None:
     """By multiples of the grid that the points lie on: float32 files hold both."""
     parts = [snapped(only_shapes(head(kind, number))) for number in range(2)]
-    first = BlendSession([Face.from_parts(one) for one in parts])
+    first = BlendSession([Face.from_parts(part) for part in parts])
     shifts = [(0.0, 0.0, 0.0), (10.5, -3.25, 7.0)], [(-4.0, 21.0, 0.5), (0.0, 0.0, 0.0)], [(1.5, 2.0, 3.0), (-90, 8, 1)]
     for vectors in shifts:
         others = [moved(one, translation(vector)) for one, vector in zip(parts, vectors, strict=True)]
@@ -152,7 +152,7 @@ def in_other_terms(parts: FaceParts) -> FaceParts:
 @kinds()
 def test_units_and_up_axis_of_sources_make_no_difference(kind: str) -> None:
     parts = [only_shapes(head(kind, number)) for number in range(2)]
-    alike = BlendSession([Face.from_parts(one) for one in parts])
+    alike = BlendSession([Face.from_parts(part) for part in parts])
     other = BlendSession([Face.from_parts(parts[0]), Face.from_parts(in_other_terms(parts[1]))])
     reverse = BlendSession([Face.from_parts(in_other_terms(parts[0])), Face.from_parts(parts[1])])
     one, two, three = (blend.neutral(by_region("features")) for blend in (alike, other, reverse))

@@ -71,7 +71,7 @@ def test_skin_keeps_the_largest_influences(seed: int) -> None:
     np.testing.assert_allclose(blended.joint_weights.sum(axis=1), 1, atol=1e-12)
     assert (np.diff(blended.joint_weights, axis=1) <= 0).all()
     assert (blended.joint_indices[blended.joint_weights == 0] == 0).all()
-    full = np.einsum("nk,knj->nj", table, np.stack([dense(one, 12) for one in skins]))
+    full = np.einsum("nk,knj->nj", table, np.stack([dense(skin, 12) for skin in skins]))
     largest = -np.sort(-full, axis=1)[:, :3]
     np.testing.assert_allclose(blended.joint_weights, largest / largest.sum(axis=1, keepdims=True), atol=1e-12)
     for row, (joints, weights) in enumerate(zip(blended.joint_indices, blended.joint_weights, strict=True)):
@@ -156,7 +156,9 @@ def test_faces_that_rest_as_they_are_bound_still_do(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sources = [random_skeleton(rng, at_rest=True) for _ in range(3)]
     places = rng.normal(size=(5, 3))
-    result = blend_skeletons(sources, np.stack([one.bind_transforms for one in sources]), places, shares(rng, 5, 3))
+    result = blend_skeletons(
+        sources, np.stack([source.bind_transforms for source in sources]), places, shares(rng, 5, 3)
+    )
     np.testing.assert_array_equal(result.bind_transforms[:, :3, 3], places)
     np.testing.assert_allclose(worlds(result.rest_transforms, result.joints), result.bind_transforms, atol=1e-9)
 
@@ -173,7 +175,9 @@ def test_the_place_on_a_body_is_kept() -> None:
         bind = worlds(np.where(roots[:, None, None], body @ local, local), own.joints)
         sources.append(replace(own, rest_transforms=local, bind_transforms=bind))
     places = rng.normal(size=(5, 3)) + np.array([0, 150, 0])
-    result = blend_skeletons(sources, np.stack([one.bind_transforms for one in sources]), places, shares(rng, 5, 2))
+    result = blend_skeletons(
+        sources, np.stack([source.bind_transforms for source in sources]), places, shares(rng, 5, 2)
+    )
     at_rest = worlds(result.rest_transforms, result.joints)
     np.testing.assert_allclose(body @ at_rest, result.bind_transforms, atol=1e-9)
 

@@ -29,7 +29,7 @@ def put(path: Path, places: dict[str, list[int]], shape: list[int], data: bytes 
 
 def test_arrays_one_after_another_are_read(tmp_path: Path) -> None:
     arrays = read_arrays(put(tmp_path / "a", {"x": [0, 12], "y": [12, 24]}, [3]), KIND).arrays
-    assert [one.tolist() for one in arrays.values()] == [[0, 1, 2], [3, 4, 5]]
+    assert [array.tolist() for array in arrays.values()] == [[0, 1, 2], [3, 4, 5]]
 
 
 @pytest.mark.parametrize(

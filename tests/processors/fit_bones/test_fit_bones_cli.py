@@ -55,7 +55,7 @@ def test_the_recipe_names_sources_targets_and_options(folder: Path, capsys: Caps
     recipe = facepipe.open("sub/a.usda").parts().recipe
     assert recipe is not None
     assert (recipe.verb, recipe.sources) == ("fit-bones", ("../rig.usda", "../goal.usda"))
-    assert all(one.startswith("sha256:") for one in recipe.digests)
+    assert all(digest.startswith("sha256:") for digest in recipe.digests)
     assert recipe.options["targets"] == ["../goal.usda", "jawOpen=0.5"]
     assert recipe.options["limits"] == {"joints": [["*", {"s": [0.5, 2], "t": [-1, 1]}]], "lock": [], "units": "stage"}
     assert (recipe.options["mask"], recipe.options["initial"]) == (["mouth"], "talk")
@@ -74,7 +74,7 @@ def test_json_has_every_figure_and_a_missed_target_is_reported_and_authored(fold
         assert {"mean_mm", "rms_mm", "p95_mm", "max_mm", "points"} == set(one["distances"])
         assert set(one["regions"]) == {"mouth", "neck"}
         assert f"{name}: {one['distances']['max_mm']:.4g} mm off at most, threshold 0.1 mm" in report["warnings"]
-    assert [one.name for one in facepipe.open("a.usda").animations] == ["talk", "jawOpen", "mouthSmileLeft"]
+    assert [animation.name for animation in facepipe.open("a.usda").animations] == ["talk", "jawOpen", "mouthSmileLeft"]
     out = done(capsys, "fit-bones", *line[:-1], "--force", "--residual")
     assert [row.split()[-1] for row in out.splitlines()[2:4]] != ["missed", "missed"]
 
@@ -99,7 +99,7 @@ def test_payloads_hold_what_the_stage_holds(words: tuple[str, ...], folder: Path
     assert exit_code("apply-bones", "rig.usda", "a.fpb", "-o", "points.npz") == 0
     capsys.readouterr()
     points = np.load("points.npz")["points"]
-    names = ["talk_2"] if words == ("talk",) else [one.name for one in face.animations][1:]
+    names = ["talk_2"] if words == ("talk",) else [animation.name for animation in face.animations][1:]
     frames = [
         face.evaluate(joint_transforms=face.sample(name, frame)[0])
         for name in names
@@ -139,7 +139,7 @@ def test_flattened_results_stand_alone(folder: Path, capsys: Capsys) -> None:
     done(capsys, "fit-bones", "rig.usda", "--target", "goal.usda", "-o", "a.usda", "--flatten", "--residual")
     assert "rig.usda@" not in Path("a.usda").read_text()
     Path("rig.usda").unlink()
-    assert [one.name for one in facepipe.open("a.usda").animations] == ["talk", "goal"]
+    assert [animation.name for animation in facepipe.open("a.usda").animations] == ["talk", "goal"]
 
 
 MISTAKES = {

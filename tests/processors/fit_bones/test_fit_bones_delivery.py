@@ -60,7 +60,7 @@ class Fitted:
         self.code = exit_code("fit-bones", rig, *targets, "-o", self.out, "--rounds", 0, "--json", *more)
         self.report: dict[str, Any] = json.loads(capsys.readouterr().out)
         self.rig, self.face = facepipe.open(rig), facepipe.open(self.out)
-        taken = {one.name for one in self.rig.animations}
+        taken = {animation.name for animation in self.rig.animations}
         self.goals = {f"{one.name}_2" if one.name in taken else one.name: one for one in read_targets(self.rig, words)}
 
     def off(self, points: np.ndarray, name: str) -> np.ndarray:
@@ -108,7 +108,7 @@ def test_the_report_is_what_usdskel_shows_of_the_bones(tmp_path: Path, capsys: C
     fit = Fitted(tmp_path, capsys, rig, ["jawOpen", "mouthSmileLeft"], "--residual")
     bare = replace(
         fit.face.parts(),
-        animations=tuple(replace(one, shapes=(), shape_weights=None) for one in fit.face.animations),
+        animations=tuple(replace(animation, shapes=(), shape_weights=None) for animation in fit.face.animations),
     )
     saved(bare, tmp_path / "bare.usdc")
     masks = all_regions(fit.rig.meshes)
@@ -178,7 +178,7 @@ def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path
     assert exit_code("export", fit.out, "-o", tmp_path / "x.glb", "--animations", "--influences", 8) == 0
     glb = gltf_reader.read(tmp_path / "x.glb")
     for name in fit.report["targets"]:
-        own = next(one for one in fit.face.animations if one.name == name)
+        own = next(animation for animation in fit.face.animations if animation.name == name)
         times = [0.0] if own.times is None else [float(time) for time in own.times]
         for frame in sorted({0, len(times) // 2, len(times) - 1}):
             weights = {} if own.shape_weights is None else dict(zip(own.shapes, own.shape_weights[frame], strict=True))

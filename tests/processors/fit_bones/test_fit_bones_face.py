@@ -185,7 +185,7 @@ def test_clips_are_fitted_frame_after_frame(kind: str) -> None:
     talk = clip(rig)
     assert talk.coefficients is not None
     assert talk.times is not None
-    frames = np.stack([rig.evaluate(coefficients=one) for one in talk.coefficients])
+    frames = np.stack([rig.evaluate(coefficients=coefficient) for coefficient in talk.coefficients])
     fit = FitBones(threshold_mm=0.01, limits=face_limits(rig))
     done: list[None] = []
     face = Face.from_parts(BUILDERS[kind]())
@@ -307,8 +307,8 @@ def test_names_that_are_taken_get_numbers() -> None:
     named = replace_mesh(
         small().meshes[0],
         blendshapes=tuple(
-            replace(one, name="talk_2_residual") if one.name == "mouthSmileLeft" else one
-            for one in small().meshes[0].blendshapes
+            replace(blendshape, name="talk_2_residual") if blendshape.name == "mouthSmileLeft" else blendshape
+            for blendshape in small().meshes[0].blendshapes
         ),
     )
     parts = replace(parts, meshes=(named, small().meshes[1]))
@@ -474,7 +474,7 @@ def test_exports_carry_the_fitted_poses(tmp_path: Path) -> None:
     rig = rig_of("small")
     talk = clip(rig)
     assert talk.coefficients is not None
-    frames = np.stack([rig.evaluate(coefficients=one) for one in talk.coefficients])
+    frames = np.stack([rig.evaluate(coefficients=coefficient) for coefficient in talk.coefficients])
     file = saved(small(), tmp_path / "rig.usda")
     with facepipe.open(file).deriving(tmp_path / "out.usda") as face:
         goals = [

@@ -38,7 +38,7 @@ def talk() -> Target:
     """A clip."""
     own = clip(rig())
     assert own.coefficients is not None
-    points = np.stack([rig().evaluate(coefficients=one) for one in own.coefficients])
+    points = np.stack([rig().evaluate(coefficients=coefficient) for coefficient in own.coefficients])
     return Target(name="talk", points=points, times=own.times)
 
 
@@ -50,7 +50,7 @@ def fitted(fit: FitBones, *targets: Target, parts: FaceParts | None = None) -> t
 
 
 def coefficients(face: Face, name: str) -> np.ndarray:
-    found = next(one.coefficients for one in face.animations if one.name == name)
+    found = next(animation.coefficients for animation in face.animations if animation.name == name)
     assert found is not None
     return found
 
@@ -65,7 +65,7 @@ def test_targets_of_all_kinds_stay_in_their_order_and_each_is_as_if_alone() -> N
     targets.insert(40, talk())
     fit = FitBones(threshold_mm=0.01)
     face, report, done = fitted(fit, *targets)
-    assert list(report.targets) == [one.name for one in targets] == [one.name for one in face.animations]
+    assert list(report.targets) == [one.name for one in targets] == [animation.name for animation in face.animations]
     assert (report.missed, done) == ((), 75)
     for number in (0, 1, 39, 40, 41, 69):
         target = targets[number]

@@ -211,7 +211,9 @@ def test_a_fit_again_has_the_same_bytes_once_and_twice(folder: Path, capsys: Cap
 
 
 def coefficients(path: str) -> np.ndarray:
-    return np.concatenate([one.coefficients for one in facepipe.open(path).animations if one.coefficients is not None])
+    return np.concatenate(
+        [animation.coefficients for animation in facepipe.open(path).animations if animation.coefficients is not None]
+    )
 
 
 LIMITED = (*GOAL, "--limits", "limits.json", "--mask", "mouth", "--region", "mouth=3", "--initial", "start.fpb")
@@ -435,7 +437,7 @@ def test_a_fit_is_a_rig(folder: Path, capsys: Capsys) -> None:
     done(capsys, "fit-bones", "rig.usda", *GOAL, "-o", "a.usda")
     done(capsys, "fit-bones", "a.usda", "--target", "other.usda", *LOOSE, "--initial", "goal", "-o", "b.usda")
     names = ["talk", "goal", "other"]
-    assert [one.name for one in facepipe.open("b.usda").animations] == names
+    assert [animation.name for animation in facepipe.open("b.usda").animations] == names
     before = content(folder)
     done(capsys, "fit-bones", "--edit", "b.usda", "--force")
     done(capsys, "fit-bones", "--edit", "a.usda", "--force")
@@ -443,7 +445,7 @@ def test_a_fit_is_a_rig(folder: Path, capsys: Capsys) -> None:
     done(capsys, "fit-bones", "--edit", "a.usda", "--target", "goal.usda", "--target", "jawOpen=0.1", "--force")
     code, _, err = run(capsys, "fit-bones", "--edit", "b.usda", "--force")
     assert (code, err) == (0, "facepipe: warning: a.usda changed since b.usda was made\n")
-    assert [one.name for one in facepipe.open("b.usda").animations] == [*names[:2], "jawOpen_0_1", "other"]
+    assert [animation.name for animation in facepipe.open("b.usda").animations] == [*names[:2], "jawOpen_0_1", "other"]
     assert "is needed by" in failed(capsys, "fit-bones", "--edit", "a.usda", "b.usda", "--force")
 
 

@@ -56,7 +56,11 @@ def test_stored_coefficients_of_pairs_are_mirror_images(residual: bool, tmp_path
     with face.deriving(tmp_path / "out.usda") as result:
         report = FitBones(symmetric=True, residual=residual, initial=start, max_iterations=8)(result, targets)
     saved_face = facepipe.open(tmp_path / "out.usda")
-    found = {one.name: one.coefficients for one in saved_face.animations if one.name in report.targets}
+    found = {
+        animation.name: animation.coefficients
+        for animation in saved_face.animations
+        if animation.name in report.targets
+    }
     weighted = np.isin(rig.joints, report.weightless, invert=True)
     for name, frames in found.items():
         assert frames is not None

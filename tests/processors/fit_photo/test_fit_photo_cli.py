@@ -82,7 +82,9 @@ def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
     assert values["jawWidth"] < -0.25  # of -0.7
     assert values["mouthWidth"] > 0.1  # of 0.7
     assert values["eyeSpacing"] > 0.0  # of 0.6, which is 1.1 mm: how much of it is found depends on the libraries
-    neutral, pose = (next(one for one in face.animations if one.name == name) for name in ("sliders", "front"))
+    neutral, pose = (
+        next(animation for animation in face.animations if animation.name == name) for name in ("sliders", "front")
+    )
     weights = {} if neutral.shape_weights is None else dict(zip(neutral.shapes, neutral.shape_weights[0], strict=True))
     assert not {name for name, weight in weights.items() if weight and name in ARKIT_SHAPES}
     assert pose.shape_weights is not None
@@ -151,7 +153,7 @@ def test_engine_files_of_the_result_are_clean(person: Path, capsys: pytest.Captu
     )
     for line in lines:
         assert exit_code(*line.split()) == 0, f"{line}: {capsys.readouterr()}"
-    metadata = {one.key: one.value for one in onnx.load(person / "sliders.onnx").metadata_props}
+    metadata = {prop.key: prop.value for prop in onnx.load(person / "sliders.onnx").metadata_props}
     values = {slider.name: slider.value for slider in facepipe.open("person.usda").sliders}
     text = "".join(metadata.values())
     assert f"{values['mouthWidth']:.4f}"[:5] in text  # the graph starts from the fitted person
@@ -160,8 +162,8 @@ def test_engine_files_of_the_result_are_clean(person: Path, capsys: pytest.Captu
 def test_the_person_can_be_edited(person: Path) -> None:
     assert exit_code("sliders", "person.usda", "--set", "mouthWidth=0.1", "-o", "edited.usda") == 0
     before, after = (facepipe.open(name) for name in ("person.usda", "edited.usda"))
-    assert {one.name: one.value for one in after.sliders}["mouthWidth"] == pytest.approx(0.1)
-    assert [one.name for one in after.photos] == [one.name for one in before.photos]
+    assert {slider.name: slider.value for slider in after.sliders}["mouthWidth"] == pytest.approx(0.1)
+    assert [photo.name for photo in after.photos] == [photo.name for photo in before.photos]
 
 
 def test_photos_of_a_person_share_sliders(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,8 +174,8 @@ def test_photos_of_a_person_share_sliders(studio: Path, capsys: pytest.CaptureFi
     assert found["seconds"] > 0
     (studio / "head.usdc").unlink()
     face = facepipe.open("person.usdc")  # flattened: on its own
-    assert [one.image for one in face.photos] == ["front.png", "side.png"]
-    yaw = [float(np.arctan2(one.transform[0, 2], one.transform[2, 2])) for one in face.photos]
+    assert [photo.image for photo in face.photos] == ["front.png", "side.png"]
+    yaw = [float(np.arctan2(photo.transform[0, 2], photo.transform[2, 2])) for photo in face.photos]
     assert yaw == pytest.approx([0.0, 0.25], abs=0.06)
     kept = read_kept("person.usdc", FitPhoto, ["face"]).values
     assert [one.name for one in kept["photos"]] == ["front.png", "side.png"]

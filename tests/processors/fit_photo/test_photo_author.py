@@ -69,12 +69,12 @@ def key_light(rng: np.random.Generator) -> np.ndarray:
 def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
     """Random values in their ranges, of all sliders over bones and of expressions beside them."""
     rng = np.random.default_rng(seed)
-    sliders = [one for one in face.sliders if not one.shapes]
+    sliders = [slider for slider in face.sliders if not slider.shapes]
     backward, up = ([0, -1, 0], [0, 0, 1]) if face.up_axis == "Z" else ([0, 0, 1], [0, 1, 0])
     points = face.evaluate()
     targets = rng.uniform(100, 400, (68, 2))
     return PhotoFit(
-        sliders={one.name: float(rng.uniform(one.minimum, one.maximum)) for one in sliders},
+        sliders={slider.name: float(rng.uniform(slider.minimum, slider.maximum)) for slider in sliders},
         views=tuple(
             FittedView(
                 expressions={name: float(rng.uniform(0, 1)) for name in face.shapes[:6]},
@@ -87,7 +87,7 @@ def fit_of(face: Face, views: int, seed: int = 0) -> PhotoFit:
             )
             for _ in range(views)
         ),
-        tint={one.name: (1.25, 0.9, 0.8) for one in face.materials[:1]},
+        tint={material.name: (1.25, 0.9, 0.8) for material in face.materials[:1]},
         history=({"total": 3.0, "landmarks": 2.0}, {"total": 1.5, "landmarks": 1.0, "identity": 0.5}),
         kept=1,
         steps=2,
@@ -129,7 +129,7 @@ def tiny(up_axis: str, meters_per_unit: float) -> FaceParts:
 
 def test_the_neutral_is_the_sliders_alone(head: Path, person: Face, fit: PhotoFit) -> None:
     """What opens the stage shows the identity, as `facepipe sliders --set` makes it: no photo's expression is in it."""
-    values = {one.name: one.value for one in person.sliders if one.name in fit.sliders}
+    values = {slider.name: slider.value for slider in person.sliders if slider.name in fit.sliders}
     assert values == {name: float(np.float32(value)) for name, value in fit.sliders.items()}
     expected = person.evaluate(sliders={})
     np.testing.assert_allclose(expected, facepipe.open(head).evaluate(sliders=fit.sliders), atol=1e-5)
@@ -161,7 +161,7 @@ def test_sliders_can_be_set_afterwards(person: Face, fit: PhotoFit, tmp_path: Pa
     np.testing.assert_allclose(
         edited.evaluate(sliders={}), person.evaluate(sliders={**fit.sliders, "noseWidth": 1.0}), atol=1e-5
     )
-    assert [one.name for one in edited.animations] == [one.name for one in person.animations]
+    assert [animation.name for animation in edited.animations] == [animation.name for animation in person.animations]
     assert len(edited.photos) == len(PHOTOS)
     assert validate(tmp_path / "edited.usda") == ()
 
@@ -273,10 +273,10 @@ def test_exports(person: Face, fit: PhotoFit, tmp_path: Path) -> None:
 def test_names_of_photos_are_valid_and_free(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
     """Also where files of several folders have one name, or that of a clip of the face."""
     source = facepipe.open(head)
-    taken = [one.name for one in source.animations]
+    taken = [animation.name for animation in source.animations]
     face = fitted(head, tmp_path / "out.usda", fit, (f"{taken[0]}.png", "sliders.png", f"{taken[0]}.jpg"))
-    assert [one.name for one in face.animations][: len(taken)] == taken
-    assert len({one.name for one in face.animations}) == len(face.animations) == len(taken) + 4
+    assert [animation.name for animation in face.animations][: len(taken)] == taken
+    assert len({animation.name for animation in face.animations}) == len(face.animations) == len(taken) + 4
     assert [one.animation for one in face.photos] == [one.name for one in face.photos]
     assert validate(tmp_path / "out.usda") == ()
 

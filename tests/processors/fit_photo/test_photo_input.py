@@ -106,7 +106,7 @@ def test_every_mode_shows_the_same_colours(tmp_path: Path, mode: str) -> None:
     options = {"JPEG": {"quality": 100}, "TIFF": {"compression": "tiff_lzw"} if mode == "YCbCr" else {}}.get(kind, {})
     photo = read(tmp_path, encoded(image, kind, **options))
     assert apart(photo, picture()) < most
-    assert any("CMYK without a colour profile" in one for one in photo.warnings) == ("CMYK" in mode)
+    assert any("CMYK without a colour profile" in warning for warning in photo.warnings) == ("CMYK" in mode)
 
 
 def test_grey_has_three_equal_channels_and_a_warning(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_grey_has_three_equal_channels_and_a_warning(tmp_path: Path) -> None:
         photo = read(tmp_path, encoded(image, kind, **({"quality": 100} if kind == "JPEG" else {})))
         assert apart(photo, np.repeat(grey[..., None], 3, axis=2)) < 4
         assert np.ptp(photo.pixels, axis=2).max() == 0
-        assert any("no colour" in one for one in photo.warnings)
+        assert any("no colour" in warning for warning in photo.warnings)
     stripes = np.arange(80)[:, None] % 2 * np.ones(96, dtype=np.int64)
     bits = Image.fromarray((stripes * 255).astype(np.uint8)).convert("1")
     assert np.array_equal(read(tmp_path, encoded(bits, "PNG")).pixels[..., 1], stripes)
@@ -197,7 +197,7 @@ def test_a_profile_that_cannot_be_used_is_a_warning(tmp_path: Path, mode: str, p
     image = Image.fromarray(picture()).convert(mode)
     photo = read(tmp_path, encoded(image, "PNG", icc_profile=profile))
     assert apart(photo, np.asarray(image.convert("RGB"))) < 1e-3
-    assert any("profile can't be used" in one for one in photo.warnings)
+    assert any("profile can't be used" in warning for warning in photo.warnings)
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6])
@@ -215,7 +215,7 @@ def test_places_scale_with_the_picture(tmp_path: Path, size: tuple[int, int], or
         rows, columns = np.mgrid[0 : light.shape[0], 0 : light.shape[1]] + 0.5
         found = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
         assert found == pytest.approx(np.array(place) * photo.scale, abs=0.1)
-    assert any(one.startswith("reduced from") for one in photo.warnings)
+    assert any(warning.startswith("reduced from") for warning in photo.warnings)
 
 
 def test_a_reduced_picture_shows_no_false_patterns(tmp_path: Path) -> None:

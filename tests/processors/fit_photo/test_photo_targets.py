@@ -80,7 +80,7 @@ def test_thirty_of_a_persons_sliders_are_drawn_from_their_ranges(
 ) -> None:
     drawn = []
     for target in smiling:
-        moved = [one for one in face[0].sliders if target.sliders[one.name] != one.default]
+        moved = [slider for slider in face[0].sliders if target.sliders[slider.name] != slider.default]
         assert len(moved) == ACTIVE
         assert not {"expression", "visemes"} & {one.group for one in moved}
         drawn += [(target.sliders[one.name] - one.minimum) / (one.maximum - one.minimum) for one in moved]
@@ -221,7 +221,7 @@ def test_reach_is_how_far_the_head_moves_over_the_whole_range(face: tuple[FacePa
     """A slider from -1 to 1 moves the point that its shape moves farthest by twice as much."""
     parts, _ = face
     reach = slider_reach(parts, {"noseDepth": 0.3})
-    (shape,) = (one for one in parts.meshes[0].blendshapes if one.name == "noseDepth")
+    (shape,) = (blendshape for blendshape in parts.meshes[0].blendshapes if blendshape.name == "noseDepth")
     assert reach["noseDepth"] == pytest.approx(2 * np.linalg.norm(shape.offsets, axis=1).max(), rel=1e-3)
     idle = replace(parts, sliders=(*parts.sliders, Slider(name="idle")))
     assert slider_reach(idle, {})["idle"] == 0.0 < MOVES_MM
@@ -286,7 +286,7 @@ def test_the_truth_as_unknowns_of_a_fit_shows_the_same_points(smiling: list[Reco
     space = pose_space(subject, SIZE, SIZE)
     state = true_state(target, subject, space)
     values, weights = subject.slider_values(state.shares), subject.shape_weights(state.expressions[0])
-    names = dict(zip((one.name for one in subject.parts.sliders), values, strict=True))
+    names = dict(zip((slider.name for slider in subject.parts.sliders), values, strict=True))
     assert {name: names[name] for name in target.sliders} == pytest.approx(target.sliders)
     shown = dict(zip(subject.rig.shapes, weights, strict=True))
     assert {name: weight for name, weight in shown.items() if weight} == pytest.approx(target.expressions)

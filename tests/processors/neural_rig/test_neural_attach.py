@@ -74,7 +74,7 @@ def test_what_the_face_has_stays() -> None:
     for before, after in zip(parts.meshes, found.meshes, strict=True):
         assert after.points is before.points
         assert (after.skin, after.regions, after.uv_sets) == (before.skin, before.regions, before.uv_sets)
-    assert [(one.name, one.minimum, one.maximum, one.default) for one in found.sliders[:-1]] == [
+    assert [(slider.name, slider.minimum, slider.maximum, slider.default) for slider in found.sliders[:-1]] == [
         (one.name, one.minimum, one.maximum, one.default) for one in CONTROLS
     ]
     assert found.sliders[-1] == parts.sliders[1]  # no control of the rig
@@ -175,7 +175,7 @@ def test_smaller_files_are_asked_for_and_what_goes_is_named() -> None:
     found = AttachNeuralRig(options=options)(parts, neural_rig(parts, bones=True), "face")
     names = {shape.name for mesh in found.parts.meshes for shape in mesh.blendshapes}
     assert names == {f"neural_{number:03d}" for number in range(4)}
-    assert [one.name for one in found.parts.animations] == ["Pose"]
+    assert [animation.name for animation in found.parts.animations] == ["Pose"]
     assert found.warnings == ("left out: clips that play shapes which are not kept: Talk",)
 
 

@@ -46,7 +46,7 @@ def test_clips_and_poses_of_the_face_itself_are_evaluated_by_its_rig(tmp_path: P
     assert np.allclose(motion.values, np.stack([np.zeros(38), [*kept, 0.75]], axis=1), atol=1e-6)
     smile = whole_face(chewing_face(), "head").deltas["smile"]
     assert np.allclose(motion.points, whole_points(chewing_face()) + motion.values[:, 1, None, None] * smile, atol=1e-4)
-    assert [one.partition("-> ")[2] for one in motion.warnings] == [
+    assert [warning.partition("-> ")[2] for warning in motion.warnings] == [
         "talk: left out 1 names that are no controls of the face: jawOpen"
     ]
 

@@ -117,7 +117,7 @@ def test_many_gains_are_in_the_graph_alone(tmp_path: Path) -> None:
     export_parts(attached, tmp_path / "rig.onnx", Options(sliders=True, points=True, pose="rest", batch=2))
     graph = Deformer(tmp_path / "rig.onnx")
     assert {one["channels"] for one in graph.metadata["sliders"]} == {None}
-    gains = next(one for one in _initializers(tmp_path / "rig.onnx") if one.name == "gains")
+    gains = next(initializer for initializer in _initializers(tmp_path / "rig.onnx") if initializer.name == "gains")
     assert list(gains.dims) == [1506, 5]  # nothing for channels that don't move
     values = random_values(rig, 2)
     found = graph.run({"sliders": in_order(rig, values, graph.sliders)})["points"] * 10.0

@@ -93,7 +93,9 @@ def millimetres(delivered: Delivered, answer: Mapping[str, Any], positions: np.n
 def test_clips_play_as_the_face_has_them(delivered: Delivered, tmp_path: Path) -> None:
     node_packages()
     face = delivered.face
-    assert [one["name"] for one in read(delivered.glb).list("animations")] == [one.name for one in face.animations]
+    assert [one["name"] for one in read(delivered.glb).list("animations")] == [
+        animation.name for animation in face.animations
+    ]
     for name in CLIPS:
         answer, shown = three_play(delivered.glb, name, [0.0], tmp_path / "shown.bin")
         local, weights = face.sample(name)

@@ -243,6 +243,6 @@ def test_frames_in_a_poor_valley_are_started_again() -> None:
         InvertNeuralRig(options=InvertNeuralRigOptions(starts=starts))(rig, rig.points(values), start=far).report
         for starts in (1, 6)
     ]
-    print([one.worst_frame_mm for one in costs])
+    print([cost.worst_frame_mm for cost in costs])
     assert costs[0].worst_frame_mm > 0.05
     assert costs[1].worst_frame_mm < 0.01

@@ -123,7 +123,7 @@ def test_the_encoder_of_the_rig_starts_near_the_end(tmp_path: Path, capsys: pyte
         message = done(capsys, *words, "-o", tmp_path / f"{number}.usda", *more)
         reports.append(json.loads(message))
     guessed, still = reports
-    print([(one["steps"], one["worst_frame_mm"]) for one in reports])
+    print([(report["steps"], report["worst_frame_mm"]) for report in reports])
     assert guessed["steps"] < 0.5 * still["steps"]
     assert guessed["worst_frame_mm"] < 0.01
     assert still["worst_frame_mm"] > 1.0

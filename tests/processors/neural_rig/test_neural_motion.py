@@ -15,7 +15,7 @@ from facepipe.processors.neural_rig.sample_motion import controls_of
 
 
 def test_controls_are_sliders_and_the_shapes_that_none_of_them_drives() -> None:
-    assert [one.name for one in controls_of(chewing_face())] == ["chew", "smile"]
+    assert [control.name for control in controls_of(chewing_face())] == ["chew", "smile"]
     assert (controls_of(chewing_face())[0].minimum, controls_of(chewing_face())[1].maximum) == (-0.5, 1.0)
     with pytest.raises(InputError, match="has neither sliders nor shapes"):
         SampleMotion()(replace(chewing_face(), sliders=(), meshes=chewing_face().meshes[1:]), "head.usda")
@@ -68,7 +68,7 @@ def test_controls_that_no_frame_moves_are_named_and_left_out() -> None:
     motion = SampleMotion(options=FEW)(chewing_face(), "head.usda")
     still = motion.frames(np.flatnonzero(motion.values[:, 1] == 0.0))
     assert still.constant == ("smile",)
-    assert [one.name for one in still.without(still.constant).controls] == ["chew"]
+    assert [control.name for control in still.without(still.constant).controls] == ["chew"]
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def test_frames_of_the_subject_bring_what_is_its_own(rig: NeuralRig) -> None:
 def test_where_frames_are_silent_the_deformation_is_transferred(rig: NeuralRig) -> None:
     """Frames that never smile leave the smile as it was carried over."""
     subject, seen = Subject.of(second_face(), "second.usda"), motion(FRAMES)
-    smile = [one.name for one in rig.controls].index("smile")
+    smile = [control.name for control in rig.controls].index("smile")
     silent = seen.values.copy()
     silent[:, smile] = 0.0
     base = carried(rig, subject)
@@ -198,17 +198,17 @@ def test_noise_that_is_taken_off_leaves_what_is_likely() -> None:
 def test_bones_that_go_further_are_reported_from_few_frames(rig: NeuralRig) -> None:
     """A person who opens 1.4 times as far beside other shapes; one control that no frame moves stays as it was."""
     jaw, eye = turning_face().sliders
-    jaw = replace(jaw, channels=tuple((*one[:2], 1.4 * one[2]) for one in jaw.channels))
+    jaw = replace(jaw, channels=tuple((*channel[:2], 1.4 * channel[2]) for channel in jaw.channels))
     face = replace(second_face(), sliders=(jaw, eye))
     subject = Subject.of(face, "second.usda")
     seen, unseen = (SampleMotion(options=one)(face, "second.usda") for one in (replace(FRAMES, spread=20), OTHERS))
-    look = [one.name for one in rig.controls].index("look")
+    look = [control.name for control in rig.controls].index("look")
     still = seen.values[:, look] == 0.0
     assert still.sum() >= 8
     base, values, points = carried(rig, subject), seen.values[still], seen.points[still]
     found, bones = with_own_gains(base, values, points), slice(len(base.shapes), None)
     gains = np.linalg.norm(found.linear[:, bones], axis=1) / np.linalg.norm(base.linear[:, bones], axis=1)
-    names = dict(zip((one.name for one in rig.controls), gains, strict=True))
+    names = dict(zip((control.name for control in rig.controls), gains, strict=True))
     assert names["open"] == pytest.approx(1.4, abs=0.03)
     assert names["look"] == pytest.approx(1.0, abs=1e-9)
     assert np.array_equal(found.linear[:, : bones.start], base.linear[:, : bones.start])

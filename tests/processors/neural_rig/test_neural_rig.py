@@ -64,7 +64,7 @@ def test_frames_that_nobody_drew_are_near_too(motion: Motion, trained: TrainedNe
 def straight_face() -> FaceParts:
     parts = replace(scan_domes.face(), sliders=(), animations=())
     meshes = tuple(
-        replace(mesh, blendshapes=tuple(replace(one, inbetweens=()) for one in mesh.blendshapes))
+        replace(mesh, blendshapes=tuple(replace(blendshape, inbetweens=()) for blendshape in mesh.blendshapes))
         for mesh in parts.meshes
     )
     return replace(parts, meshes=meshes)
@@ -134,7 +134,7 @@ def test_still_controls_are_left_out_and_named(motion: Motion) -> None:
     assert found.report.left_out == ("look",)
     with pytest.raises(InputError, match="no control moves in any frame"):
         TrainNeuralRig(options=OPTIONS)(
-            motion.without([one.name for one in motion.controls[1:]]).frames(np.zeros(3, int))
+            motion.without([control.name for control in motion.controls[1:]]).frames(np.zeros(3, int))
         )
 
 
@@ -164,7 +164,7 @@ def test_the_command_writes_a_rig_and_shows_its_error(tmp_path: Path, capsys: py
     assert printed["frames"] + printed["held_out"] == 60 + 5 * 4 + 20
     assert printed["error_mean_mm"] < printed["linear_mean_mm"]
     rig = load_neural_rig(tmp_path / "head.fpnr")
-    assert {one.name for one in rig.controls} == {"open", "look", "jawOpen", "smile"}
+    assert {control.name for control in rig.controls} == {"open", "look", "jawOpen", "smile"}
     values = {"spread": 60, "sweep": 5, "together": 20, "width": 8, "steps": 200, "encoder_steps": 50}
     report = facepipe.neural_rig_train(face, out=tmp_path / "python.fpnr", **values)
     assert (tmp_path / "python.fpnr").read_bytes() == (tmp_path / "head.fpnr").read_bytes()

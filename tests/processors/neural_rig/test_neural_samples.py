@@ -101,7 +101,7 @@ def test_a_face_keeps_its_sliders_and_shapes(tmp_path: Path) -> None:
             mesh.Set(Vt.Vec3fArray.FromNumpy(points + np.float32(amount)), code)
 
     found = ReadMotion()(changed(path, animated))
-    assert [(one.name, one.minimum, one.maximum) for one in found.controls] == [
+    assert [(control.name, control.minimum, control.maximum) for control in found.controls] == [
         ("chew", -0.5, 1.0),
         ("smile", 0.0, 1.0),
     ]
@@ -132,7 +132,7 @@ def test_limits_defaults_and_names_of_controls(sampled: Motion, tmp_path: Path) 
     path = changed(bake(sampled, tmp_path / "rom.usdc"), controls)
     found = ReadMotion(prims=["/Rig/Panel"])(path)
     last = float(len(sampled.values))
-    got = {one.name: (one.minimum, one.maximum, one.default) for one in found.controls}
+    got = {control.name: (control.minimum, control.maximum, control.default) for control in found.controls}
     assert got == {"brow": (1.0, 500.0, 1.0), "lid": (1.0, last, 1.0), "blink": (-3.0, last, -3.0)}
 
 

@@ -172,12 +172,12 @@ def test_normal_offsets_are_those_of_the_new_surface(tmp_path: Path) -> None:
     parts = scan_domes.face()
     face, _ = authored(parts, bent(whole_points(parts)), tmp_path)
     mesh = face.parts().meshes[0]
-    shape = next(one for one in mesh.blendshapes if one.name == "jawOpen")
+    shape = next(blendshape for blendshape in mesh.blendshapes if blendshape.name == "jawOpen")
     opened = np.array(mesh.points, np.float64)
     opened[shape.point_indices] += shape.offsets
     expected = normals_of(mesh, opened) - normals_of(mesh, mesh.points)
     assert np.allclose(given(shape.normal_offsets), expected[shape.point_indices], atol=2e-3)
-    assert [one.name for one in shape.inbetweens] == ["half"]
+    assert [inbetween.name for inbetween in shape.inbetweens] == ["half"]
 
 
 def test_shapes_can_be_given_anew(tmp_path: Path) -> None:

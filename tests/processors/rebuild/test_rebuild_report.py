@@ -157,7 +157,9 @@ def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str]
 
 def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
     shown, _ = made.rebuilt()
-    scans = tuple(replace(one, scan=one.scan.with_name("gone.ply")) for one in shown.project.expressions)
+    scans = tuple(
+        replace(expression, scan=expression.scan.with_name("gone.ply")) for expression in shown.project.expressions
+    )
     broken = replace(shown, project=replace(shown.project, expressions=scans))
     before = names(made.folder)
     with pytest.raises(InputError, match=r"gone\.ply"), replacing_folder(made.folder / "broken") as folder:

@@ -31,7 +31,7 @@ def test_the_recipes_show_what_the_stages_were_made_of(stages: Files) -> None:
     for name, recipe in recipes.items():
         assert recipe is not None
         assert recipe.verb == verbs[name]
-        assert recipe.digests == tuple(source_digest(stages.folder / one) for one in recipe.sources)
+        assert recipe.digests == tuple(source_digest(stages.folder / source) for source in recipe.sources)
     assert recipes["open"].sources == ("./personal.usda", "./open.ply", "./open.landmarks.json")  # type: ignore[union-attr]
     assert recipes["open"].options["weights"] == SEEN["open"]  # type: ignore[union-attr]
     assert recipes["actor"].sources == ("./personal.usda", "./open.usda", "./both.usda")  # type: ignore[union-attr]

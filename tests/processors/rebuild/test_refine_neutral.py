@@ -102,7 +102,7 @@ def test_the_recipe_shows_what_was_refined(folder: Path, capsys: pytest.CaptureF
     assert recipe is not None
     assert recipe.verb == "refine-neutral"
     assert recipe.sources == ("./anna.usda", "./anna.ply", "./anna.landmarks.json")
-    assert recipe.digests == tuple(source_digest(folder / one) for one in recipe.sources)
+    assert recipe.digests == tuple(source_digest(folder / source) for source in recipe.sources)
     assert recipe.options["regions"] == ["bump", "right"]
     assert recipe.options["detail_mm"] == 7.0
     assert found_of(recipe)["quality"] == json.loads(out)["quality"]

@@ -79,7 +79,7 @@ def test_a_recipe_names_its_folder_s_neighbours_and_knows_lost_ones(folder: Path
     recipe = facepipe.open(out).parts().recipe
     assert recipe is not None
     assert recipe.sources == ("../face.usda", "../other.usdc")
-    assert all(one.startswith("sha256:") for one in recipe.digests)
+    assert all(digest.startswith("sha256:") for digest in recipe.digests)
     assert read_kept(out, Skin).standalone
     (folder / "other.usdc").unlink()
     with pytest.raises(InputError, match=r"source 2: .*other.usdc: no such file, expected it there \(or --from\)"):

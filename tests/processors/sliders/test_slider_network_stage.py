@@ -72,7 +72,7 @@ def test_setting_poses_what_the_network_moves(tmp_path: Path) -> None:
         report = SetSliders(values=values)(face)
     assert (report.joints, report.shapes) == (2, 2)
     posed = facepipe.open(tmp_path / "posed.usda")
-    (pose,) = (one for one in posed.animations if one.name == "sliders")
+    (pose,) = (animation for animation in posed.animations if animation.name == "sliders")
     coefficients, weights = slide(posed.sliders, posed.skeleton.joints, None, posed.slider_network)
     assert pose.coefficients is not None
     assert np.allclose(pose.coefficients[0], coefficients[[1, 2]], atol=1e-6)

@@ -208,7 +208,7 @@ def test_the_tables_of_the_page_are_authored_on_the_sample(
         (tmp_path / f"page.{kind}").write_text(text)
         done(capsys, "sliders", sample, "--from", f"page.{kind}", "--replace", "-o", f"{number}.usda")
         face = facepipe.open(f"{number}.usda")
-        at_ends = {one.name: one.maximum for one in face.sliders}
+        at_ends = {slider.name: slider.maximum for slider in face.sliders}
         assert np.abs(face.evaluate(sliders=at_ends) - face.evaluate()).max() > 0.1
 
 
@@ -241,7 +241,7 @@ def test_a_viewer_shows_the_posed_face(suffix: str, more: tuple[str, ...], folde
 def test_every_slider_of_the_sample_poses_it(sample: Path, tmp_path: Path) -> None:
     face = facepipe.open(sample)
     rng = np.random.default_rng(6)
-    values = {one.name: float(rng.uniform(one.minimum, one.maximum)) for one in face.sliders}
+    values = {slider.name: float(rng.uniform(slider.minimum, slider.maximum)) for slider in face.sliders}
     with face.deriving(tmp_path / "posed.usdc") as derived:
         SetSliders(values=values)(derived)
     assert difference(face, played(tmp_path / "posed.usdc")[0], rounded(face, values)) < TOLERANCE
@@ -261,7 +261,7 @@ def test_sliders_that_are_not_named_keep_their_values_or_are_reset(folder: Path,
 
 
 def values_of(path: str) -> dict[str, Any]:
-    return {one.name: one.value for one in facepipe.open(path).sliders}
+    return {slider.name: slider.value for slider in facepipe.open(path).sliders}
 
 
 def test_only_the_values_are_authored_of_sliders(folder: Path, capsys: Capsys) -> None:

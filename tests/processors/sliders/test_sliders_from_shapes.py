@@ -78,7 +78,7 @@ faces = pytest.mark.parametrize("name", MADE)
 
 
 def by_name(face: Face) -> dict[str, Slider]:
-    return {one.name: one for one in face.sliders}
+    return {slider.name: slider for slider in face.sliders}
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def folder(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 
 
 def names(*shapes: str, pairs: str = PAIRS) -> dict[str, ShapeSlider]:
-    return {one.name: one for one in shape_sliders(shapes, parse_pairs(pairs))}
+    return {slider.name: slider for slider in shape_sliders(shapes, parse_pairs(pairs))}
 
 
 def test_examples_in_the_docs_hold() -> None:
@@ -131,7 +131,7 @@ def test_sides_are_mirrors_of_each_other() -> None:
 
 
 def test_expressions_keep_their_names_and_stay_single() -> None:
-    shapes = tuple(dict.fromkeys(one.name for mesh in sample().meshes for one in mesh.blendshapes))
+    shapes = tuple(dict.fromkeys(blendshape.name for mesh in sample().meshes for blendshape in mesh.blendshapes))
     made = names(*shapes)
     assert tuple(made) == shapes
     assert {one.minimum for one in made.values()} == {0.0}
@@ -207,7 +207,7 @@ def test_sliders_of_two_sides_are_mirror_images(name: str) -> None:
     for slider in sided:
         other = str(report.sliders[slider].mirror)
         assert sliders[slider].mirror == other
-        own, twin = ({one[:2]: abs(one[2]) for one in sliders[key].channels} for key in (slider, other))
+        own, twin = ({channel[:2]: abs(channel[2]) for channel in sliders[key].channels} for key in (slider, other))
         assert {(rig.joints[partner(rig, rig.joints.index(joint))], c): g for (joint, c), g in own.items()} == twin
         motions = []
         for key in (slider, other):
@@ -454,7 +454,9 @@ def test_all_targets_of_the_face_make_sliders() -> None:
     parts = makehuman.read(shared("makehuman/makehuman_head.npz"), options).parts
     face, report = made_of(parts, SlidersFromShapes(limits=read_limits(LIMITS)))
     assert len(report.sliders) + len(report.left_out) == 100
-    made = [one for one in face.sliders if one.name not in {own.name for own in parts.sliders}]  # beside pose units
+    made = [
+        slider for slider in face.sliders if slider.name not in {own.name for own in parts.sliders}
+    ]  # beside pose units
     assert len(made) == len(report.sliders) >= 75
     assert {channel for one in made for _, channel, _ in one.channels} == set(CHANNELS)
     for group in ("nose", "mouth", "eye", "cheek"):

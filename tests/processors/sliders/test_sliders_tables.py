@@ -113,7 +113,7 @@ def test_a_matrix_is_gamma_of_the_document(row: str, tmp_path: Path) -> None:
     lines = [f",{','.join(targets)},min,max,default", *(f"s{i},{one}" for i, one in enumerate(rows))]
     lines.insert(2, f"{row},{','.join(map(repr, bias.tolist()))},,,")
     sliders = resolved(tmp_path, "\n".join(lines), ".csv")
-    assert [one.name for one in sliders] == ["s0", "s1", "s2"]
+    assert [slider.name for slider in sliders] == ["s0", "s1", "s2"]
     for _ in range(20):
         alpha = rng.uniform(-1.5, 2.5, 3)
         inside = np.clip(alpha, *np.array(ranges).T[:2])
