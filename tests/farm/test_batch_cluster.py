@@ -131,6 +131,7 @@ def test_results_are_those_of_processes_here_and_nothing_is_left_over(show: Path
         until(lambda one=one: not children(one))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_again_and_again_loses_nothing(show: Path, farm: Farm) -> None:
     faces(show, 12)
     run(show, PLAN, None)
@@ -166,6 +167,7 @@ def test_real_faces_have_the_same_bytes_though_workers_are_killed(tmp_path: Path
     assert results(show) == expected
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_loses_nothing(show: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL", "3s")  # five minutes by default
     faces(show, 9)

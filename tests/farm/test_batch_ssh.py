@@ -35,6 +35,7 @@ def remote() -> set[int]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(SSHD is None, reason="no sshd: apt-get install openssh-server")
 def test_a_host_is_reached_by_ssh_and_nothing_is_left_over_there(tmp_path: Path) -> None:
     (tmp_path / "show/heads").mkdir(parents=True)

@@ -211,6 +211,7 @@ class Workshop:
         self.folder, self.material, self.place = folder, folder / "material", folder / "place"
         self._noted, self._text, self._passing = folder / "noted.json", folder / "text", folder / "passing"
         self.material.mkdir()
+        self._passing.mkdir()
         ended = self._forked(lambda: make_material(self.material))
         assert ended.code == 0, ended.text
         quicken()

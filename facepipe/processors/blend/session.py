@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.gradient_system import GradientSystem, MovingSystem
@@ -52,6 +53,7 @@ class BlendSession:
     :raises InputError, TopologyError: sources or options that can't be blended
     """
 
+    @one_thread()
     def __init__(self, faces: Sequence[Face], options: BlendOptions | None = None, *, live: bool = True) -> None:
         self.live = live
         self.options = options or BlendOptions()
