@@ -28,6 +28,8 @@ from facepipe.rig.sliders import kept
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
+_NOISE = 1e-9  # of a sculpt's largest offset: what is less is rounding of the solve, no motion, and no two runs' alike
+
 
 def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
     """The base's parts with blended points, normals, shapes, skin weights, joints, and clips re-based on them.
@@ -112,7 +114,9 @@ def _blendshapes(
     collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
         inside = slice(*np.searchsorted(sculpt.points, [span.start, span.stop]))
-        local = (sculpt.points[inside] - span.start, offsets[inside] @ linear.T)
+        moved = offsets[inside] @ linear.T
+        moved[np.abs(moved) < _NOISE * np.abs(offsets).max(initial=0.0) * np.abs(linear).max()] = 0.0
+        local = (sculpt.points[inside] - span.start, moved)
         collected.setdefault(sculpt.shape, {})[sculpt.weight, sculpt.inbetween] = local
     shapes = []
     for name, sculpts in collected.items():
