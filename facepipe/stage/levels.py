@@ -18,6 +18,7 @@ from facepipe.core import tokens
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import Mesh
 from facepipe.stage.author_mesh import author_mesh
+from facepipe.stage.files import with_ordered_fields
 from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.values import matrix
 
@@ -94,7 +95,7 @@ def flattened(stage: Usd.Stage) -> Sdf.Layer:
     for name, level in zip(names[1:], lower_levels(stage), strict=True):
         _put_level(level, prim, Sdf.VariantSpec(levels_of, name).primSpec)
     spec.variantSelections[tokens.LEVELS] = names[0]
-    return layer
+    return with_ordered_fields(layer)
 
 
 def _put_level(level: Usd.Stage, full: Usd.Prim, place: Sdf.PrimSpec) -> None:

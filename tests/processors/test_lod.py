@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -181,6 +182,28 @@ def test_standalone_files_keep_the_levels(levels: Face, tmp_path: Path, suffix: 
     alone = facepipe.open(tmp_path / f"alone{suffix}")
     assert alone.levels == ()
     np.testing.assert_array_equal(alone.evaluate(), levels.at_level(2).evaluate())
+
+
+SAVED_AFTER_NAMES = """
+import sys
+from pxr import Sdf
+names = [Sdf.Path(f"/{name}") for name in sys.argv[3:]]
+import facepipe
+facepipe.open(sys.argv[1]).save(sys.argv[2])
+"""
+
+
+@pytest.mark.slow
+def test_a_crate_has_the_same_bytes_whatever_names_a_process_met_first(levels: Face, tmp_path: Path) -> None:
+    levels.save(tmp_path / "lods.usda")
+    names = ["apiSchemas", "custom", "default", "elementSize", "interpolation", "targetPaths", "typeName"]
+    saved = set()
+    for number, order in enumerate((names, names[::-1], names[1::2] + names[::2])):
+        whole = tmp_path / f"{number}.usdc"
+        command = [sys.executable, "-c", SAVED_AFTER_NAMES, str(tmp_path / "lods.usda"), str(whole), *order]
+        subprocess.run(command, check=True)
+        saved.add(whole.read_bytes())
+    assert len(saved) == 1
 
 
 def test_later_changes_of_the_face_leave_levels_whole(levels: Face, tmp_path: Path) -> None:
