@@ -36,12 +36,10 @@ def fit_ball(points: FloatArray, weights: FloatArray | None = None) -> Ball:
 
     :param weights: (n,), 0 or more, not all 0. `polygons.point_areas` keeps dense parts of a mesh, as eyeballs have at
         the cornea, from counting for more than they are
-    :raises FitError: fewer than 4 points of weight, points in one plane, or weights that don't fit
+    :raises FitError: fewer than 4 points of weight, or points in one plane
     """
     points = np.asarray(points, np.float64)
     shares = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
-    if shares.shape != (len(points),) or not (np.isfinite(shares).all() and (shares >= 0).all()):
-        raise FitError("ball", f"expected {len(points)} weights of 0 or more")
     points, shares = points[shares > 0], shares[shares > 0]
     if len(points) < 4 or not np.isfinite(points).all():
         raise FitError("ball", f"{len(points)} points, expected at least 4, all finite")

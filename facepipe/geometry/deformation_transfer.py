@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.triangle_frames import duals, frames, hat_gradients, pieces
 from facepipe.geometry.vectors import finite, group_sums
@@ -31,8 +30,8 @@ class Transfer:
     Only where the sources turn along is the result turned. A piece that the source turns and uniformly scales as a
     whole is turned and scaled alike (general affine maps are not: the scaled normal does not follow them).
 
-    Where gradients leave displacements open, they are those of the sources: the weighted mean, each multiplied by
-    this face's size over the source's (size: RMS distance of all points from their centroid).
+    Where gradients leave displacements open, they are those of the sources: the mean, each multiplied by this face's
+    size over the source's (size: RMS distance of all points from their centroid).
 
     - A piece without fixed points (connected through triangles that have an area here: an eyeball, a tooth, a point
       alone): its centroid moves by the mean displacement of its points.
@@ -43,15 +42,11 @@ class Transfer:
     :param triangles: (t, 3) points of each triangle
     :param fixed: (n,) points that keep their place, to the bit
     :raises InputError: NaN or infinity
-    :raises TopologyError: arrays that don't fit each other
     """
 
     def __init__(self, points: FloatArray, triangles: IntArray, fixed: BoolArray) -> None:
         self._points = finite("points", points)
-        self._triangles = _checked_triangles(triangles, self._points)
-        self._fixed = np.array(fixed, dtype=bool)
-        if self._fixed.shape != (len(self._points),):
-            raise TopologyError("fixed", f"shape {self._fixed.shape}, expected one flag for {len(self._points)} points")
+        self._triangles, self._fixed = np.asarray(triangles, np.int64), fixed
         self._hats, self._areas = hat_gradients(self._points, self._triangles)
         self._pieces = pieces(len(self._points), self._triangles[self._areas > 0])
         anchored = np.bincount(self._pieces, self._fixed) > 0
@@ -62,23 +57,16 @@ class Transfer:
         self._free = np.flatnonzero(~held)
         self._factor = factorise(self._laplacian()[self._free][:, self._free])
 
-    def solve(self, neutrals: FloatArray, deformed: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+    def solve(self, neutrals: FloatArray, deformed: FloatArray) -> FloatArray:
         """The deformed points (n, 3) of this face.
 
-        :param neutrals: (m, n, 3) of the sources
+        :param neutrals: (m, n, 3) of the sources, one at least
         :param deformed: (m, n, 3) of the sources
-        :param weights: (m,) of the sources, 0 or more, not all 0; equal by default. They are normalised
-        :raises InputError: NaN or infinity, or weights that can't be used
-        :raises TopologyError: arrays that don't fit each other
+        :raises InputError: NaN or infinity
         """
         neutrals, deformed = finite("neutrals", neutrals), finite("deformed", deformed)
-        for name, points in (("neutrals", neutrals), ("deformed", deformed)):
-            if points.ndim != 3 or points.shape[1:] != self._points.shape or points.shape != neutrals.shape:
-                expected = f"(sources, {len(self._points)}, 3), the same for both"
-                raise TopologyError(name, f"shape {points.shape}, expected {expected}")
-        shares = _shares(weights, len(neutrals))
-        mean = self._mean_displacements(neutrals, deformed, shares)
-        divergence = self._divergence(self._gradients(neutrals, deformed, shares, mean))
+        mean = self._mean_displacements(neutrals, deformed)
+        divergence = self._divergence(self._gradients(neutrals, deformed, mean))
         moved = np.zeros_like(self._points)
         moved[self._free] = self._factor.solve(divergence[self._free])
         moved[self._floating] += self._piece_means(mean - moved)[self._floating]
@@ -96,21 +84,19 @@ class Transfer:
         count = len(self._points)
         return coo_array((products.ravel(), (rows, columns)), shape=(count, count)).tocsr()
 
-    def _mean_displacements(self, neutrals: FloatArray, deformed: FloatArray, shares: FloatArray) -> FloatArray:
+    def _mean_displacements(self, neutrals: FloatArray, deformed: FloatArray) -> FloatArray:
         """(n, 3) displacements of the sources, brought to the size of this face."""
-        mean = np.zeros_like(self._points)
-        for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
+        mean, share = np.zeros_like(self._points), 1.0 / len(neutrals)
+        for neutral, shape in zip(neutrals, deformed, strict=True):
             size = spread(neutral)
             mean += share * (spread(self._points) / size if size > 0 else 1.0) * (shape - neutral)
         return mean
 
-    def _gradients(
-        self, neutrals: FloatArray, deformed: FloatArray, shares: FloatArray, mean: FloatArray
-    ) -> FloatArray:
-        """(t, 3, 3) gradients of the displacements: the sources' weighted mean S - I."""
+    def _gradients(self, neutrals: FloatArray, deformed: FloatArray, mean: FloatArray) -> FloatArray:
+        """(t, 3, 3) gradients of the displacements: the sources' mean S - I."""
         summed = np.zeros((len(self._triangles), 3, 3))
-        total = np.zeros(len(self._triangles))
-        for neutral, shape, share in zip(neutrals, deformed, shares, strict=True):
+        total, share = np.zeros(len(self._triangles)), 1.0 / len(neutrals)
+        for neutral, shape in zip(neutrals, deformed, strict=True):
             rest = frames(neutral, self._triangles)
             rows, areas = duals(rest)
             change = frames(shape, self._triangles) - rest  # exactly 0 where nothing moves
@@ -136,23 +122,3 @@ class Transfer:
 def spread(points: FloatArray) -> float:
     """Root mean square distance of points (n, 3) from their mean."""
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
-def _shares(weights: FloatArray | None, count: int) -> FloatArray:
-    given = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
-    if given.shape != (count,) or count == 0 or not np.isfinite(given).all() or (given < 0).any() or not given.any():
-        raise InputError("weights", f"expected {max(count, 1)} finite numbers of 0 or more, one above 0")
-    return np.asarray(given / given.max() / (given / given.max()).sum())
-
-
-def _checked_triangles(triangles: IntArray, points: FloatArray) -> IntArray:
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise TopologyError("points", f"shape {points.shape}, expected (n, 3) with n at least 1")
-    corners = np.array(triangles)
-    if corners.size == 0:
-        return np.zeros((0, 3), dtype=np.int64)
-    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
-        raise TopologyError("triangles", f"{corners.dtype} of shape {corners.shape}, expected integers (t, 3)")
-    if corners.min() < 0 or corners.max() >= len(points):
-        raise TopologyError("triangles", f"points {corners.min()} to {corners.max()}, expected 0 to {len(points) - 1}")
-    return corners.astype(np.int64)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
-from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.errors import InputError
 from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
 
 _TAPS = 8  # lookups a side of a footprint, at most
@@ -48,16 +48,14 @@ def region_masks(
     texels left out; one without any corner left is not covered.
 
     :param image: (h, w, 3|4) RGB or RGBA, top row first; alpha below 128 is unpainted
-    :param colors: (k, 3) one colour per mask
+    :param colors: (k, 3) one colour per mask, all different
     :param uv: (corners, 2) texture coordinates
     :param face_vertex_counts: (faces,) corners of each face
     :param face_vertex_indices: (corners,) the corner's point
     :param background: (3,) a colour that is unpainted
     :param where: the trail to the map for messages
-    :raises InputError: a colour that the legend lacks, or an image or colours of another shape
-    :raises TopologyError: lists of corners that don't fit each other
+    :raises InputError: a colour that the legend lacks
     """
-    _check_arrays(image, colors, uv, face_vertex_counts, face_vertex_indices)
     palette = Palette(colors=colors, background=background, tolerance=sampling.tolerance, edge=sampling.edge)
     place, inside = _in_tile(np.asarray(uv, dtype=np.float64), face_vertex_counts, sampling.tile)
     points = np.asarray(face_vertex_indices)[inside]
@@ -139,21 +137,6 @@ def _unknown_color(where: str, image: ByteArray, palette: Palette, lookup: _Look
 def hex_color(color: npt.ArrayLike) -> str:
     """``#rrggbb`` of three numbers 0..255."""
     return "#" + "".join(f"{int(channel):02x}" for channel in np.asarray(color)[:3])
-
-
-def _check_arrays(
-    image: ByteArray, colors: ByteArray, uv: FloatArray, face_vertex_counts: IntArray, face_vertex_indices: IntArray
-) -> None:
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4) or not image.size:
-        raise InputError("region map", f"{image.dtype} of shape {image.shape}, expected uint8 (height, width, 3 or 4)")
-    if colors.dtype != np.uint8 or colors.ndim != 2 or colors.shape[1] != 3 or not len(colors):
-        raise InputError("legend", f"{colors.dtype} colours of shape {colors.shape}, expected uint8 (k, 3), k above 0")
-    if len(np.unique(colors, axis=0)) != len(colors):
-        raise InputError("legend", "a colour twice, expected each once")
-    corners = len(face_vertex_indices)
-    if np.shape(uv) != (corners, 2) or int(np.sum(face_vertex_counts)) != corners:
-        what = f"UVs of shape {np.shape(uv)} and faces of {int(np.sum(face_vertex_counts))} corners"
-        raise TopologyError("UV set", f"{what}, expected those of {corners}")
 
 
 class TexelShares(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import InputError
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import components
 
@@ -16,16 +15,9 @@ _SHORTEST = 1e-6  # of the mean edge: shorter edges count as this long
 def normalise_masks(masks: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The masks (R, n) of R regions so that none sums above 1, and the rest (n,) of points that sum below 1.
 
-    Masks and rest sum to 1: the rest is the share of a point that belongs to no region.
-
-    :raises InputError: a mask below 0, NaN or infinite
+    Masks, each 0 or more, and rest sum to 1: the rest is the share of a point that belongs to no region.
     """
     masks = np.asarray(masks, np.float64)
-    wrong = np.argwhere(~(np.isfinite(masks) & (masks >= 0)))
-    if len(wrong):
-        region, point = wrong[0]
-        what = f"mask {masks[region, point]:g}, expected a finite number of 0 or more"
-        raise InputError(f"region {region} -> point {point}", what)
     largest = np.maximum(masks.max(axis=0, initial=0.0), 1.0)
     sums = (masks / largest).sum(axis=0) * largest
     rest = np.where(sums < 1.0 - _ROUNDING, 1.0 - sums, 0.0)
@@ -43,10 +35,7 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     to a point outside the band keep their masks.
 
     :param width: 0 or more; 0 changes nothing
-    :raises InputError: the width is negative, NaN or infinite
     """
-    if not (np.isfinite(width) and width >= 0):
-        raise InputError("smoothing", f"width {width:g}, expected a finite number of 0 or more")
     smoothed = np.array(masks, dtype=np.float64)
     pairs = np.unique(np.sort(np.asarray(edges, np.int64).reshape(-1, 2), axis=1), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]

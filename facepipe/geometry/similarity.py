@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import InputError
-from facepipe.geometry.vectors import group_sums
+from facepipe.geometry.vectors import finite, group_sums
 
 # Singular values below this share of the largest have no direction: a set 1e-5 as thick as it is long is a line.
 _FLAT = 1e-10
@@ -69,9 +68,9 @@ def fit_similarity(
 
     :param scale: fit the scale too; False gives the rigid fit
     :param weights: (n,), 0 or more, not all 0
-    :raises InputError: no points, NaN or infinity, shapes or weights that don't fit
+    :raises InputError: NaN or infinity
     """
-    one_group = np.zeros(len(np.atleast_1d(source)), dtype=np.int64)
+    one_group = np.zeros(len(source), dtype=np.int64)
     return fit_similarities(source, target, one_group, scale=scale, weights=weights)[0]
 
 
@@ -85,15 +84,16 @@ def fit_similarities(
 ) -> Similarities:
     """`fit_similarity` for every group of points at once.
 
-    :param source: (n, 3)
+    :param source: (n, 3), n at least 1
     :param target: (n, 3)
     :param groups: (n,) group of every point, 0 or more; a number without points gives the identity
     :param weights: (n,), 0 or more, not all 0 in any group
     :return: groups 0 to the largest number
-    :raises InputError: no points, NaN or infinity, shapes, groups or weights that don't fit
+    :raises InputError: NaN or infinity
     """
-    source, target, groups, share = _checked(source, target, groups, weights)
-    count = int(groups.max()) + 1
+    source, target, count = finite("source", source), finite("target", target), int(groups.max()) + 1
+    given = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64) / np.max(weights)
+    share = (given / np.bincount(groups, given)[groups])[:, None]
     from_centre, to_centre = group_sums(groups, source * share, count), group_sums(groups, target * share, count)
     # in units of the largest coordinate, so that no square overflows
     from_unit, to_unit = _largest(source), _largest(target)
@@ -144,31 +144,6 @@ def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
 
 def _half_turns(axis: FloatArray) -> FloatArray:
     return np.asarray(2.0 * axis[:, :, None] * axis[:, None, :] - np.eye(3))
-
-
-def _checked(
-    source: FloatArray, target: FloatArray, groups: IntArray, weights: FloatArray | None
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """The arrays in float64 and int64, and each point's share (n, 1) of its group's weight."""
-    source, target = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
-    for name, points in (("source", source), ("target", target)):
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-            raise InputError(name, f"an array of shape {points.shape}, expected (n, 3) with n at least 1")
-        if not np.isfinite(points).all():
-            raise InputError(name, "NaN or infinity, expected finite numbers")
-    if source.shape != target.shape:
-        raise InputError("target", f"{len(target)} points, expected the {len(source)} of the source")
-    groups = np.asarray(groups)
-    if groups.shape != (len(source),) or groups.dtype.kind not in "iu" or groups.min() < 0:
-        raise InputError("groups", f"expected {len(source)} integers of 0 or more")
-    groups = groups.astype(np.int64)
-    weights = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if weights.shape != (len(source),) or not np.isfinite(weights).all() or (weights < 0).any():
-        raise InputError("weights", f"expected {len(source)} finite numbers of 0 or more")
-    total = np.bincount(groups, weights / max(weights.max(), np.finfo(np.float64).tiny))
-    if (total[groups] <= 0).any():
-        raise InputError("weights", "all are 0, expected one above 0 in every group")
-    return source, target, groups, (weights / weights.max() / total[groups])[:, None]
 
 
 def _largest(points: FloatArray) -> float:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from import_data import arrays
 from solids import sheet_and_tetrahedron
 
-from facepipe.core.errors import FacepipeError, InputError, TopologyError
+from facepipe.core.errors import InputError
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
@@ -60,13 +58,11 @@ def tetrahedra(points: np.ndarray) -> np.ndarray:
     return np.array(frames)
 
 
-def reference(
-    points: np.ndarray, still: np.ndarray, neutrals: np.ndarray, deformed: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
+def reference(points: np.ndarray, still: np.ndarray, neutrals: np.ndarray, deformed: np.ndarray) -> np.ndarray:
     """The paper's least squares with a fourth vertex for every triangle, all unknowns in one dense matrix."""
     gradients = np.zeros((len(triangles()), 3, 3))
-    for weight, a, b in zip(weights, neutrals, deformed, strict=True):
-        gradients += weight * (tetrahedra(b) @ np.linalg.inv(tetrahedra(a)))
+    for a, b in zip(neutrals, deformed, strict=True):
+        gradients += tetrahedra(b) @ np.linalg.inv(tetrahedra(a)) / len(neutrals)
     rows, right = [], []
     for number, (corners, V) in enumerate(zip(triangles(), tetrahedra(points), strict=True)):
         area = 0.5 * np.linalg.norm(np.cross(V[:, 0], V[:, 1]))
@@ -80,7 +76,8 @@ def reference(
     found = np.linalg.lstsq(A[:, free], b - A[:, :COUNT][:, still] @ points[still], rcond=None)[0]
     result = points.copy()
     result[~still] = found[: (~still).sum()]
-    mean = sum(w * spread(points) / spread(n) * (d - n) for w, n, d in zip(weights, neutrals, deformed, strict=True))
+    moves = [spread(points) / spread(n) * (d - n) for n, d in zip(neutrals, deformed, strict=True)]
+    mean = np.mean(moves, axis=0)
     loose = slice(SHEET, SHEET + 4)
     result[loose] += (points[loose] + mean[loose]).mean(axis=0) - result[loose].mean(axis=0)
     result[-1] = points[-1] + mean[-1]
@@ -92,9 +89,8 @@ def test_the_papers_dense_system_has_the_same_solution(seed: int) -> None:
     points = 1.7 * neutral(seed)
     neutrals = np.stack([neutral(10 * seed + k) for k in (1, 2, 3)])
     deformed = np.stack([moved(each, 50 + k, fixed()) for k, each in enumerate(neutrals)])
-    weights = np.array([0.2, 0.5, 0.3])
-    found = Transfer(points, triangles(), fixed()).solve(neutrals, deformed, 4.0 * weights)
-    np.testing.assert_allclose(found, reference(points, fixed(), neutrals, deformed, weights), atol=1e-9)
+    found = Transfer(points, triangles(), fixed()).solve(neutrals, deformed)
+    np.testing.assert_allclose(found, reference(points, fixed(), neutrals, deformed), atol=1e-9)
 
 
 @pytest.mark.parametrize("flat", [False, True])
@@ -112,8 +108,6 @@ def test_several_deformations_of_one_neutral_are_averaged() -> None:
     points = neutral(0)
     deformed = np.stack([moved(points, k, fixed()) for k in range(3)])
     transfer, neutrals = Transfer(points, triangles(), fixed()), np.stack([points] * 3)
-    expected = np.average(deformed, axis=0, weights=[1, 0, 3])
-    np.testing.assert_allclose(transfer.solve(neutrals, deformed, np.array([1.0, 0.0, 3.0])), expected, atol=1e-9)
     np.testing.assert_allclose(transfer.solve(neutrals, deformed), deformed.mean(axis=0), atol=1e-9)
 
 
@@ -229,35 +223,12 @@ def test_a_face_without_triangles_takes_the_displacements() -> None:
 NAN = np.where(np.arange(COUNT * 3).reshape(COUNT, 3) == 7, np.nan, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "trail"),
-    [
-        ({"points": NAN}, InputError, "points"),
-        ({"points": neutral(0)[:, :2]}, TopologyError, "points"),
-        ({"triangles": triangles() + 20}, TopologyError, "triangles"),
-        ({"triangles": triangles() - 1}, TopologyError, "triangles"),
-        ({"triangles": triangles()[:, :2]}, TopologyError, "triangles"),
-        ({"triangles": triangles() + 0.5}, TopologyError, "triangles"),
-        ({"fixed": fixed()[1:]}, TopologyError, "fixed"),
-        ({"neutrals": NAN[None]}, InputError, "neutrals"),
-        ({"deformed": NAN[None]}, InputError, "deformed"),
-        ({"neutrals": neutral(0)}, TopologyError, "neutrals"),
-        ({"deformed": neutral(0)[None, 1:]}, TopologyError, "deformed"),
-        ({"deformed": np.stack([neutral(0)] * 2)}, TopologyError, "deformed"),
-        ({"neutrals": neutral(0)[None][:0], "deformed": neutral(0)[None][:0]}, InputError, "weights"),
-        ({"weights": np.array([0.0])}, InputError, "weights"),
-        ({"weights": np.array([-1.0])}, InputError, "weights"),
-        ({"weights": np.array([np.nan])}, InputError, "weights"),
-        ({"weights": np.array([0.5, 0.5])}, InputError, "weights"),
-    ],
-)
-def test_unusable_input_is_refused(change: dict[str, Any], error: type[FacepipeError], trail: str) -> None:
-    face = {"points": neutral(0), "triangles": triangles(), "fixed": fixed()} | change
-    source = {"neutrals": neutral(0)[None], "deformed": neutral(1)[None], "weights": None} | change
-    with pytest.raises(error, match=rf"^{trail}: "):
-        Transfer(face["points"], face["triangles"], face["fixed"]).solve(
-            source["neutrals"], source["deformed"], source["weights"]
-        )
+@pytest.mark.parametrize("which", ["points", "neutrals", "deformed"])
+def test_numbers_that_are_not_finite_are_refused(which: str) -> None:
+    given = {"points": neutral(0), "neutrals": neutral(0)[None], "deformed": neutral(1)[None]}
+    given[which] = given[which] + NAN
+    with pytest.raises(InputError, match=rf"^{which}: "):
+        Transfer(given["points"], triangles(), fixed()).solve(given["neutrals"], given["deformed"])
 
 
 def ict_case(shape: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scan_actors import ict
-from split_truth import KINDS, composites, known, ratios, weights
+from split_truth import KINDS, composites, known, ratios, weights, whole
 
 from facepipe.geometry.example_rigging import SplitOptions, split_shapes
 
@@ -31,7 +31,8 @@ def test_weights_wrong_by_10_to_20_percent_are_found(seed: int) -> None:
     wrong = true * (1.0 + rng.choice([-1.0, 1.0], true.shape) * rng.uniform(0.1, 0.2, true.shape))
     given = composites(actor, "exact", seed)
     arrays = actor.neutral, actor.generic, given, wrong, ict().triangles
-    kept, found = (split_shapes(*arrays, SplitOptions(weight_spread=spread)) for spread in (0.0, 0.1))
+    options = (SplitOptions(weight_spread=spread) for spread in (0.0, 0.1))
+    kept, found = (split_shapes(*arrays, one, **whole(actor)) for one in options)
     repeated = (true > 0) & ((true > 0).sum(axis=0) > 1)
     before, after = (np.abs(scaled(one, true) - true)[repeated].mean() for one in (wrong, found.weights))
     errors = [actor.errors(one).sum() / actor.errors(actor.generic).sum() for one in (kept.deltas, found.deltas)]

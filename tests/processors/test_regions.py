@@ -23,7 +23,7 @@ from region_painter import COLORS, legend_of, paint, save
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.errors import InputError
 from facepipe.core.images import read_png
 from facepipe.geometry.map_sampling import MapSampling
 from facepipe.geometry.region_map import region_masks
@@ -217,23 +217,6 @@ def test_paint_reaches_a_little_beyond_its_end_and_no_farther() -> None:
 def test_options_out_of_range(options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
         MapSampling(**options)
-
-
-def test_arrays_that_do_not_fit() -> None:
-    uv, three, corners = np.zeros((3, 2)), np.array([3]), np.arange(3)
-    good = solid((RED,))
-    for image, colors in (
-        (good.astype(float), COLORS),
-        (good[0], COLORS),
-        (np.zeros((0, 4, 3), np.uint8), COLORS),
-        (good, COLORS[:0]),
-        (good, COLORS[[0, 0]]),
-    ):
-        with pytest.raises(InputError):
-            region_masks(image, colors, uv, three, corners, 3, MapSampling())
-    for wrong_uv, counts in ((uv[:2], three), (uv[:, :1], three), (uv, three + 1)):
-        with pytest.raises(TopologyError):
-            region_masks(good, COLORS, wrong_uv, counts, corners, 3, MapSampling())
 
 
 # --- on faces ----------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scan_actors import COMPOSITES, Actor, ict, smooth_field
@@ -51,11 +52,17 @@ def composites(actor: Known, kind: str, seed: int) -> np.ndarray:
     return points
 
 
+def whole(actor: Known) -> dict[str, Any]:
+    """Scans without holes, no stiff piece."""
+    count = len(actor.neutral)
+    return {"point_weights": np.ones((len(COMPOSITES), count)), "stiff": np.full(count, -1), "names": ict().names}
+
+
 def ratios(seed: int, kind: str) -> tuple[float, float, int]:
     """Summed error over that of the generic shapes, of all shapes and of the excited ones, and how many are worse."""
     actor = known(seed)
     found = split_shapes(
-        actor.neutral, actor.generic, composites(actor, kind, seed), weights(), ict().triangles, names=ict().names
+        actor.neutral, actor.generic, composites(actor, kind, seed), weights(), ict().triangles, **whole(actor)
     )
     own, generic, excited = actor.errors(found.deltas), actor.errors(actor.generic), weights().any(axis=0)
     assert (found.deltas[~excited] == actor.generic[~excited]).all()

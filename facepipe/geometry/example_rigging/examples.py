@@ -1,4 +1,4 @@
-"""The input of a split, checked: the neutral, the templates, and scanned composites with their weights."""
+"""The input of a split: the neutral, the templates, and scanned composites with their weights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.vectors import finite
 
@@ -35,68 +34,25 @@ class Examples:
         return self.offsets - np.tensordot(weights, deltas, axes=1)
 
 
-def checked(
+def examples_of(
     neutral: FloatArray,
     templates: FloatArray,
     composites: FloatArray,
     weights: FloatArray,
     triangles: IntArray,
-    point_weights: FloatArray | None,
-    stiff: IntArray | None,
+    confidence: FloatArray,
+    stiff: IntArray,
 ) -> Examples:
     """The examples; arguments and errors as those of `split_shapes`."""
-    points: FloatArray = finite("neutral", neutral)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise TopologyError("neutral", f"shape {points.shape}, expected (n, 3) with n at least 1")
-    count = len(points)
-    deltas = _sized("template deltas", templates, (None, count, 3))
-    scanned = _sized("composites", composites, (None, count, 3))
-    shape_weights = _sized("weights", weights, (len(scanned), len(deltas)))
-    for number in np.flatnonzero(~shape_weights.any(axis=1)):
-        raise InputError(f"weights -> composite {number}", "all are 0, expected one shape at least")
-    if point_weights is None:
-        confidence: FloatArray = np.ones((len(scanned), count))
-    else:
-        confidence = _sized("point weights", point_weights, (len(scanned), count))
-        if confidence.min(initial=0.0) < 0 or confidence.max(initial=0.0) > 1:
-            raise InputError("point weights", "expected numbers from 0 to 1")
-    corners = _corners(triangles, count)
-    areas: FloatArray = point_areas(points, corners)
-    least = 1e-6 * (areas.mean() or 1.0)
+    points = finite("neutral", neutral)
+    areas = point_areas(points, triangles)
     return Examples(
         neutral=points,
-        triangles=corners,
-        templates=deltas,
-        offsets=scanned - points,
-        weights=shape_weights,
+        triangles=np.asarray(triangles, np.int64),
+        templates=finite("template deltas", templates),
+        offsets=finite("composites", composites) - points,
+        weights=weights,
         confidence=confidence,
-        areas=np.maximum(areas, least),
-        stiff=_labels(stiff, count),
+        areas=np.maximum(areas, 1e-6 * (areas.mean() or 1.0)),
+        stiff=np.maximum(np.asarray(stiff, np.int64), -1),
     )
-
-
-def _sized(name: str, values: FloatArray, shape: tuple[int | None, ...]) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    fits = array.ndim == len(shape) and all(b in (None, a) for a, b in zip(array.shape, shape, strict=True))
-    if not fits or not len(array):
-        expected = ", ".join("1 or more" if size is None else str(size) for size in shape)
-        raise TopologyError(name, f"shape {array.shape}, expected ({expected})")
-    return finite(name, array)
-
-
-def _corners(triangles: IntArray, count: int) -> IntArray:
-    corners = np.asarray(triangles)
-    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu" or not len(corners):
-        raise TopologyError("triangles", f"{corners.dtype} of shape {corners.shape}, expected integers (t, 3)")
-    if corners.min() < 0 or corners.max() >= count:
-        raise TopologyError("triangles", f"points {corners.min()} to {corners.max()}, expected 0 to {count - 1}")
-    return corners.astype(np.int64)
-
-
-def _labels(stiff: IntArray | None, count: int) -> IntArray:
-    if stiff is None:
-        return np.full(count, -1)
-    labels = np.asarray(stiff)
-    if labels.shape != (count,) or labels.dtype.kind not in "iu":
-        raise TopologyError("stiff", f"{labels.dtype} of shape {labels.shape}, expected {count} integers")
-    return np.maximum(labels.astype(np.int64), -1)

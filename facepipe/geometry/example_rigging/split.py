@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError
 from facepipe.geometry.example_rigging.detail import added_detail, normal_equations, parts
-from facepipe.geometry.example_rigging.examples import Examples, checked
+from facepipe.geometry.example_rigging.examples import Examples, examples_of
 from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_fields
 from facepipe.geometry.example_rigging.field_system import FieldSystem
 from facepipe.geometry.example_rigging.options import SplitOptions
@@ -46,9 +45,9 @@ def split_shapes(
     triangles: IntArray,
     options: SplitOptions | None = None,
     *,
-    point_weights: FloatArray | None = None,
-    stiff: IntArray | None = None,
-    names: Sequence[str] | None = None,
+    point_weights: FloatArray,
+    stiff: IntArray,
+    names: Sequence[str],
 ) -> Split:
     """Split composites, each a weighted sum of shapes on the neutral, into the shapes.
 
@@ -63,17 +62,14 @@ def split_shapes(
     :param composites: (c, n, 3) mm: points of the registered scans, stabilised on the neutral
     :param weights: (c, e) of the shapes that each composite was to show, none all 0
     :param triangles: (t, 3)
-    :param point_weights: (c, n) 0..1: how far each point was scanned; 1 by default. Points scanned in none follow the
-        smooth part
+    :param point_weights: (c, n) 0..1: how far each point was scanned. Points scanned in none follow the smooth part
     :param stiff: (n,) numbers of pieces that bend no more than their templates do, such as teeth and eyeballs, -1 for
-        none (the default): one gain and turn for all of a piece
+        none: one gain and turn for all of a piece
     :param names: (e,) of the shapes, for the warnings
-    :raises InputError: NaN or infinity, a composite with weights of 0 alone, confidences beyond 0..1
-    :raises TopologyError: arrays that don't fit each other
+    :raises InputError: NaN or infinity
     """
     options = options or SplitOptions()
-    examples = checked(neutral, template_deltas, composites, weights, triangles, point_weights, stiff)
-    labels = _labels(names, len(examples.templates))
+    examples = examples_of(neutral, template_deltas, composites, weights, triangles, point_weights, stiff)
     system = FieldSystem(examples, options)
     solution = solve_fields(system, options)
     deltas = system.deltas(solution.z)
@@ -81,7 +77,7 @@ def split_shapes(
         left = examples.residuals(deltas, solution.weights)
         excited = examples.excited
         deltas[excited] += added_detail(examples, solution.weights, left, deltas[excited], options)
-    return _report(examples, solution, deltas, options, rank_report(examples, system.sample), labels)
+    return _report(examples, solution, deltas, options, rank_report(examples, system.sample), names)
 
 
 def _report(
@@ -138,14 +134,6 @@ def _residuals(examples: Examples, left: FloatArray) -> tuple[FloatArray, FloatA
         if len(distances):
             means[number], p95[number] = distances.mean(), np.percentile(distances, 95)
     return means, p95
-
-
-def _labels(names: Sequence[str] | None, count: int) -> Sequence[str]:
-    if names is None:
-        return [f"shape {number}" for number in range(count)]
-    if len(names) != count:
-        raise InputError("names", f"{len(names)}, expected one for each of {count} shapes")
-    return names
 
 
 def _warnings(

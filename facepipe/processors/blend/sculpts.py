@@ -136,5 +136,5 @@ class _Transfers:
         fixed[points] = False
         for k in lack:
             transfer = Transfer(neutrals[k], self._triangles, fixed)
-            deformed = transfer.solve(neutrals[has], neutrals[has] + offsets[has], None)
+            deformed = transfer.solve(neutrals[has], neutrals[has] + offsets[has])
             offsets[k] = deformed - neutrals[k]
