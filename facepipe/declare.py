@@ -227,13 +227,13 @@ class Field:
 
         :raises InputError: a value of another type
         """
+        where = f"{where} -> {self.name}"
         if self.value is not None:
-            return self.value.load(value, f"{where} -> {self.name}")
-        if not any(_fits(value, kind) for kind in self.kinds):
-            raise InputError(f"{where} -> {self.name}", f"{repr(value)[:40]}, expected {self.expected}")
-        if isinstance(value, str) and Path in self.kinds:
-            return Path(value)
-        return tuple(value) if isinstance(value, list) else dict(value) if isinstance(value, Mapping) else value
+            return self.value.load(value, where)
+        kind = next((kind for kind in self.kinds if _fits(value, kind)), None)
+        if kind is None:
+            raise InputError(where, f"{repr(value)[:40]}, expected {self.expected}")
+        return _loaded(value, kind, where)
 
     def dump(self, value: Any) -> Any:
         """The value as JSON holds it."""
@@ -317,7 +317,8 @@ def json_value(value: object) -> Any:
 
 
 def from_json(kind: type[Options], values: object, where: str) -> Options:
-    """Options of texts, numbers, booleans and choices from what `to_json` gave; fields left out keep their defaults.
+    """A dataclass of texts, numbers, booleans, choices and other such dataclasses, from the JSON of its fields; those
+    that are left out keep their defaults.
 
     :raises InputError: no object, an unknown field, one without default left out, or a value of another type or range
     """
@@ -396,11 +397,22 @@ def _words(kind: Any) -> str:
         return f"a list of which each is {_words(typing.get_args(kind)[0])}"
     if typing.get_origin(kind) is Mapping:
         return f"an object of which each value is {_words(typing.get_args(kind)[1])}"
-    return _WORDS.get(kind, "another value")
+    return _WORDS.get(kind, "an object" if dataclasses.is_dataclass(kind) else "another value")
 
 
 def _is_literal(kind: Any) -> bool:
     return typing.get_origin(kind) is typing.Literal
+
+
+def _loaded(value: Any, kind: Any, where: str) -> Any:
+    """A value that fits, with dataclasses of the objects in it."""
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        return from_json(kind, value, where)
+    if typing.get_origin(kind) is tuple:
+        return tuple(_loaded(item, typing.get_args(kind)[0], f"{where} -> {i}") for i, item in enumerate(value))
+    if typing.get_origin(kind) is Mapping:
+        return {key: _loaded(item, typing.get_args(kind)[1], f"{where} -> {key}") for key, item in value.items()}
+    return Path(value) if kind is Path else value
 
 
 def _fits(value: object, kind: Any) -> bool:
@@ -412,6 +424,8 @@ def _fits(value: object, kind: Any) -> bool:
         return isinstance(value, Mapping) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
     if kind is Path:
         return isinstance(value, str)
+    if dataclasses.is_dataclass(kind):
+        return isinstance(value, Mapping)
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
         return -1e300 <= value <= 1e300  # NaN and integers beyond any float too
     return type(value) is kind

@@ -70,7 +70,8 @@ def _header(kind: str, content: Mapping[str, Any], arrays: Mapping[str, AnyArray
 
 
 def _json(value: Mapping[str, Any]) -> str:
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    plain = np.generic.item  # numbers of numpy
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=plain)
 
 
 def _stored(where: str, array: AnyArray) -> AnyArray:

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
 from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
-from facepipe.declare import from_json, json_value
+from facepipe.declare import from_json
 from facepipe.geometry.expression_model import ExpressionModel
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, StoredError, Update
-from facepipe.processors.database.options import quality_from
+from facepipe.processors.database.face_database import REMOVE, Entry, FaceDatabase, Update
 from facepipe.processors.database.whole_faces import Topology
-
-_Value = TypeVar("_Value")
 
 SUFFIX = ".fpdb"
 FORMAT = "facepipe face database 1"
@@ -32,17 +28,16 @@ def save_database(database: FaceDatabase, path: str | os.PathLike[str]) -> None:
     :raises InputError: another suffix than .fpdb, or a file that can't be written
     """
     target = check_suffix(path)
-    content = {
-        "entries": [asdict(entry) for entry in database.entries],
-        "history": [asdict(update) for update in database.history],
-        "left_out": database.left_out,
-        "meshes": database.topology.names,
-        "shape_meshes": database.shape_meshes,
-        "shapes": database.shapes,
-        "tolerance_mm": database.tolerance_mm,
-        "units": "mm",
-    }
-    write_arrays(target, FORMAT, json_value(_plain(content)), _arrays_of(database))
+    header = _Header(
+        meshes=database.topology.names,
+        shapes=database.shapes,
+        shape_meshes=database.shape_meshes,
+        left_out=database.left_out,
+        entries=database.entries,
+        history=database.history,
+        tolerance_mm=database.tolerance_mm,
+    )
+    write_arrays(target, FORMAT, asdict(header), _arrays_of(database))
 
 
 def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
@@ -52,7 +47,8 @@ def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
     """
     source = check_suffix(path)
     arrays, content = read_arrays(source, FORMAT)
-    header = _header_of(content, source)
+    header = from_json(_Header, content, str(source))
+    _check_header(header, source)
     reader = _Reader(source, arrays, {"entries": len(header.entries)})
     topology = _topology(reader, header)
     reader.sizes["points"] = topology.point_count
@@ -84,15 +80,6 @@ def check_suffix(path: str | os.PathLike[str]) -> Path:
     if file.suffix.lower() != SUFFIX:
         raise InputError(file, f"suffix '{file.suffix}', expected {SUFFIX}")
     return file
-
-
-def _plain(value: Any) -> Any:
-    """Numbers as JSON holds them: numpy's are none."""
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _arrays_of(database: FaceDatabase) -> dict[str, AnyArray]:
@@ -173,44 +160,28 @@ class _Reader:
 
 @dataclass(frozen=True, kw_only=True)
 class _Header:
-    """What the JSON says."""
+    """The JSON."""
 
     meshes: tuple[str, ...]
     shapes: tuple[str, ...]
-    shape_meshes: dict[str, tuple[str, ...]]
-    left_out: dict[str, tuple[str, ...]]
+    shape_meshes: Mapping[str, tuple[str, ...]]
+    left_out: Mapping[str, tuple[str, ...]]
     entries: tuple[Entry, ...]
     history: tuple[Update, ...]
     tolerance_mm: float
-
-
-def _header_of(content: dict[str, Any], path: Path) -> _Header:
-    """Read the JSON.
-
-    :raises InputError: a value is missing or of another type, a name is there twice, or versions don't ascend
-    """
-    members = _Object(content, str(path))
-    entries = members.read("entries", lambda value, where: _each(value, where, _entry))
-    history = members.read("history", lambda value, where: _each(value, where, _update))
-    tolerance = members.read("tolerance_mm", _number)
-    header = _Header(
-        meshes=members.read("meshes", _names),
-        shapes=members.read("shapes", _names),
-        shape_meshes=members.read("shape_meshes", _name_lists),
-        left_out=members.read("left_out", _name_lists),
-        entries=entries,
-        history=history,
-        tolerance_mm=tolerance,
-    )
-    _check_header(header, path)
-    return header
+    units: str = "mm"
 
 
 def _check_header(header: _Header, path: Path) -> None:
     if len(header.entries) < 2 or not header.meshes:
         raise InputError(path, "fewer than two entries or no mesh, expected a face database")
-    if len({entry.name for entry in header.entries}) != len(header.entries):
-        raise InputError(path, "two entries of one name, expected each once")
+    for key, names in (
+        ("entries", [entry.name for entry in header.entries]),
+        ("meshes", header.meshes),
+        ("shapes", header.shapes),
+    ):
+        if len(set(names)) != len(names):
+            raise InputError(f"{path} -> {key}", "a name twice, expected each once")
     if [update.version for update in header.history] != list(range(1, len(header.history) + 1)):
         raise InputError(f"{path} -> history", "versions that don't count from 1")
     if _names_after(header.history) != [entry.name for entry in header.entries]:
@@ -228,83 +199,3 @@ def _names_after(history: tuple[Update, ...]) -> list[str]:
         else:
             names += update.entries
     return names
-
-
-def _entry(value: Any, where: str) -> Entry:
-    members = _Object(value, where)
-    return Entry(
-        name=members.read("name", _text),
-        source=members.read("source", _text),
-        digest=members.read("digest", _text),
-        content=members.read("content", _text),
-        version=members.read("version", _whole),
-        stored_error=members.read("stored_error", _or_none(lambda one, there: from_json(StoredError, one, there))),
-        quality=members.read("quality", _or_none(quality_from)),
-    )
-
-
-def _update(value: Any, where: str) -> Update:
-    members = _Object(value, where)
-    return Update(
-        version=members.read("version", _whole),
-        verb=members.read("verb", _text),
-        entries=members.read("entries", _names),
-        dropped=members.read("dropped", _names),
-        ignored=members.read("ignored", lambda one, there: _each(one, there, _text)),
-        facepipe=members.read("facepipe", _text),
-    )
-
-
-class _Object:
-    """A JSON object whose members are read by name."""
-
-    def __init__(self, value: Any, where: str) -> None:
-        if not isinstance(value, dict):
-            raise InputError(where, "no object, expected one")
-        self._value, self._where = value, where
-
-    def read(self, name: str, reader: Callable[[Any, str], _Value]) -> _Value:
-        if name not in self._value:
-            raise InputError(self._where, f"no '{name}', expected one")
-        return reader(self._value[name], f"{self._where} -> {name}")
-
-
-def _each(value: Any, where: str, reader: Callable[[Any, str], _Value]) -> tuple[_Value, ...]:
-    if not isinstance(value, list):
-        raise InputError(where, "no list, expected one")
-    return tuple(reader(one, f"{where} -> {number}") for number, one in enumerate(value))
-
-
-def _or_none(reader: Callable[[Any, str], _Value]) -> Callable[[Any, str], _Value | None]:
-    return lambda value, where: None if value is None else reader(value, where)
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str):
-        raise InputError(where, f"{str(value)[:40]}, expected a text")
-    return value
-
-
-def _whole(value: Any, where: str) -> int:
-    if type(value) is not int or not 0 < value < 1 << 53:
-        raise InputError(where, f"{str(value)[:40]}, expected a whole number above 0")
-    return value
-
-
-def _number(value: Any, where: str) -> float:
-    if type(value) not in (int, float) or not abs(value) < 1e300:
-        raise InputError(where, f"{str(value)[:40]}, expected a finite number")
-    return float(value)
-
-
-def _names(value: Any, where: str) -> tuple[str, ...]:
-    names = _each(value, where, _text)
-    if len(set(names)) != len(names):
-        raise InputError(where, "a name twice, expected each once")
-    return names
-
-
-def _name_lists(value: Any, where: str) -> dict[str, tuple[str, ...]]:
-    if not isinstance(value, dict):
-        raise InputError(where, "no object, expected one")
-    return {name: _names(names, f"{where} -> {name}") for name, names in value.items()}
