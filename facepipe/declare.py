@@ -393,6 +393,8 @@ _WORDS = {
 
 
 def _words(kind: Any) -> str:
+    if isinstance(kind, types.UnionType):
+        return " or ".join(map(_words, typing.get_args(kind)))
     if typing.get_origin(kind) is tuple:
         return f"a list of which each is {_words(typing.get_args(kind)[0])}"
     if typing.get_origin(kind) is Mapping:
@@ -418,6 +420,8 @@ def _loaded(value: Any, kind: Any, where: str) -> Any:
 def _fits(value: object, kind: Any) -> bool:
     if _is_literal(kind):
         return any(type(value) is type(get_arg) and value == get_arg for get_arg in typing.get_args(kind))
+    if isinstance(kind, types.UnionType):
+        return any(_fits(value, one) for one in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
         return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
     if typing.get_origin(kind) is Mapping:

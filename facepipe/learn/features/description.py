@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,6 +13,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json, option
 
 # In the order of the photo fit's source; left and right are the person's.
 CLASSES = (
@@ -53,7 +53,6 @@ Triple = tuple[float, float, float]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 PROPERTY = "facepipe.features"  # key of the metadata in an ONNX file
 _MAX_BYTES = 1 << 20
-_SIZES = (8, 2048)
 _IMAGENET: tuple[Triple, Triple] = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
 _HALF: tuple[Triple, Triple] = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 DEFAULT_SIZES: Mapping[Kind, int] = {"content": 512, "identity": 112, "attributes": 224, "landmarks": 224}
@@ -79,7 +78,7 @@ class Description:
     """How a network wants its pictures, and what its outputs are."""
 
     kinds: Mapping[Kind, tuple[str | int, ...]]  # outputs of each kind by name or position; none named: all there are
-    size: int | None = None  # pixels a side; None: what the network's input or the kind says
+    size: int | None = option(None, low=8, high=2048)  # pixels a side; None: what the network's input or the kind says
     mean: Triple  # of red, green and blue in 0..1, taken away
     std: Triple  # of red, green and blue, divided by
     order: Order = "RGB"
@@ -129,68 +128,27 @@ def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) ->
     if wanted is not None and wanted not in kinds:
         raise InputError(where, f"gives {', '.join(kinds)}, expected {wanted}")
     usual = DEFAULTS[next(iter(kinds))]  # whichever is wanted: one forward serves them all
-    return Description(
-        kinds=kinds,
-        size=_size(where, values.get("size")),
-        mean=_triple(where, values, "mean", usual.mean),
-        std=_triple(where, values, "std", usual.std),
-        order=_choice(where, values, "order", get_args(Order), usual.order),
-        crop=_choice(where, values, "crop", get_args(Crop), usual.crop),
-        names=_texts(where, values, "names"),
-        labels=_texts(where, values, "labels"),
-        logits=_logits(where, values.get("logits")),
-        trained_on=str(values.get("trained_on", "")),
-    )
+    known = {field.name for field in fields(Description)}
+    usual_values = {"mean": list(usual.mean), "std": list(usual.std), "crop": usual.crop}
+    given = {key: value for key, value in values.items() if key in known}
+    description = from_json(Description, {**usual_values, **given, "kinds": kinds}, str(where))
+    for key in ("mean", "std"):
+        numbers = list(getattr(description, key))
+        if len(numbers) != 3 or (key == "std" and min(numbers) <= 0):
+            raise InputError(f"{where} -> {key}", f"{str(numbers)[:40]}, expected 3 numbers: red, green, blue in 0..1")
+    return description
 
 
-def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> dict[Kind, tuple[str | int, ...]]:
+def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Mapping[Kind, Any]:
     several = values.get("kinds")
     if several is None:
         single = values.get("kind", wanted)
         several = {} if single is None else {single: []}
     if not isinstance(several, Mapping) or not several:
         raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
-    kinds: dict[Kind, tuple[str | int, ...]] = {}
-    for kind, outputs in several.items():
+    for kind in several:
         if kind not in KINDS:
             raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
-        if not isinstance(outputs, list) or not all(type(output) in (str, int) for output in outputs):
-            raise InputError(f"{where} -> kinds -> {kind}", "expected a list of output names or positions")
-        kinds[kind] = tuple(outputs)
-    if len(kinds) > 1 and not all(kinds.values()):
+    if len(several) > 1 and not all(several.values()):
         raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
-    return kinds
-
-
-def _size(where: object, value: object) -> int | None:
-    if value is None or (type(value) is int and _SIZES[0] <= value <= _SIZES[1]):
-        return value
-    raise InputError(f"{where} -> size", f"{value!r}, expected a whole number from {_SIZES[0]} to {_SIZES[1]}")
-
-
-def _triple(where: object, values: Mapping[str, Any], key: str, usual: Triple) -> Triple:
-    value = values.get(key, usual)
-    plain = isinstance(value, Sequence) and len(value) == 3 and all(type(one) in (int, float) for one in value)
-    if not plain or not all(math.isfinite(one) and (key == "mean" or one > 0) for one in value):
-        raise InputError(f"{where} -> {key}", f"{str(value)[:40]}, expected 3 numbers for red, green, blue in 0..1")
-    return float(value[0]), float(value[1]), float(value[2])
-
-
-def _choice(where: object, values: Mapping[str, Any], key: str, choices: Sequence[str], usual: str) -> Any:
-    value = values.get(key, usual)
-    if value not in choices:
-        raise InputError(f"{where} -> {key}", f"{str(value)[:40]!r}, expected {' or '.join(choices)}")
-    return value
-
-
-def _texts(where: object, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
-    value = values.get(key, [])
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise InputError(f"{where} -> {key}", "expected a list of texts")
-    return tuple(value)
-
-
-def _logits(where: object, value: object) -> bool | None:
-    if value is None or isinstance(value, bool):
-        return value
-    raise InputError(f"{where} -> logits", f"{value!r}, expected true or false")
+    return several
