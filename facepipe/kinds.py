@@ -123,12 +123,12 @@ class Action(ABC, Generic[R]):
         check_ranges(self)
 
     def missed(self, report: R) -> bool:
-        """Whether a check or threshold was missed, though the result is written."""
-        return False
+        """Whether a check or threshold was missed, though the result is written: what a report has as `missed`."""
+        return bool(getattr(report, "missed", ()))
 
     def text(self, report: R, out: Path) -> str:
         """The report for people."""
-        return str(out)
+        return report.as_text(out)
 
 
 class StageAction(Action[R]):

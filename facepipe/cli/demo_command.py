@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
-from facepipe.processors.inspect_action import report_of, text_of
+from facepipe.processors.inspect_action import report_of
 
 if TYPE_CHECKING:
     from facepipe.stage import Face
@@ -102,7 +102,7 @@ def _inspected(path: Path) -> Face:
     import facepipe
 
     face = facepipe.open(path)
-    print(text_of(report_of(face)))
+    print(report_of(face).as_text(path))
     return face
 
 

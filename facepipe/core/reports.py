@@ -31,6 +31,10 @@ class Report:
         content: dict[str, Any] = json.loads(self.to_json())
         return content
 
+    def as_text(self, out: Path) -> str:
+        """The report for people, of what is at `out`."""
+        return str(out)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport(Report):

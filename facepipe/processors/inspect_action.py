@@ -45,6 +45,36 @@ class InspectReport(Report):
     recipe: str | None  # its verb
     neural_rig: Mapping[str, str] | None  # file, state
 
+    def as_text(self, out: Path) -> str:
+        """The report as tables for people."""
+        from facepipe.rig.conventions import convention_text
+
+        meshes = self.meshes
+        columns = ("name", "points", "faces", "shapes", "influences", "uv_sets", "regions")
+        total = ["in all", *(sum(mesh[column] for mesh in meshes) for column in ("points", "faces"))]
+        rows: list[Any] = [["mesh", *columns[1:]], *[[mesh[column] for column in columns] for mesh in meshes], total]
+        facts = [
+            ("units", f"{self.meters_per_unit:g} m, {self.up_axis} up"),
+            ("head height", f"{self.head_height_mm:.1f} mm"),
+            *[
+                (key, _listing(getattr(self, "joint_names" if key == "joints" else key)))
+                for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
+            ],
+            *[("photos", _listing(self.photos)) for _ in self.photos[:1]],
+            *[("levels", _levels(levels)) for levels in [self.levels] if levels],
+            *[("shapes' names", convention_text(self.shape_names)) for _ in self.shapes[:1]],
+            ("person", self.person),
+            ("inbetweens", self.inbetweens or "none"),
+            ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in self.landmarks.items()) or "none"),
+            ("attach joint", self.attach_joint or "none"),
+            ("made by", self.recipe or "unknown"),
+            *[("neural rig", f"{link['file']}, {link['state']}") for link in [self.neural_rig] if link],
+            ("attribution", self.attribution or "none"),
+        ]
+        width = max(len(name) for name, _ in facts)
+        lines = [f"{name:{width}}  {text}" for name, text in facts]
+        return "\n".join([self.face, "", table(rows), "", *lines])
+
 
 @action("inspect", "show what a face holds")
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +87,6 @@ class Inspect(Inspector[InspectReport]):
         from facepipe.importers import read_face
 
         return report_of(read_face(self.face))
-
-    def text(self, report: InspectReport, out: Path) -> str:
-        return text_of(report)
 
 
 def report_of(face: Face) -> InspectReport:
@@ -122,37 +149,6 @@ def _neural_rig(face: Face) -> dict[str, str] | None:
         return None
     state = "lost" if link.path is None else "as applied" if digest([link.path]) == link.digest else "changed since"
     return {"file": link.file, "state": state}
-
-
-def text_of(report: InspectReport) -> str:
-    """The report as tables for people."""
-    from facepipe.rig.conventions import convention_text
-
-    meshes = report.meshes
-    columns = ("name", "points", "faces", "shapes", "influences", "uv_sets", "regions")
-    total = ["in all", *(sum(mesh[column] for mesh in meshes) for column in ("points", "faces"))]
-    rows: list[Any] = [["mesh", *columns[1:]], *[[mesh[column] for column in columns] for mesh in meshes], total]
-    facts = [
-        ("units", f"{report.meters_per_unit:g} m, {report.up_axis} up"),
-        ("head height", f"{report.head_height_mm:.1f} mm"),
-        *[
-            (key, _listing(getattr(report, "joint_names" if key == "joints" else key)))
-            for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
-        ],
-        *[("photos", _listing(report.photos)) for _ in report.photos[:1]],
-        *[("levels", _levels(levels)) for levels in [report.levels] if levels],
-        *[("shapes' names", convention_text(report.shape_names)) for _ in report.shapes[:1]],
-        ("person", report.person),
-        ("inbetweens", report.inbetweens or "none"),
-        ("landmarks", ", ".join(f"{scheme} ({n})" for scheme, n in report.landmarks.items()) or "none"),
-        ("attach joint", report.attach_joint or "none"),
-        ("made by", report.recipe or "unknown"),
-        *[("neural rig", f"{link['file']}, {link['state']}") for link in [report.neural_rig] if link],
-        ("attribution", report.attribution or "none"),
-    ]
-    width = max(len(name) for name, _ in facts)
-    lines = [f"{name:{width}}  {text}" for name, text in facts]
-    return "\n".join([report.face, "", table(rows), "", *lines])
 
 
 def _levels(levels: Mapping[str, int]) -> str:

@@ -126,9 +126,3 @@ class BlendFaces(BlendOptions, StageAction["BlendReport"]):
 
         heatmap = HeatMap(values=face.primvar(SEAM_RESIDUAL), label="seam residual")
         save_png(picture(face.parts(), None, PictureOptions(heatmap=heatmap)), path)
-
-    def text(self, report: BlendReport, out: Path) -> str:
-        from facepipe.processors.blend.quality import as_text, match_text
-
-        matched = [] if report.match is None else [match_text(report.match, report.sources)]
-        return "\n".join([*matched, as_text(out, report)])

@@ -67,6 +67,23 @@ class BlendReport(Report):
     seconds: float = 0.0
     match: MatchReport | None = None  # what found the weights
 
+    def as_text(self, out: Path) -> str:
+        """What was made, and how near it came to the edges that were asked for."""
+        lines = [
+            *([] if self.match is None else [_match(self.match, self.sources)]),
+            f"{out}: {len(self.sources)} source{'s' * (len(self.sources) != 1)}, {self.points:,} points, "
+            f"{len(self.shapes)} shapes and inbetweens in {self.seconds:.2f} s",
+            _deviations(self),
+            *_shapes(self),
+            f"flipped triangles: {self.flipped_triangles} in the neutral, "
+            f"{sum(shape.flipped_triangles for shape in self.shapes.values())} in shapes",
+            f"loose parts: {self.loose_parts}; parts that keep their shape: {self.kept_parts}",
+            *(_lids(name, contact) for name, contact in self.lids.items()),
+            *_names("shapes transferred", self.transferred),
+            *_names("shapes left out, as some source lacks them", self.skipped),
+        ]
+        return "\n".join(lines)
+
 
 def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, FloatArray]:
     """The report of a solution, and the seam residual (n,): RMS deviation of the edges at each point, mm."""
@@ -166,24 +183,7 @@ def _at_points(lengths: FloatArray, edges: IntArray, count: int) -> FloatArray:
     return np.sqrt(squares / np.maximum(np.bincount(ends, minlength=count), 1))
 
 
-def as_text(out: Path, report: BlendReport) -> str:
-    """What was made, and how near it came to the edges that were asked for."""
-    lines = [
-        f"{out}: {len(report.sources)} source{'s' * (len(report.sources) != 1)}, {report.points:,} points, "
-        f"{len(report.shapes)} shapes and inbetweens in {report.seconds:.2f} s",
-        _deviations(report),
-        *_shapes(report),
-        f"flipped triangles: {report.flipped_triangles} in the neutral, "
-        f"{sum(shape.flipped_triangles for shape in report.shapes.values())} in shapes",
-        f"loose parts: {report.loose_parts}; parts that keep their shape: {report.kept_parts}",
-        *(_lids(name, contact) for name, contact in report.lids.items()),
-        *_names("shapes transferred", report.transferred),
-        *_names("shapes left out, as some source lacks them", report.skipped),
-    ]
-    return "\n".join(lines)
-
-
-def match_text(match: MatchReport, sources: Sequence[str]) -> str:
+def _match(match: MatchReport, sources: Sequence[str]) -> str:
     """The weights that were found, a region a line, and how near they come to the target."""
     rows: list[list[object]] = [["found weights", *_short(sources)]]
     for name, row in match.weights.regions.items():

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.errors import InputError
 from facepipe.declare import source
 from facepipe.kinds import InPlaceAction, Job, action
-from facepipe.processors.database.database_report import DatabaseReport, report_of, text_of
+from facepipe.processors.database.database_report import DatabaseReport, report_of
 from facepipe.processors.database.options import AddOptions, FaceNames
 
 if TYPE_CHECKING:
@@ -90,6 +90,3 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
                     measures = None
                 qualities |= {} if measures is None else {face.name: measures}
         return qualities
-
-    def text(self, report: DatabaseReport, out: Path) -> str:
-        return text_of(report, out)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from facepipe.declare import source
 from facepipe.kinds import FileAction, Job, action
-from facepipe.processors.database.database_report import DatabaseReport, report_of, text_of
+from facepipe.processors.database.database_report import DatabaseReport, report_of
 from facepipe.processors.database.options import DatabaseOptions, FaceNames
 
 
@@ -38,6 +38,3 @@ class CreateDatabase(FaceNames, DatabaseOptions, FileAction[DatabaseReport]):
             made = create_database(sources, self, done=bar.update)
         save_database(made.database, job.out)
         return report_of(made.database, made.warnings)
-
-    def text(self, report: DatabaseReport, out: Path) -> str:
-        return text_of(report, out)

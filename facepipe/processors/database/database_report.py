@@ -29,6 +29,20 @@ class DatabaseReport(Report):
     entries: tuple[Entry, ...]
     history: tuple[Update, ...]
 
+    def as_text(self, out: Path) -> str:
+        """What is there, who, and how it came to be."""
+        meshes = len(self.topology["meshes"])
+        lines = [
+            f"{out}: version {self.version}, {len(self.entries)} faces of {self.topology['points']:,} points "
+            f"in {meshes} mesh{'es' * (meshes != 1)}, {out.stat().st_size / 1e6:,.1f} MB",
+            _identity(self.identity),
+            _expressions(self.expressions, self.tolerance_mm),
+        ]
+        if self.left_out:
+            some = ", ".join(f"{shape} ({len(names)} lack it)" for shape, names in self.left_out.items())
+            lines.append(f"shapes left out: {some}")
+        return "\n".join([*lines, table(_rows(self.entries)), *map(_update, self.history)])
+
 
 def report_of(database: FaceDatabase, warnings: tuple[str, ...] = ()) -> DatabaseReport:
     """What is in a database."""
@@ -70,21 +84,6 @@ def _expressions_of(database: FaceDatabase) -> dict[str, Any] | None:
             name: max(getattr(error, name) for error in errors) for name in ("rms_mm", "p95_mm", "max_mm")
         },
     }
-
-
-def text_of(report: DatabaseReport, path: Path) -> str:
-    """What is there, who, and how it came to be."""
-    meshes = len(report.topology["meshes"])
-    lines = [
-        f"{path}: version {report.version}, {len(report.entries)} faces of {report.topology['points']:,} points "
-        f"in {meshes} mesh{'es' * (meshes != 1)}, {path.stat().st_size / 1e6:,.1f} MB",
-        _identity(report.identity),
-        _expressions(report.expressions, report.tolerance_mm),
-    ]
-    if report.left_out:
-        some = ", ".join(f"{shape} ({len(names)} lack it)" for shape, names in report.left_out.items())
-        lines.append(f"shapes left out: {some}")
-    return "\n".join([*lines, table(_rows(report.entries)), *map(_update, report.history)])
 
 
 def _identity(identity: Mapping[str, Any]) -> str:

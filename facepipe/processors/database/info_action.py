@@ -10,7 +10,7 @@ from pathlib import Path
 
 from facepipe.declare import source
 from facepipe.kinds import Inspector, Watch, action
-from facepipe.processors.database.database_report import DatabaseReport, report_of, text_of
+from facepipe.processors.database.database_report import DatabaseReport, report_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +33,3 @@ class DatabaseInfo(Inspector[DatabaseInfoReport]):
 
         found = report_of(load_database(self.database))
         return DatabaseInfoReport(**vars(found), path=self.database, bytes=self.database.stat().st_size)
-
-    def text(self, report: DatabaseInfoReport, out: Path) -> str:
-        return text_of(report, out)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from facepipe.declare import source
 from facepipe.kinds import InPlaceAction, Job, action
-from facepipe.processors.database.database_report import DatabaseReport, report_of, text_of
+from facepipe.processors.database.database_report import DatabaseReport, report_of
 
 
 @action("database remove", "take faces out of a database")
@@ -34,6 +34,3 @@ class RemoveFromDatabase(InPlaceAction[DatabaseReport]):
         made = remove_faces(load_database(self.database), self.names, str(self.database))
         save_database(made.database, job.out)
         return report_of(made.database, made.warnings)
-
-    def text(self, report: DatabaseReport, out: Path) -> str:
-        return text_of(report, out)

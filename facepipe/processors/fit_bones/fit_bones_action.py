@@ -162,14 +162,6 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
             images.append((f"{name}: {misses[name]:.3g} mm", image))
         save_png(images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images))), path)
 
-    def missed(self, report: FitBonesReport) -> bool:
-        return bool(report.missed)
-
-    def text(self, report: FitBonesReport, out: Path) -> str:
-        from facepipe.processors.fit_bones.report import as_text
-
-        return as_text(out, report)
-
 
 def _read(path: Path, face: Face) -> FaceParts:
     """An OBJ in the units and axes of the face, or a glTF in its own."""

@@ -72,6 +72,24 @@ class FitBonesReport(Report):
         """Targets that are not reached."""
         return tuple(name for name, target in self.targets.items() if not target.reached)
 
+    def as_text(self, out: Path) -> str:
+        """How near each target is reached."""
+        count = len(self.targets)
+        lines = [
+            f"{out}: {count} target{'s' * (count != 1)}, {self.free} of {self.joints} joints, "
+            f"{self.points:,} points in {self.seconds:.2f} s",
+            _targets(self),
+            *(_worst_regions(target, _decimals(self)) for target in self.targets.values() if count == 1),
+            *(
+                f"{name}: stopped by limits: {_names(target.at_limits)}"
+                for name, target in self.targets.items()
+                if target.at_limits
+            ),
+        ]
+        if self.weightless:
+            lines.append(f"joints that move nothing, left as they are: {_names(self.weightless)}")
+        return "\n".join(filter(None, lines))
+
 
 def distances(values: FloatArray) -> Distances:
     """Of distances (..., points) in millimetres, frames before points."""
@@ -106,25 +124,6 @@ def at_limits(
     held = ((coefficients <= lower) | (coefficients >= upper)).any(axis=0) & (lower < upper)
     allowed = np.isin(np.arange(len(joints)), free)
     return tuple(f"{joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(held & allowed[:, None]))
-
-
-def as_text(out: Path, report: FitBonesReport) -> str:
-    """How near each target is reached."""
-    count = len(report.targets)
-    lines = [
-        f"{out}: {count} target{'s' * (count != 1)}, {report.free} of {report.joints} joints, "
-        f"{report.points:,} points in {report.seconds:.2f} s",
-        _targets(report),
-        *(_worst_regions(target, _decimals(report)) for target in report.targets.values() if count == 1),
-        *(
-            f"{name}: stopped by limits: {_names(target.at_limits)}"
-            for name, target in report.targets.items()
-            if target.at_limits
-        ),
-    ]
-    if report.weightless:
-        lines.append(f"joints that move nothing, left as they are: {_names(report.weightless)}")
-    return "\n".join(filter(None, lines))
 
 
 def _targets(report: FitBonesReport) -> str:

@@ -198,6 +198,29 @@ class LodReport(Report):
     triangles: int  # of the face itself
     levels: tuple[Level, ...]
 
+    def as_text(self, out: Path) -> str:
+        """The levels as a table."""
+        rows: list[list[object]] = [
+            ["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "on the skin", "joints"]
+        ]
+        for level in self.levels:
+            errors = level.errors
+            rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
+            counts = (f"{count:,}" for count in (level.triangles, level.skin_triangles, level.points))
+            rows.append([level.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
+        lines = [
+            f"{out}: {self.triangles:,} triangles; its levels:",
+            table(rows),
+            "mean / 95 % of the points, worst first",
+        ]
+        for level in self.levels:
+            for mesh, gone in level.errors.cards.items():
+                away = f"{gone.mean_mm:.2f} / {gone.p95_mm:.2f} mm from those that stay"
+                lines.append(
+                    f"{level.name}: points of cards of {mesh} that are left out (not in the errors above): {away}"
+                )
+        return "\n".join(lines)
+
 
 def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Watch) -> LodReport:
     """Author levels of at most `counts` triangles on a face over an override layer; none: some that suit it.
@@ -252,28 +275,6 @@ def _warnings(levels: Sequence[Level], counts: Sequence[int]) -> Iterator[str]:
         if level.errors.lost:
             gone = ", ".join(f"{name} ({points:,})" for name, points in level.errors.lost.items())
             yield f"{level.name}: some pieces have no triangle left, and no error counts them (points): {gone}"
-
-
-def lod_text(report: LodReport, out: Path) -> str:
-    """The levels as a table."""
-    rows: list[list[object]] = [
-        ["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "on the skin", "joints"]
-    ]
-    for level in report.levels:
-        errors = level.errors
-        rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
-        counts = (f"{count:,}" for count in (level.triangles, level.skin_triangles, level.points))
-        rows.append([level.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
-    lines = [
-        f"{out}: {report.triangles:,} triangles; its levels:",
-        table(rows),
-        "mean / 95 % of the points, worst first",
-    ]
-    for level in report.levels:
-        for mesh, gone in level.errors.cards.items():
-            away = f"{gone.mean_mm:.2f} / {gone.p95_mm:.2f} mm from those that stay"
-            lines.append(f"{level.name}: points of cards of {mesh} that are left out (not in the errors above): {away}")
-    return "\n".join(lines)
 
 
 def _worst(distances: Mapping[str, Distances]) -> str:

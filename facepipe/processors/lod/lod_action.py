@@ -66,8 +66,3 @@ class Lod(StageAction["LodReport"]):
         report = make_levels(face, self.triangles, self.skin_share, job.watch)
         author_recipe(face.prim, recipe)
         return report
-
-    def text(self, report: LodReport, out: Path) -> str:
-        from facepipe.processors.lod.levels import lod_text
-
-        return lod_text(report, out)

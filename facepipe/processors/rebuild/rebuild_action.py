@@ -114,20 +114,12 @@ class RebuildAction(StageAction["RebuildReport"]):
             job=job,
         )
 
-    def missed(self, report: RebuildReport) -> bool:
-        return bool(report.missed)
-
     def draw(self, face: Face, report: RebuildReport, path: Path) -> None:
         """The folder of the report, with what `--json` prints."""
         if report.pictures is not None and report.job is not None:
             result = {"path": str(report.job.out), **report.to_dict(), "report": str(self.report)}
             with report.job.watch("report", report.pictures.count) as bar:
                 report.pictures.write(path, result, bar.update)
-
-    def text(self, report: RebuildReport, out: Path) -> str:
-        from facepipe.processors.rebuild.rebuild_report import rebuild_text
-
-        return f"{out}\n{rebuild_text(report)}"
 
 
 def _named_steps(bar: Any) -> Callable[[str], None]:

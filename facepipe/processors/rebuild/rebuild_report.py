@@ -99,6 +99,22 @@ class RebuildReport(Report):
     pictures: RebuildPictures | None = not_in_json()
     job: Job | None = not_in_json()
 
+    def as_text(self, out: Path) -> str:
+        """Tables of scans and shapes, and a line for each thing besides."""
+        lines = [
+            str(out),
+            table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(self.stages)]),
+        ]
+        if "refined" in self.stages:
+            lines.append(_refined_line(self.stages["refined"]))
+        if "shapes" in self.stages:
+            lines += _shape_lines(**{name: self.stages["shapes"][name] for name in ("shapes", "unseen")})
+        if self.reused:
+            lines.append(f"reused: {', '.join(self.reused)}")
+        if self.corrected:
+            lines.append(f"corrected by hand: {', '.join(self.corrected)}")
+        return "\n".join(lines)
+
 
 def _refined_line(report: Mapping[str, Any]) -> str:
     """What a refinement did to the neutral."""
@@ -261,20 +277,6 @@ def _read(scan: ProjectScan) -> Scan:
     from facepipe.importers.scan_file import read_scan
 
     return replace(read_scan(scan.scan), name=str(scan.scan))
-
-
-def rebuild_text(report: RebuildReport) -> str:
-    """Tables of scans and shapes, and a line for each thing besides."""
-    lines = [table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(report.stages)])]
-    if "refined" in report.stages:
-        lines.append(_refined_line(report.stages["refined"]))
-    if "shapes" in report.stages:
-        lines += _shape_lines(**{name: report.stages["shapes"][name] for name in ("shapes", "unseen")})
-    if report.reused:
-        lines.append(f"reused: {', '.join(report.reused)}")
-    if report.corrected:
-        lines.append(f"corrected by hand: {', '.join(report.corrected)}")
-    return "\n".join(lines)
 
 
 def _scan_rows(steps: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -27,9 +27,6 @@ class ScanAction(StageAction[J]):
         of_scans = (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks"))
         return [landmarks for scan, landmarks in of_scans if getattr(arguments, scan, None)]
 
-    def missed(self, report: J) -> bool:
-        return bool(report.missed)
-
     def draw(self, face: Face, report: J, path: Path) -> None:
         """The picture of scan, face and their distance."""
         if report.picture is not None:

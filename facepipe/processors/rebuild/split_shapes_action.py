@@ -64,9 +64,6 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
             report, warnings, _misses(report), flipped_triangles=actor.flipped_triangles
         )
 
-    def missed(self, report: SplitShapesReport) -> bool:
-        return bool(report.missed)
-
     def text(self, report: SplitShapesReport, out: Path) -> str:
         seen = {name: one for name, one in report.shapes.items() if one.scans}
         shapes: list[tuple[str, ...]] = [("shape", "observed", "gain", "change mm", "scans")]

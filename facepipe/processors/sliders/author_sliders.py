@@ -36,7 +36,7 @@ class AuthorSlidersReport(Report):
     beyond_limits: tuple[str, ...] = ()  # "slider -> joint:channel" where one slider can leave the face's limits
     authored: tuple[str, ...] = ()
 
-    def text(self, out: Path) -> str:
+    def as_text(self, out: Path) -> str:
         """For people."""
         kept = f", {len(self.replaced)} of them replaced" if self.replaced else ""
         dropped = f", {len(self.dropped)} dropped" if self.dropped else ""
@@ -159,7 +159,7 @@ class AuthorNetworkReport(Report):
     replaced: bool  # the face had another network
     authored: tuple[str, ...] = ()
 
-    def text(self, out: Path) -> str:
+    def as_text(self, out: Path) -> str:
         """For people."""
         layers, replaced = " -> ".join(map(str, self.layers)), ", in place of another" if self.replaced else ""
         return f"{out}: a network {layers}{replaced}, over {self.channels} channels and {self.shapes} shapes"

@@ -31,7 +31,7 @@ class SetSlidersReport(Report):
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the pose is beyond the face's limits
     authored: tuple[str, ...] = ()
 
-    def text(self, out: Path) -> str:
+    def as_text(self, out: Path) -> str:
         """For people."""
         values = ", ".join(f"{name} {value:g}" for name, value in self.values.items()) or "all at their defaults"
         return f"{out}: {values}: {self.joints} joints off rest, {self.shapes} shapes on"

@@ -68,7 +68,7 @@ class ShapeSlidersReport(Report):
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
 
-    def text(self, out: Path) -> str:
+    def as_text(self, out: Path) -> str:
         """A table for people, the sliders of each group below it."""
         sliders = {**self.sliders, **self.left_out}
         rows: list[Sequence[object]] = [_HEAD]

@@ -159,6 +159,3 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         return bool(
             report.left_out if self.shapes is not None else (self.values or self.reset) and report.beyond_limits
         )
-
-    def text(self, report: Any, out: Path) -> str:
-        return str(report.text(out))

@@ -22,7 +22,6 @@ from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.blend import Blend, BlendFaces, Weights
 from facepipe.processors.blend.lids import LidContact
-from facepipe.processors.blend.quality import as_text
 from facepipe.processors.blend.weights import weights_to_json
 from facepipe.stage import save_parts
 
@@ -70,7 +69,7 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
     sources = [facepipe.open("a.usda"), facepipe.open("b.usda")]
     with sources[0].deriving("c.usda") as face:
         report = Blend()(face, sources)
-    plain = as_text(Path("c.usda"), report)
+    plain = report.as_text(Path("c.usda"))
     assert f"loose parts: {report.loose_parts}; parts that keep their shape: {report.kept_parts}" in plain
     assert report.loose_parts == 1
     assert "transferred" not in plain
@@ -86,9 +85,8 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
         ),
     }
     names = tuple(f"shape{number}" for number in range(34))
-    full = as_text(
-        Path("c.usda"), dataclasses.replace(report, lids=lids, skipped=names[:2], transferred=names, kept_parts=3)
-    )
+    long = dataclasses.replace(report, lids=lids, skipped=names[:2], transferred=names, kept_parts=3)
+    full = long.as_text(Path("c.usda"))
     assert full.splitlines()[-5:] == [
         "loose parts: 1; parts that keep their shape: 3",
         "EyeLeft: lids cut in by 0.12 mm (sources 0.00, 0.25)",
