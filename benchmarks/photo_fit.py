@@ -41,7 +41,7 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 
 
 def main() -> None:
@@ -105,7 +105,7 @@ def fit_seconds(count: int, size: int) -> list[float]:
 def steps(parts: FaceParts, model: FaceModel, size: int) -> dict[str, Callable[[], None]]:
     """What is timed, by name."""
     points = model.rig().numpy()
-    own = portrait(points, (0.3, 0.1), Frame(width=size, height=size))
+    own = portrait(points, (0.3, 0.1), size, size)
     seen = Camera.at(own.axes, own.eye, own.focal, own.center)
     towards = torch.nn.functional.normalize(torch.tensor([0.5, 0.5, 1.0]), dim=0)
     free = {

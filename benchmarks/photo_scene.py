@@ -17,7 +17,7 @@ from facepipe.learn.light import ambient, distant
 from facepipe.learn.surfaces import Surfaces, opaque_surfaces
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import Camera as RenderCamera
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 from facepipe.rig import build, slide
 
 FloatArray = npt.NDArray[np.floating]
@@ -113,7 +113,7 @@ def photo_scene(size: int, *, dtype: torch.dtype = torch.float32) -> PhotoScene:
     parts = make(0, controls="bones")
     model = FaceModel(parts, dtype=dtype)
     points = model.rig().detach()
-    own = portrait(points.double().numpy(), (YAW, PITCH), Frame(width=size, height=size))
+    own = portrait(points.double().numpy(), (YAW, PITCH), size, size)
     light = ambient(torch.tensor(AMBIENT, dtype=dtype))
     for towards, color in zip(torch.eye(3, dtype=dtype), torch.as_tensor(SLOPE, dtype=dtype), strict=True):
         one = distant(towards, color)

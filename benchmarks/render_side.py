@@ -124,12 +124,12 @@ def _face(stage: str) -> tuple[Any, Any]:
 
 
 def _scene(stage: str) -> tuple[Any, Any]:
-    from facepipe.pictures.camera import Frame, portrait
+    from facepipe.pictures.camera import portrait
     from facepipe.pictures.scene import build_scene
 
     parts, points = _face(stage)
     scene = build_scene(parts, points)
-    return scene, portrait(scene.points, "front", Frame(width=SIZE, height=SIZE))
+    return scene, portrait(scene.points, "front", SIZE, SIZE)
 
 
 def _both(seen: Callable[[], None], sky: Callable[[], None]) -> Json:

@@ -14,7 +14,7 @@ import numpy as np
 import facepipe
 from facepipe.parts import FloatArray
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
-from facepipe.pictures.camera import Camera, Frame, portrait
+from facepipe.pictures.camera import Camera, portrait
 from facepipe.pictures.wireframe import wireframe
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def main() -> None:
         worst = [max(shape.mean_mm for shape in level.errors.shapes.values()) for level in report.levels]
         said = ["the face itself", *(f"{mm:.2f} mm off in the worst shape" for mm in worst)]
         full = facepipe.open(lods)
-        seen, above, below = portrait(full.evaluate(), VIEW, Frame(width=SIZE, height=SIZE)), [], []
+        seen, above, below = portrait(full.evaluate(), VIEW, SIZE, SIZE), [], []
         for number in range(len(full.levels)):
             level = full.at_level(number)
             points = level.evaluate(POSE)

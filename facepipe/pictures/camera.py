@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
 
 View = Literal["front", "side", "three-quarter"] | tuple[float, float]
 
@@ -20,17 +19,6 @@ VIEWS: dict[str, tuple[float, float]] = {
 }
 LENS = 12.0 / 105.0  # tangent of half the vertical view angle: a 105 mm lens on a 36 x 24 mm frame
 MARGIN = 0.06  # of the frame, kept free on every side
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """The part of a picture that the subject should fill, in pixels: a border is kept for bars and titles."""
-
-    width: int
-    height: int
-    left: int = 0
-    right: int = 0
-    top: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,29 +54,14 @@ def y_up(points: FloatArray, up_axis: str) -> FloatArray:
     return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1).astype(np.float64)
 
 
-def angles(view: View) -> tuple[float, float]:
-    """Yaw and pitch of a view in radians.
+def portrait(points: FloatArray, view: View, width: int, height: int, right: int = 0) -> Camera:
+    """A camera with a long lens that has all of `points` (n, 3), Y up, inside a picture.
 
-    :raises InputError: the view is neither a known name nor a pair of finite numbers
+    :param right: pixels of its width that are kept for a bar or a legend
     """
-    if isinstance(view, str):
-        if view not in VIEWS:
-            raise InputError("view", f"{view!r}, expected {', '.join(VIEWS)} or yaw and pitch")
-        return VIEWS[view]
-    if len(view) != 2 or not np.isfinite(view).all():
-        raise InputError("view", f"{view!r}, expected finite yaw and pitch in radians")
-    return float(view[0]), float(view[1])
-
-
-def portrait(points: FloatArray, view: View, frame: Frame) -> Camera:
-    """A camera with a long lens that has all of `points` (n, 3), Y up, inside `frame`.
-
-    :raises InputError: the view is unknown
-    """
-    axes = _axes(*angles(view))
-    inner_width = max(frame.width - frame.left - frame.right, 1) * (1 - 2 * MARGIN)
-    inner_height = max(frame.height - frame.top, 1) * (1 - 2 * MARGIN)
-    middle = (frame.left + frame.width - frame.right) / 2, (frame.top + frame.height) / 2
+    axes = _axes(*(VIEWS[view] if isinstance(view, str) else view))
+    inner_width, inner_height = max(width - right, 1) * (1 - 2 * MARGIN), height * (1 - 2 * MARGIN)
+    middle = (width - right) / 2, height / 2
     local = points @ axes.T if len(points) else np.zeros((1, 3))
     center = (local.min(axis=0) + local.max(axis=0)) / 2
     x, y, z = np.abs(local - center).T[0], np.abs(local - center).T[1], (local - center)[:, 2]

@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts
 from facepipe.pictures import overlay
-from facepipe.pictures.camera import Camera, Frame, View, portrait
+from facepipe.pictures.camera import Camera, View, portrait
 from facepipe.pictures.draw import draw
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.landmarks import draw_landmarks
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 
 Color = tuple[float, float, float]
 
-SMALLEST, LARGEST = 16, 4096  # pixels a side
-SMALLEST_WITH_TEXT = 128  # below, bar, numbers and title are left out
+SMALLEST_WITH_TEXT = 128  # pixels a side; below, bar and numbers are left out
 LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corners
 
 
@@ -39,7 +38,7 @@ LIGHT_GREY = ((0.93, 0.935, 0.94), (0.70, 0.72, 0.745))  # sRGB, middle and corn
 class PictureOptions:
     """How a picture is taken.
 
-    :raises InputError: a size, sample count, background or camera out of range, or settings that exclude each other
+    :raises InputError: both a heat map and regions
     """
 
     size: int = 800  # pixels a side, 16 to 4096
@@ -50,38 +49,14 @@ class PictureOptions:
     bar: bool = True  # what the colours of a heat map mean, at the right side
     regions: RegionColors | None = None  # instead of a heat map
     landmarks: str | None = None  # scheme whose points get dots with their number in the scheme, from 0
-    title: str = ""
     framing: FloatArray | None = None  # (n, 3) points that set the camera, as for `picture`; None: those drawn
     camera: Camera | None = None  # of a picture `size` pixels a side, in the Y-up world; instead of view and framing
     studio: Studio | Portrait | None = None  # lights; None: portrait light, or even light where colours must be read
     backdrop: FloatArray | None = None  # (size, size, 3) sRGB 0..1 picture behind the face, instead of `background`
 
     def __post_init__(self) -> None:
-        if not SMALLEST <= self.size <= LARGEST:
-            raise InputError("size", f"{self.size} pixels, expected {SMALLEST} to {LARGEST}")
-        if not 1 <= self.samples <= 8:
-            raise InputError("samples", f"{self.samples}, expected 1 to 8")
         if self.heatmap is not None and self.regions is not None:
             raise InputError("regions", "given with a heat map, expected only one of them")
-        colors = np.array(self.background, dtype=np.float64)
-        if colors.shape not in ((3,), (2, 3)) or not ((colors >= 0) & (colors <= 1)).all():
-            raise InputError("background", f"{self.background}, expected one or two sRGB colours in 0..1")
-        if self.backdrop is not None:
-            self._check_backdrop(np.asarray(self.backdrop))
-        if self.camera is not None:
-            self._check_camera(self.camera)
-
-    def _check_backdrop(self, image: FloatArray) -> None:
-        expected = (self.size, self.size, 3)
-        if image.shape != expected or not ((image >= 0) & (image <= 1)).all():
-            raise InputError("backdrop", f"shape {image.shape}, expected {expected} sRGB values in 0..1")
-
-    def _check_camera(self, camera: Camera) -> None:
-        if self.framing is not None or self.view != "front":
-            raise InputError("camera", "given with a view or framing, expected only one of them")
-        numbers = (*np.ravel(camera.axes), *np.ravel(camera.eye), *camera.center, camera.focal)
-        if not np.isfinite(numbers).all() or camera.focal <= 0:
-            raise InputError("camera", f"focal length {camera.focal} pixels, expected finite numbers and one above 0")
 
     @property
     def written(self) -> bool:
@@ -93,7 +68,7 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
     """A shaded picture of a face.
 
     :param points: (n, 3) posed world-space points of all meshes in mesh order, stage units; None: the neutral
-    :raises InputError: points that don't fit or aren't finite, an unknown view or landmark scheme, a broken texture
+    :raises InputError: points that don't fit or aren't finite, an unknown landmark scheme, a broken texture
     :raises TopologyError: a mesh refers to points or materials that it does not have
     """
     return pictures(parts, points, [options])[0]
@@ -124,12 +99,7 @@ def poses(parts: FaceParts, several: Sequence[FloatArray | None], options: Pictu
 def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
     from PIL import Image
 
-    count = len(scene.points)
-    if options.heatmap is not None and options.heatmap.values.shape != (count,):
-        raise InputError(f"{parts.name} -> heat map", f"shape {options.heatmap.values.shape}, expected ({count},)")
     paint = None if options.regions is None else options.regions.colors
-    if paint is not None and len(paint) != count:
-        raise InputError(f"{parts.name} -> regions", f"masks of {len(paint)} points, expected {count}")
     camera = _camera(parts, scene, options)
     shader = Shader(scene, camera, options.heatmap, paint, options.studio)
     mm = 1000 * parts.meters_per_unit
@@ -140,8 +110,6 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
         overlay.color_bar(image, options.heatmap)
     if options.regions is not None and options.written:
         draw_legend(image, options.regions)
-    if options.title and options.written:
-        overlay.title(image, options.title)
     return image
 
 
@@ -170,13 +138,7 @@ def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
         return options.camera
     used = np.unique(scene.triangles)
     points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
-    frame = Frame(
-        width=options.size,
-        height=options.size,
-        right=_right_border(options),
-        top=overlay.title_height(options.size) if options.title and options.written else 0,
-    )
-    return portrait(points[used], options.view, frame)
+    return portrait(points[used], options.view, options.size, options.size, _right_border(options))
 
 
 def _right_border(options: PictureOptions) -> int:

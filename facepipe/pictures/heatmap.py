@@ -27,7 +27,7 @@ NO_VALUE = (0.55, 0.55, 0.55)  # sRGB grey of points without a value
 class HeatMap:
     """A quantity to paint on the face.
 
-    :raises InputError: infinite values, or a range that is not finite and rising
+    :raises InputError: infinite values
     """
 
     values: FloatArray  # (n,) one per point of all meshes in mesh order; NaN: no value
@@ -39,8 +39,6 @@ class HeatMap:
         object.__setattr__(self, "values", np.asarray(self.values, dtype=np.float64))
         if np.isinf(self.values).any():
             raise InputError("heat map", "infinite values, expected finite ones or NaN for none")
-        if self.range is not None and not (np.isfinite(self.range).all() and self.range[0] < self.range[1]):
-            raise InputError("heat map", f"range {self.range}, expected two finite rising numbers")
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What is written over a picture and below several: colour bar, title, and the captions of contact sheets."""
+"""What is written over a picture and below several: the colour bar, and the captions of contact sheets."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.errors import InputError
 from facepipe.pictures.heatmap import HeatMap, colors, ticks
 
 if TYPE_CHECKING:
@@ -19,15 +18,10 @@ INK = (38, 40, 46)
 
 
 def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
-    """The pictures row by row, `columns` to a row, captions below them; cells as large as the largest picture.
-
-    :raises InputError: no pictures, or fewer than one column
-    """
+    """The pictures (one at least) row by row, `columns` to a row, captions below; cells as large as the largest."""
     from PIL import Image as Images
     from PIL import ImageDraw
 
-    if not images or columns < 1:
-        raise InputError("contact sheet", f"{len(images)} pictures in {columns} columns, expected one or more of each")
     columns = min(columns, len(images))
     width, height = max(image.width for _, image in images), max(image.height for _, image in images)
     gap, letters = max(2, width // 40), max(9.0, width / 18)
@@ -70,20 +64,6 @@ def text_size(size: int) -> float:
 def bar_width(size: int) -> int:
     """Pixels at the right that the colour bar takes."""
     return round(text_size(size) * 5.2)
-
-
-def title_height(size: int) -> int:
-    """Pixels at the top that the title takes."""
-    return round(text_size(size) * 2.2)
-
-
-def title(image: Image, text: str) -> None:
-    """Write `text` at the top, in the middle."""
-    from PIL import ImageDraw
-
-    size = image.width
-    letters = fitting_font(text, text_size(size) * 1.2, size * 0.96)
-    ImageDraw.Draw(image).text((size / 2, title_height(size) * 0.62), text, fill=INK, font=letters, anchor="mm")
 
 
 def color_bar(image: Image, heatmap: HeatMap) -> None:

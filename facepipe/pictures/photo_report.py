@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, require_finite
-from facepipe.core.errors import InputError
+from facepipe.core.arrays import FloatArray
 from facepipe.core.markup import Markup, heading, joined, page, tag
 from facepipe.geometry.rasterise import NEAR
 from facepipe.parts import FaceParts, Slider
@@ -43,22 +42,15 @@ class PhotoSheet:
 
     parts: FaceParts
     neutral: FloatArray  # (n, 3) world points of the person without expression
-    photos: tuple[SheetPhoto, ...]
+    photos: tuple[SheetPhoto, ...]  # one at least
     sliders: Mapping[str, float]  # name -> value, of the sliders that were free
     history: Sequence[Mapping[str, float]]  # by step: "total" and each weighted term; NaN: not known
     kept: int = 0  # step that the face is of
-    seconds: float | None = None
     note: str = ""  # how the fit ended
 
 
 def photo_page(sheet: PhotoSheet) -> bytes:
-    """One HTML page: pictures of every photo, the neutral, expressions, losses and sliders.
-
-    :raises InputError: no photo, arrays that don't fit each other, sliders that the face does not have, or values that
-        are not finite (but for losses)
-    :raises TopologyError: a mesh refers to points or materials that it does not have
-    """
-    _check(sheet)
+    """One HTML page: pictures of every photo, the neutral, expressions, losses and sliders."""
     title = f"Photo fit: {sheet.parts.name}"
     found = tag("section", *_expressions(sheet)), tag("section", *_losses(sheet))
     beside = tag("div", *found, class_="columns" if len(sheet.photos) == 1 else None)
@@ -72,8 +64,6 @@ def facts(sheet: PhotoSheet) -> list[str]:
     kept = [step.get(TOTAL, np.nan) for step in sheet.history[sheet.kept : sheet.kept + 1]]
     if np.isfinite(kept).any():
         known.append(f"loss {kept[0]:.3g} at step {sheet.kept}")
-    if sheet.seconds is not None:
-        known.append(f"{sheet.seconds:.1f} s")
     errors = [photo.landmark_error for photo in sheet.photos]
     shares = [photo.landmark_error / photo.eye_distance for photo in sheet.photos]
     known.append(
@@ -191,29 +181,3 @@ def _moved(slider: Slider, value: float) -> float:
 def _counted(counts: Mapping[str, int]) -> Markup:
     """How many controls are not in the table, and why."""
     return tag("p", "; ".join(f"{count} {why}" for why, count in counts.items() if count), class_="muted")
-
-
-def _check(sheet: PhotoSheet) -> None:
-    """:raises InputError: see `photo_page`"""
-    if not sheet.photos:
-        raise InputError("photo report", "no photos, expected one or more")
-    unknown = sorted(set(sheet.sliders) - {slider.name for slider in sheet.parts.sliders})
-    if unknown:
-        raise InputError(f"{sheet.parts.name} -> sliders", f"no slider {unknown[0]!r}")
-    require_finite(dict(sheet.sliders), "sliders")
-    count = sheet.parts.point_count
-    for photo in sheet.photos:
-        require_finite(photo, photo.name)
-        if photo.photo.ndim != 3 or photo.photo.shape[2] != 3 or not photo.photo.size:
-            raise InputError(f"{photo.name} -> photo", f"shape {photo.photo.shape}, expected (height, width, 3)")
-        if photo.photo.min() < 0 or photo.photo.max() > 1:
-            raise InputError(f"{photo.name} -> photo", f"values up to {photo.photo.max():g}, expected sRGB in 0..1")
-        if photo.render.ndim != 3 or photo.render.shape[2] != 4 or not photo.render.size:
-            raise InputError(f"{photo.name} -> render", f"shape {photo.render.shape}, expected (height, width, 4)")
-        if photo.screen.shape != (count, 3):
-            raise InputError(f"{photo.name} -> screen", f"shape {photo.screen.shape}, expected ({count}, 3)")
-        if photo.targets.shape != photo.landmarks.shape or photo.targets.shape[1:] != (2,) or not len(photo.targets):
-            shapes = f"{photo.targets.shape} given and {photo.landmarks.shape} fitted"
-            raise InputError(f"{photo.name} -> landmarks", f"{shapes}, expected (l, 2) of both")
-        if photo.eye_distance <= 0:
-            raise InputError(f"{photo.name} -> eye distance", f"{photo.eye_distance} pixels, expected more than 0")

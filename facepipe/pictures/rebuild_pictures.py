@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
 from facepipe.pictures import overlay
-from facepipe.pictures.camera import Camera, Frame, View, portrait
+from facepipe.pictures.camera import Camera, View, portrait
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.overlay import PAPER, contact_sheet
@@ -113,7 +113,7 @@ def _camera(fit: FitPicture, view: View, right: int) -> Camera:
     middle = (fit.landmarks.min(axis=0) + fit.landmarks.max(axis=0)) / 2
     half = np.ptp(fit.landmarks, axis=0) * _MARGIN
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-    return portrait(middle + corners * half, view, Frame(width=fit.size, height=fit.size, right=right))
+    return portrait(middle + corners * half, view, fit.size, fit.size, right)
 
 
 def _scan_parts(scan: Scan) -> FaceParts:
@@ -168,18 +168,14 @@ def stacked(images: Sequence[Image]) -> Image:
 
 
 def _views(shown: Turntable, face: FaceParts, heat: HeatMap | None) -> Image:
-    several = [
-        PictureOptions(
-            size=shown.size,
-            camera=portrait(shown.framing, view, Frame(width=shown.size, height=shown.size)),
-            samples=_SAMPLES,
-            heatmap=heat,
-            bar=False,
-            studio=_STUDIO if heat is None else None,
-        )
-        for view in _VIEWS
-    ]
+    studio = _STUDIO if heat is None else None
+    several = [replace(_framed(shown.framing, view, shown.size), heatmap=heat, studio=studio) for view in _VIEWS]
     return _pasted(pictures(face, None, several), 1, 0)
+
+
+def _framed(framing: FloatArray, view: View, size: int) -> PictureOptions:
+    camera = portrait(framing, view, size, size)
+    return PictureOptions(size=size, camera=camera, samples=_SAMPLES, bar=False)
 
 
 def _pasted(images: Sequence[Image], right: int, down: int) -> Image:
@@ -221,12 +217,7 @@ def changed_pictures(given: ChangedShapes, names: Sequence[str]) -> tuple[list[I
     distances = {name: _distances(given, name) for name in names}
     known = np.concatenate([distances[name][given.counted] for name in names])
     limits = 0.0, round_above(known[known > 0.0])
-    options = PictureOptions(
-        size=given.size,
-        camera=portrait(given.framing, "front", Frame(width=given.size, height=given.size)),
-        samples=_SAMPLES,
-        bar=False,
-    )
+    options = _framed(given.framing, "front", given.size)
     images = [
         picture(
             given.parts,

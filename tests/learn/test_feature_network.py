@@ -27,7 +27,7 @@ from facepipe.learn.light import ambient, distant
 from facepipe.learn.rasterise import rasterise
 from facepipe.learn.surfaces import opaque_surfaces
 from facepipe.parts import FaceParts
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 
 FILE = Path(str(files("facepipe.learn.networks") / "face_features.onnx"))
 SEED = 41  # of a sample that training does not draw
@@ -94,7 +94,7 @@ def random_sliders(rng: np.random.Generator) -> torch.Tensor:
 def random_look(rng: np.random.Generator, points: np.ndarray, turned: float) -> Look:
     """Up to so many radians from the front, in soft light with a strong side, before one colour."""
     view = float(rng.uniform(-1, 1) * turned), float(rng.uniform(-0.4, 0.4) * turned)
-    seen = portrait(points, view, Frame(width=SIZE, height=SIZE))
+    seen = portrait(points, view, SIZE, SIZE)
     way = rng.normal(size=3) * (1, 0.6, 0.3) + (0, 0.3, 1)
     key = way / np.linalg.norm(way), rng.uniform(0.3, 1.2, 3)
     side = distant(*(torch.as_tensor(one, dtype=torch.float32) for one in key))

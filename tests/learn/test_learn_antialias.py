@@ -15,7 +15,7 @@ from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, distant, shade
 from facepipe.learn.rasterise import barycentrics, interpolate, rasterise
 from facepipe.learn.surfaces import PointNormals
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import Scene, build_scene
 
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
@@ -146,7 +146,7 @@ class Head:
     def __init__(self) -> None:
         self.scene: Scene = build_scene(make(0), None)
         self.points = torch.tensor(self.scene.points, dtype=torch.float32)
-        own = portrait(self.scene.points, (0.5, 0.1), Frame(width=SIZE, height=SIZE))
+        own = portrait(self.scene.points, (0.5, 0.1), SIZE, SIZE)
         self.camera = Camera.at(own.axes, own.eye, own.focal, own.center)
         self.outline = Outline.from_triangles(self.scene.triangles, len(self.points))
         self.normals = PointNormals(self.scene.triangles, len(self.points))

@@ -21,7 +21,7 @@ from facepipe.learn.camera import Camera
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts, Material, MaterialFaces, Texture, TextureInput
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 from facepipe.rig import build
 
 WHITE = ambient(torch.ones(3))
@@ -41,7 +41,7 @@ def sample() -> tuple[FaceParts, FaceModel]:
 
 
 def camera_on(points: np.ndarray, size: int, dtype: torch.dtype = torch.float32) -> Camera:
-    own = portrait(points, "front", Frame(width=size, height=size))
+    own = portrait(points, "front", size, size)
     return Camera.at(own.axes, own.eye, own.focal, own.center, dtype=dtype)
 
 
@@ -165,7 +165,7 @@ def test_gradient_descent_finds_a_slider_again(name: str, value: float) -> None:
     """From its default, from nothing but a picture: to within 4 % of its range, where it moves less than a pixel."""
     _, model = sample()
     size = 96
-    own = portrait(model.rig().numpy(), (0.5, 0.1), Frame(width=size, height=size))
+    own = portrait(model.rig().numpy(), (0.5, 0.1), size, size)
     camera = Camera.at(own.axes, own.eye, own.focal, own.center)
     light = 0.5 * WHITE + distant(torch.tensor([-0.48, 0.6, 0.64]), torch.full((3,), 0.6))
     look = Look(camera=camera, light=light, background=torch.tensor([0.1, 0.2, 0.6]))

@@ -13,7 +13,7 @@ from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.light import ambient, basis, distant, shade
 from facepipe.learn.surfaces import PointNormals, bilinear
 from facepipe.pictures import textures
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.0099, 0.0101, 1.0, 3.0, 7.0])
@@ -28,7 +28,7 @@ def test_rotations_of_every_angle(size: float) -> None:
 @pytest.mark.parametrize("view", ["front", "side", (0.4, -0.3)])
 def test_cameras_see_as_those_of_pictures(view: str | tuple[float, float]) -> None:
     points = np.random.default_rng(0).normal(size=(50, 3)) * (8, 12, 9) + (3, 150, -20)
-    own = portrait(points, view, Frame(width=320, height=200))
+    own = portrait(points, view, 320, 200)
     found = Camera.at(own.axes, own.eye, own.focal, own.center, dtype=torch.float64).project(tensor(points)).numpy()
     expected = own.project(points)
     np.testing.assert_allclose(found[:, :2], expected[:, :2] / expected[:, 3:], atol=1e-9)

@@ -13,7 +13,7 @@ from facepipe.geometry import rasterise as geometry
 from facepipe.learn.camera import Camera
 from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 from facepipe.parts import FaceParts
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import build_scene
 
 HEIGHT, WIDTH = 20, 26
@@ -84,7 +84,7 @@ def sample() -> FaceParts:
 @pytest.mark.parametrize("view", ["front", "side", (0.5, 0.4)])
 def test_a_head_as_in_pictures(view: str | tuple[float, float], kind: str) -> None:
     scene = build_scene(sample(), None)
-    own = portrait(scene.points, view, Frame(width=300, height=200))
+    own = portrait(scene.points, view, 300, 200)
     expected = geometry.rasterise(geometry.screen_triangles(own.project(scene.points), scene.triangles), 300, 200)
     dtype = getattr(torch, kind)
     points = Camera.at(own.axes, own.eye, own.focal, own.center, dtype=dtype).project(tensor(scene.points).to(dtype))

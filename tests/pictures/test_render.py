@@ -18,7 +18,7 @@ from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
-from facepipe.pictures.camera import Frame, portrait
+from facepipe.pictures.camera import portrait
 from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
 from facepipe.pictures.layers import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
@@ -131,7 +131,7 @@ def test_barycentrics_lead_back_to_the_pixels() -> None:
     rng = np.random.default_rng(4)
     world = rng.uniform(-1, 1, (60, 3))
     triangles = np.arange(60).reshape(20, 3)
-    camera = portrait(world, (0.4, -0.2), Frame(width=120, height=120))
+    camera = portrait(world, (0.4, -0.2), 120, 120)
     points = camera.project(world)
     raster = rasterise(screen_triangles(points, triangles), 120, 120)
     row, column = np.nonzero(raster.key)
@@ -147,7 +147,7 @@ def test_barycentrics_lead_back_to_the_pixels() -> None:
 def test_triangles_through_the_camera_plane_are_cut_not_mirrored() -> None:
     # A floor that runs from far ahead to behind the viewer: everything below the horizon, nothing above it.
     corners = np.array([(-1e3, -1.0, -1e3), (1e3, -1.0, -1e3), (1e3, -1.0, 1e3), (-1e3, -1.0, 1e3)])
-    camera = replace(portrait(np.zeros((1, 3)), "front", Frame(width=64, height=64)), eye=np.zeros(3), focal=64.0)
+    camera = replace(portrait(np.zeros((1, 3)), "front", 64, 64), eye=np.zeros(3), focal=64.0)
     points = camera.project(corners)
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     raster = rasterise(screen_triangles(points, triangles), 64, 64)
@@ -181,13 +181,12 @@ def test_one_triangle_covers_all_pixels_or_none(
 @pytest.mark.parametrize("view", ["front", "side", "three-quarter", (-2.5, 0.9)])
 def test_framing_keeps_all_points_inside_and_fills_the_frame(view: str | tuple[float, float]) -> None:
     points = np.random.default_rng(5).normal(size=(500, 3)) * (1, 2, 1.5) + (30, -20, 7)
-    frame = Frame(width=200, height=200, right=40, top=20)
-    screen = portrait(points, view, frame).project(points)
+    screen = portrait(points, view, 200, 180, right=40).project(points)
     x, y = screen[:, 0] / screen[:, 3], screen[:, 1] / screen[:, 3]
     assert x.min() >= 0
     assert x.max() <= 160
-    assert y.min() >= 20
-    assert y.max() <= 200
+    assert y.min() >= 0
+    assert y.max() <= 180
     assert max(np.ptp(x) / 160, np.ptp(y) / 180) > 0.7
 
 
@@ -449,10 +448,6 @@ def test_ticks_are_round_numbers_inside_the_range() -> None:
 def test_heat_maps_are_checked() -> None:
     with pytest.raises(InputError, match="infinite"):
         HeatMap(values=np.array([0.0, np.inf]))
-    with pytest.raises(InputError, match="range"):
-        HeatMap(values=np.zeros(2), range=(1.0, 1.0))
-    with pytest.raises(InputError, match="heat map"):
-        drawn(FaceParts(meshes=(square("Wall", 0.0),)), heatmap=HeatMap(values=np.zeros(3)))
 
 
 def test_landmarks_are_dots_where_the_points_are() -> None:
@@ -500,29 +495,13 @@ def test_chunks_of_fragments_join_without_a_trace(monkeypatch: pytest.MonkeyPatc
 
 def test_same_input_same_bytes(tmp_path: Path) -> None:
     parts = FaceParts(meshes=(grid_mesh(),))
-    options = PictureOptions(size=160, title="grid", heatmap=HeatMap(values=np.arange(36.0), label="index"))
+    options = PictureOptions(size=160, heatmap=HeatMap(values=np.arange(36.0), label="index"))
     for name in ("first.png", "second.png"):
         save_png(picture(parts, None, options), tmp_path / name)
     assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["first.png", "second.png"]
     with pytest.raises(InputError, match="folder"):
         save_png(picture(parts, None, options), tmp_path / "gone" / "first.png")
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"size": 15}, "16 to 4096"),
-        ({"size": 4097}, "16 to 4096"),
-        ({"samples": 0}, "samples"),
-        ({"view": "below"}, "three-quarter"),
-        ({"view": (np.nan, 0.0)}, "finite"),
-        ({"background": (2.0, 0.0, 0.0)}, "background"),
-    ],
-)
-def test_options_are_checked(options: dict[str, object], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        drawn(FaceParts(meshes=(grid_mesh(),)), **options)
 
 
 def test_points_are_checked() -> None:
@@ -555,8 +534,6 @@ def test_contact_sheet_holds_every_picture_and_caption() -> None:
         color = np.array(image.getpixel((0, 0)))
         assert (sheet == color).all(axis=2).sum() == 60 * 50
     assert (sheet.max(axis=2) < 120).sum() > 100  # ink of the captions
-    with pytest.raises(InputError, match="contact sheet"):
-        contact_sheet([], 2)
 
 
 def test_ict_looks_like_a_face() -> None:

@@ -34,14 +34,11 @@ _MARK = 1 / 120  # of the landmarks' larger extent, the radius of one
 _LEAST = 1.5  # pixels of that
 
 
-def report_sheet(
-    parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo], *, seconds: float | None = None
-) -> PhotoSheet:
+def report_sheet(parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo]) -> PhotoSheet:
     """What `facepipe.pictures.photo_page` shows of a fit.
 
     :param parts: the face that was fitted, without the result
     :param photos: that were fitted, one a view
-    :param seconds: that the fit took
     :raises InputError: sliders, shapes or materials that the face does not have
     """
     from facepipe.learn.face_model import FaceModel
@@ -58,7 +55,6 @@ def report_sheet(
         sliders=fit.sliders,
         history=fit.history,
         kept=fit.kept,
-        seconds=seconds,
         note=ENDS[fit.stopped],
     )
 

@@ -69,7 +69,7 @@ def photo(pixels: tuple[int, int] = SIZE) -> Photo:
 
 def test_sheet_shows_the_face_where_the_camera_sees_it(parts: FaceParts) -> None:
     fit, _ = fitted(parts)
-    sheet = report_sheet(parts, fit, [photo()], seconds=2.0)
+    sheet = report_sheet(parts, fit, [photo()])
     one = sheet.photos[0]
     index = parts.meshes[0].landmarks["multipie68"].indices
     np.testing.assert_allclose(one.screen[index, :2], fit.views[0].landmarks, atol=1e-6)
