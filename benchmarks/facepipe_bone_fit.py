@@ -93,7 +93,7 @@ def _spread_of(name: str, times: list[tuple[float, float]]) -> Json:
 
 def _linear(fit: BoneFit, task: Task) -> float:
     """Seconds of one boxed linear system, formed of a session's moments and solved, at rest."""
-    from facepipe.geometry.boxed_qp import solve_boxed
+    from facepipe.geometry.boxed_qp import BoxedQuadratic
     from facepipe.rig import rest_coefficients
 
     skin, tree, variables, target = fit.skin, fit.tree, fit.variables, task.targets[task.hardest()[0]]
@@ -108,7 +108,7 @@ def _linear(fit: BoneFit, task: Task) -> float:
         normal = variables.matrix(normal)
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-3
         own = variables.reduced(rest)
-        solve_boxed(normal, gradient, variables.lower - own, variables.upper - own)
+        BoxedQuadratic(normal).minimise(gradient, variables.lower - own, variables.upper - own)
         best = min(best, clock.read()[0])
     return best
 

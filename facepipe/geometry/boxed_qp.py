@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
@@ -13,20 +11,6 @@ _SETTLED = 1e-12  # of the largest slope at the start
 _ARMIJO = 1e-4
 _TIGHT = 1e-6  # of a step: room for less is none
 _FEW = 16  # of this many variables one may be held for the factor of all to serve
-
-
-@dataclass(frozen=True)
-class BoxedSolution:
-    """The minimiser, and the largest slope left: along free variables, or into the box at its bounds."""
-
-    x: FloatArray  # (n,)
-    residual: float
-    steps: int
-
-
-def solve_boxed(hessian: FloatArray, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> BoxedSolution:
-    """The minimiser of one problem; arguments and errors as those of `BoxedQuadratic`."""
-    return BoxedQuadratic(hessian).minimise(linear, lower, upper)
 
 
 class BoxedQuadratic:
@@ -45,8 +29,8 @@ class BoxedQuadratic:
         self._factored = np.zeros(len(hessian), dtype=np.bool_)
         self._factor: tuple[FloatArray, bool] | None = None
 
-    def minimise(self, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> BoxedSolution:
-        """From 0.
+    def minimise(self, linear: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+        """(n,) the minimiser, from 0.
 
         :param lower: (n,) at most 0: 0 must lie in the box
         :param upper: (n,) at least 0
@@ -54,13 +38,12 @@ class BoxedQuadratic:
         """
         x: FloatArray = np.zeros(len(linear))
         slope: FloatArray = np.array(linear, dtype=np.float64)
-        enough, residual = _SETTLED * float(np.abs(slope).max(initial=0.0)), 0.0
+        enough = _SETTLED * float(np.abs(slope).max(initial=0.0))
         jammed = np.zeros(len(x), dtype=np.bool_)
-        for step in range(_STEPS):
+        for _ in range(_STEPS):
             held = ((x <= lower) & (slope > 0)) | ((x >= upper) & (slope < 0))
-            residual = float(np.abs(slope[~held]).max(initial=0.0))
-            if residual <= enough:
-                return BoxedSolution(x, residual, step)
+            if np.abs(slope[~held]).max(initial=0.0) <= enough:
+                break
             direction = self._newton(held | jammed, lower < upper, slope)
             ahead, change = _along(self.hessian, x, slope, direction, lower, upper)
             if ahead is not x:
@@ -68,11 +51,11 @@ class BoxedQuadratic:
                 continue
             stopped = _stopped(x, direction, lower, upper) & ~jammed
             if not stopped.any():
-                return BoxedSolution(x, residual, step)
+                break
             at_bound = np.where(stopped, np.where(direction < 0, lower, upper), x)
             slope = slope + self.hessian @ (at_bound - x)
             x, jammed = at_bound, jammed | stopped
-        return BoxedSolution(x, residual, _STEPS)
+        return x
 
     def _newton(self, held: BoolArray, movable: BoolArray, slope: FloatArray) -> FloatArray:
         """(n,) the step that makes the slope of all variables 0 that are not `held`.

@@ -162,8 +162,8 @@ class ExpressionModel:
         groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
         maps = [self._flat(rows[group], shares[group]) for group in groups]
         wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        blocks = [Block.from_numbers(self.vectors @ one) for one in maps]
-        weights = trust(blocks, Block.from_numbers(self.vectors @ self._flat(wanted)))
+        *seen, expected = (self.vectors @ one for one in (*maps, self._flat(wanted)))
+        weights = trust([numbers @ numbers.T for numbers in seen], expected @ expected.T)
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
         for group, one, weight in zip(groups, maps, weights, strict=True):
             normal += weight * one @ one.T
@@ -209,41 +209,28 @@ def _directions(unfolded: FloatArray) -> FloatArray:
     return np.asarray(vectors * signs)
 
 
-_WEIGHTS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a block's mean square
+_WEIGHTS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a mean square
 
 
-@dataclass(frozen=True)
-class Block:
-    """Numbers of m people, by their inner products."""
-
-    products: FloatArray  # (m, m), of numbers whose mean over people is 0
-
-    @classmethod
-    def from_numbers(cls, numbers: FloatArray) -> Block:
-        """That of numbers (m, d)."""
-        return cls(numbers @ numbers.T)
-
-    @property
-    def mean_square(self) -> float:
-        """Of the rows' lengths."""
-        return float(np.trace(self.products)) / len(self.products)
-
-
-def trust(seen: Sequence[Block], wanted: Block) -> list[float]:
-    """The weight of each block that is seen: the inverse of the variance of its noise.
+def trust(seen: Sequence[FloatArray], wanted: FloatArray) -> list[float]:
+    """The weight of each kind of numbers that is seen: the inverse of the variance of its noise.
 
     Those with which a Gaussian model of the other people comes nearest to what is wanted of each person, among powers
     of ten and 0; the smallest of those that do equally well. Leaving people out one by one has a closed form (Craven
     and Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 1978).
+
+    :param seen: (m, m) inner products of m people's numbers, whose mean over people is 0
+    :param wanted: (m, m) those of the numbers to predict
     """
-    scales = [1.0 / block.mean_square if block.mean_square > 0 else 0.0 for block in seen]
+    squares = [float(np.trace(products)) / len(products) for products in seen]
+    scales = [1.0 / square if square > 0 else 0.0 for square in squares]
     best, chosen = np.inf, [0.0] * len(seen)
-    if len(wanted.products) < 3:  # of two, each is predicted by the other alone, whatever the weights
+    if len(wanted) < 3:  # of two, each is predicted by the other alone, whatever the weights
         return chosen
     for steps in product(_WEIGHTS, repeat=len(seen)):
         weights = [step * scale for step, scale in zip(steps, scales, strict=True)]
-        summed = np.sum([weight * block.products for weight, block in zip(weights, seen, strict=True)], axis=0)
-        missed = _missed(summed, wanted.products)
+        summed = np.sum([weight * products for weight, products in zip(weights, seen, strict=True)], axis=0)
+        missed = _missed(summed, wanted)
         if missed < best * (1.0 - 1e-9):
             best, chosen = missed, weights
     return chosen

@@ -58,15 +58,6 @@ class IdentityModel:
         apart = np.sqrt(self.count * len(rows) / count) * (new_mean - old_mean)
         return _from_spread(mean, np.concatenate([known, rows - new_mean, apart[None]]), count)
 
-    def cut(self, components: int) -> IdentityModel:
-        """The same with the first components only."""
-        return IdentityModel(
-            mean=self.mean,
-            components=self.components[:components],
-            deviations=self.deviations[:components],
-            count=self.count,
-        )
-
     def points(self, coefficients: FloatArray) -> FloatArray:
         """(..., n, 3) faces of coefficients (..., k)."""
         scaled = np.asarray(coefficients) * self.deviations

@@ -32,7 +32,6 @@ class SimplexFit:
     """Shares that minimise the problem."""
 
     weights: FloatArray  # (R, K), 0 or more, rows summing to 1
-    iterations: int  # linear systems solved
     # sum of share * (slope - least slope of its group): 0 where the Karush-Kuhn-Tucker conditions hold, and never less
     # than the objective's distance from its minimum; relative to the largest element of G and g
     residual: float
@@ -83,21 +82,20 @@ def fit_simplex(
     for group, row in (locked or {}).items():
         shares[group], free[group] = row, False
     if not free.any():
-        return SimplexFit(shares, 0, 0.0)
+        return SimplexFit(shares, 0.0)
     problem = _without(gram, linear, np.repeat(free, sources), shares)
     curvature = float(np.abs(np.diag(problem.gram)).max()) or 1.0
-    centre, iterations = shares[free].ravel(), 0
+    centre = shares[free].ravel()
     minimum = _descend(problem.pulled(centre, _PULL * curvature), centre)
     for _ in range(_STEPS):
-        minimum, solved = _solve(problem.pulled(centre, _PULL * curvature), minimum)
-        centre, iterations = minimum, iterations + solved
+        centre = minimum = _solve(problem.pulled(centre, _PULL * curvature), minimum)
         if problem.gap(minimum) <= _SETTLED:
             break
     residual = problem.gap(minimum)
     if not residual <= _ACCEPTED:
         raise FitError("shares", f"no minimum found: a gap of {residual:.1e}, expected at most {_ACCEPTED:g}")
     shares[free] = minimum.reshape(-1, sources)
-    return SimplexFit(shares, iterations, residual)
+    return SimplexFit(shares, residual)
 
 
 def _without(gram: FloatArray, linear: FloatArray, free: BoolArray, shares: FloatArray) -> _Problem:
@@ -133,10 +131,11 @@ def _descend(problem: _Problem, start: FloatArray) -> FloatArray:
     return shares
 
 
-def _solve(problem: _Problem, start: FloatArray) -> tuple[FloatArray, int]:
-    """The minimum of a strictly convex problem by active sets from `start`, and the number of systems solved."""
+def _solve(problem: _Problem, start: FloatArray) -> FloatArray:
+    """The minimum of a strictly convex problem by active sets from `start`."""
     shares, free, released = start.copy(), start > 0, -1
-    for count in range(1, 100 + 20 * len(start)):
+    most = 99 + 20 * len(start)
+    for _ in range(most):
         target = _face_minimum(problem, free)
         below = np.flatnonzero(free & (target < 0))
         if len(below):
@@ -145,14 +144,14 @@ def _solve(problem: _Problem, start: FloatArray) -> tuple[FloatArray, int]:
             shares = shares + reach.min() * (target - shares)
             shares[hit], free[hit] = 0.0, False
             if reach.min() <= 0 and released in hit:
-                return shares, count  # its slope was rounding
+                return np.asarray(shares)  # its slope was rounding
             continue
         shares = target
         released, slope = _steepest(problem, shares, free)
         if slope >= -_UPHILL:
-            return shares, count
+            return shares
         free[released] = True
-    raise FitError("shares", f"no minimum found in {count} steps")
+    raise FitError("shares", f"no minimum found in {most} steps")
 
 
 def _face_minimum(problem: _Problem, free: BoolArray) -> FloatArray:

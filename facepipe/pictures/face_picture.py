@@ -69,7 +69,6 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
 
     :param points: (n, 3) posed world-space points of all meshes in mesh order, stage units; None: the neutral
     :raises InputError: points that don't fit or aren't finite, an unknown landmark scheme, a broken texture
-    :raises TopologyError: a mesh refers to points or materials that it does not have
     """
     return pictures(parts, points, [options])[0]
 

@@ -81,10 +81,6 @@ def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
     for mesh in parts.meshes:
         if scheme in mesh.landmarks:
             indices = np.asarray(mesh.landmarks[scheme].indices, dtype=np.int64)
-            if len(indices) and (indices.min() < 0 or indices.max() >= len(mesh.points)):
-                raise InputError(
-                    f"{mesh.name} -> landmarks {scheme}", f"an index is outside 0 to {len(mesh.points) - 1}"
-                )
             points.append(indices + start)
             numbers.append(np.arange(len(indices)))
         start += len(mesh.points)

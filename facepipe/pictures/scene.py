@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
@@ -145,7 +145,6 @@ def build_scene(
     :param size: pixels a side of the largest picture that shows it
     :param textures: where those of the materials may be decoded already
     :raises InputError: points of the wrong shape or not finite
-    :raises TopologyError: a mesh refers to points or materials that it does not have
     """
     placed = world_points(parts, points)
     materials = {material.name: material for material in parts.materials}
@@ -178,28 +177,15 @@ def _mesh_triangles(
     mesh: Mesh, materials: dict[str, Material], surfaces: list[Surface]
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Local triangles (t, 3), their corners (t, 3) and surfaces (t,); adds the mesh's surfaces to the list."""
-    indices = np.asarray(mesh.face_vertex_indices, dtype=np.int64)
-    if len(indices) and (indices.min() < 0 or indices.max() >= len(mesh.points)):
-        raise TopologyError(mesh.name, f"face-vertex index {indices.max()}, expected 0 to {len(mesh.points) - 1}")
-    if int(np.sum(mesh.face_vertex_counts)) != len(indices):
-        raise TopologyError(
-            mesh.name, f"{len(indices)} face-vertex indices, expected {int(np.sum(mesh.face_vertex_counts))}"
-        )
     corners, faces = triangulate(mesh.face_vertex_counts)
     if np.linalg.det(mesh.transform[:3, :3]) < 0:
         corners = corners[:, ::-1]  # a mirrored mesh is seen from the other side of its winding
     of_face = np.full(len(mesh.face_vertex_counts), len(surfaces))
-    surfaces.append(Surface(mesh=mesh, material=_material(mesh, mesh.material, materials)))
+    surfaces.append(Surface(mesh=mesh, material=None if mesh.material is None else materials[mesh.material]))
     for bound in mesh.material_faces:
         of_face[np.asarray(bound.faces, dtype=np.int64)] = len(surfaces)
-        surfaces.append(Surface(mesh=mesh, material=_material(mesh, bound.material, materials)))
-    return indices[corners], corners, of_face[faces]
-
-
-def _material(mesh: Mesh, name: str | None, materials: dict[str, Material]) -> Material | None:
-    if name is not None and name not in materials:
-        raise TopologyError(mesh.name, f"material {name!r} is not among the face's materials")
-    return materials[name] if name is not None else None
+        surfaces.append(Surface(mesh=mesh, material=materials[bound.material]))
+    return np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners], corners, of_face[faces]
 
 
 def _welded(points: FloatArray, normals: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.expression_model import Block, ExpressionModel, _missed, hosvd, trust
+from facepipe.geometry.expression_model import ExpressionModel, _missed, hosvd, trust
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.geometry.shape_basis import coefficients_in, hold, no_basis
 
@@ -156,7 +156,7 @@ def test_leaving_one_out_by_formula_is_leaving_one_out() -> None:
     seen, wanted = numbers @ rng.standard_normal((3, 12)), numbers @ rng.standard_normal((3, 7))
     seen += 0.3 * rng.standard_normal(seen.shape)
     seen, wanted = seen - seen.mean(axis=0), wanted - wanted.mean(axis=0)
-    (weight,) = trust([Block.from_numbers(seen)], Block.from_numbers(wanted))
+    (weight,) = trust([seen @ seen.T], wanted @ wanted.T)
 
     def missed(weight: float) -> float:
         total = 0.0

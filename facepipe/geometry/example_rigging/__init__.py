@@ -6,8 +6,8 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.geometry.example_rigging.options import SplitOptions
-    from facepipe.geometry.example_rigging.split import RankReport, Split, split_shapes
+    from facepipe.geometry.example_rigging.split import Split, split_shapes
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["RankReport", "Split", "SplitOptions", "split_shapes"]
+__all__ = ["Split", "SplitOptions", "split_shapes"]

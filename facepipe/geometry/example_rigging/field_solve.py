@@ -21,7 +21,6 @@ class FieldSolution:
 
     z: FloatArray  # unknowns of `FieldSystem`
     weights: FloatArray  # (c, e)
-    alternations: int
     held: tuple[tuple[int, int], ...] = ()  # (composite, shape) of weights stopped at a bound
     settled: bool = True  # conjugate gradients came to their end
 
@@ -38,15 +37,14 @@ def solve_fields(system: FieldSystem, options: SplitOptions) -> FieldSolution:
     given_weights = system.examples.weights
     low, high = np.minimum(given_weights, 0.0), np.maximum(given_weights, options.largest_weight)
     weights, z, held = given_weights.copy(), np.zeros(system.starts[-1]), given_weights == 0
-    steps = options.alternations if options.weight_spread > 0 else 0
-    for _ in range(steps):
+    for _ in range(options.alternations if options.weight_spread > 0 else 0):
         step = _Step(system, weights, z, np.where(held, 0.0, options.weight_spread)).solve()
         ahead = weights + step.change
         z, weights = step.z, np.clip(ahead, low, high)
         held = held | (ahead != weights)
     last = _Step(system, weights, z, np.zeros_like(weights)).solve()
     stopped = tuple((int(composite), int(shape)) for composite, shape in np.argwhere(held & (given_weights != 0)))
-    return FieldSolution(last.z, weights, steps, stopped, last.settled)
+    return FieldSolution(last.z, weights, stopped, last.settled)
 
 
 class _Found(NamedTuple):

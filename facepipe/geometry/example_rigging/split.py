@@ -32,8 +32,8 @@ class Split:
     changes: FloatArray  # (e,) mm, mean distance from the template over the area that the shape moves
     residual_means: FloatArray  # (c,) mm, mean over the composite's points of confidence above 0
     residual_p95: FloatArray  # (c,) mm
-    alternations: int
-    rank: RankReport
+    rank: int  # of the weights
+    together: tuple[tuple[int, int], ...]  # pairs that weights don't separate where both move, most first
     warnings: tuple[str, ...]
 
 
@@ -77,7 +77,7 @@ def split_shapes(
         left = examples.residuals(deltas, solution.weights)
         excited = examples.excited
         deltas[excited] += added_detail(examples, solution.weights, left, deltas[excited], options)
-    return _report(examples, solution, deltas, options, rank_report(examples, system.sample), names)
+    return _report(examples, solution, deltas, options, system.sample, names)
 
 
 def _report(
@@ -85,10 +85,10 @@ def _report(
     solution: FieldSolution,
     deltas: FloatArray,
     options: SplitOptions,
-    rank: RankReport,
+    sample: IntArray,
     names: Sequence[str],
 ) -> Split:
-    seen = observed(examples, solution.weights, options)
+    seen, together = observed(examples, solution.weights, options), inseparable(examples, sample)
     means, p95 = _residuals(examples, examples.residuals(deltas, solution.weights))
     return Split(
         deltas=deltas,
@@ -98,9 +98,9 @@ def _report(
         changes=_changes(examples, deltas),
         residual_means=means,
         residual_p95=p95,
-        alternations=solution.alternations,
-        rank=rank,
-        warnings=_warnings(examples, solution, seen, rank, names),
+        rank=int(np.linalg.matrix_rank(examples.weights)),
+        together=together,
+        warnings=_warnings(examples, solution, seen, together, names),
     )
 
 
@@ -137,7 +137,11 @@ def _residuals(examples: Examples, left: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _warnings(
-    examples: Examples, solution: FieldSolution, seen: FloatArray, rank: RankReport, names: Sequence[str]
+    examples: Examples,
+    solution: FieldSolution,
+    seen: FloatArray,
+    together: Sequence[tuple[int, int]],
+    names: Sequence[str],
 ) -> tuple[str, ...]:
     warnings = []
     unexcited = np.flatnonzero(~examples.weights.any(axis=0)).tolist()
@@ -146,9 +150,9 @@ def _warnings(
     hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _UNSEEN]
     if hidden:
         warnings.append(f"the scans hardly show {', '.join(names[shape] for shape in hidden)}")
-    if rank.together:
-        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in rank.together[:_NAMED])
-        more = f" and {len(rank.together) - _NAMED} more pairs" if len(rank.together) > _NAMED else ""
+    if together:
+        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in together[:_NAMED])
+        more = f" and {len(together) - _NAMED} more pairs" if len(together) > _NAMED else ""
         warnings.append(f"the weights don't separate, where both move: {pairs}{more}")
     if solution.held:
         stopped = ", ".join(f"{names[shape]} in composite {composite}" for composite, shape in solution.held)
@@ -156,16 +160,6 @@ def _warnings(
     if not solution.settled:
         warnings.append("gains and turns did not converge")
     return tuple(warnings)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RankReport:
-    """The ambiguity of the weights alone, whatever the scans show."""
-
-    rank: int  # of the weights
-    excited: int  # shapes that some composite holds
-    ambiguous: FloatArray  # (e,) 0..1: share of a shape's motion that other shapes could have made just as well
-    together: tuple[tuple[int, int], ...]  # pairs that weights don't separate where both move, most first
 
 
 def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> FloatArray:
@@ -183,18 +177,19 @@ def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> 
     return found
 
 
-def rank_report(examples: Examples, sample: IntArray) -> RankReport:
-    """The ambiguity of weights at sampled points: the null space of the weights of the shapes that move there."""
+def inseparable(examples: Examples, sample: IntArray) -> tuple[tuple[int, int], ...]:
+    """Pairs of shapes that weights don't separate, most first, whatever the scans show: by the null space, at sampled
+    points, of the weights of the shapes that move there.
+    """
     motion = np.linalg.norm(examples.templates[:, sample], axis=2).T  # (s, e)
     moves = (motion > _MOVES * motion.max(axis=0)) & examples.weights.any(axis=0)
     energy = np.where(moves, motion**2 * examples.areas[sample, None], 0.0)
     count = examples.weights.shape[1]
-    open_energy, mixed = np.zeros(count), np.zeros((count, count))
+    mixed = np.zeros((count, count))
     patterns, places = np.unique(moves, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
         shapes, here = np.flatnonzero(pattern), np.flatnonzero(places.ravel() == number)
         null = _null_projector(examples.weights[:, shapes])
-        open_energy[shapes] += np.diag(null) * energy[np.ix_(here, shapes)].sum(axis=0)
         root = np.sqrt(energy[np.ix_(here, shapes)])
         shared = root.T @ root
         # of two shapes alone the projector's other entries are at most a half
@@ -204,12 +199,7 @@ def rank_report(examples: Examples, sample: IntArray) -> RankReport:
     strength = np.triu(mixed, 1) / np.sqrt(np.outer(total, total))
     pairs = np.argwhere(strength > _TOGETHER)
     pairs = pairs[np.argsort(-strength[tuple(pairs.T)], kind="stable")]
-    return RankReport(
-        rank=int(np.linalg.matrix_rank(examples.weights)),
-        excited=len(examples.excited),
-        ambiguous=np.clip(open_energy / total, 0.0, 1.0),
-        together=tuple((int(a), int(b)) for a, b in pairs),
-    )
+    return tuple((int(a), int(b)) for a, b in pairs)
 
 
 def _null_projector(weights: FloatArray) -> FloatArray:

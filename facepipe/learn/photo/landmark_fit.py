@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from facepipe.core.arrays import BoolArray, FloatArray
-from facepipe.geometry.boxed_qp import solve_boxed
+from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
@@ -69,7 +69,8 @@ def levenberg_marquardt(
     damping, growth = 1e-3, 2.0
     for number in range(steps):
         diagonal = np.maximum(np.diag(here.hessian), 1e-9 * max(float(np.diag(here.hessian).max()), 1e-30))
-        d = solve_boxed(here.hessian + np.diag(damping * diagonal), here.gradient, lower - x, upper - x).x
+        damped = BoxedQuadratic(here.hessian + np.diag(damping * diagonal))
+        d = damped.minimise(here.gradient, lower - x, upper - x)
         promised = -float(here.gradient @ d + 0.5 * d @ here.hessian @ d)
         tried = np.clip(x + d, lower, upper)
         gained = here.cost - cost(tried)

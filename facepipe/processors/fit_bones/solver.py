@@ -106,7 +106,7 @@ class _Model:
     def minimiser(self, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
         """(v,) the step to the minimum inside a box; None where the quadratic has none."""
         try:
-            return self.damped.minimise(gradient, low, high).x
+            return self.damped.minimise(gradient, low, high)
         except np.linalg.LinAlgError:
             return None
 

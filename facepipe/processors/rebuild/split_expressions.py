@@ -101,7 +101,7 @@ class SplitExpressions:
 
 def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
     alike: dict[int, list[str]] = {}
-    for first, second in split.rank.together:
+    for first, second in split.together:
         alike.setdefault(first, []).append(names[second])
         alike.setdefault(second, []).append(names[first])
     shapes = {
@@ -122,7 +122,7 @@ def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         },
         residual_mean_mm=dict(zip(scans, map(float, split.residual_means), strict=True)),
         residual_p95_mm=dict(zip(scans, map(float, split.residual_p95), strict=True)),
-        rank=split.rank.rank,
+        rank=split.rank,
         unseen=tuple(name for name, one in shapes.items() if one.observed < _OBSERVED),
         warnings=split.warnings,
     )

@@ -15,7 +15,7 @@ from rebuild_stages import Files
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.geometry.example_rigging.split import RankReport, Split
+from facepipe.geometry.example_rigging.split import Split
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import whole_face, whole_points
@@ -56,11 +56,10 @@ def test_the_table_has_a_row_for_each_shape(files: Files, capsys: pytest.Capture
 
 
 def test_shapes_that_no_weights_separate_name_each_other() -> None:
-    rank = RankReport(rank=1, excited=2, ambiguous=np.ones(3), together=((0, 2),))
     numbers = {key: np.ones(3) for key in ("observed", "gains", "changes")}
     split = Split(
         deltas=np.zeros((3, 1, 3)), weights=np.array([[0.5, 0.0, 0.5]]), **numbers, residual_means=np.zeros(1),
-        residual_p95=np.zeros(1), alternations=1, rank=rank, warnings=(),
+        residual_p95=np.zeros(1), rank=1, together=((0, 2),), warnings=(),
     )  # fmt: skip
     shapes = _report(split, ("open", "smile", "drop"), ("scan",)).shapes
     assert {name: one.alike for name, one in shapes.items()} == {"open": ("drop",), "smile": (), "drop": ("open",)}
