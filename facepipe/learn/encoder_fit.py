@@ -1,6 +1,6 @@
 """Training of the encoder of a neural rig on pairs of points and controls.
 
-Descent can be stopped at any time and continued. The straight map and the last layer are then solved for together.
+The straight map and the last layer are then solved for together.
 """
 
 from __future__ import annotations
@@ -15,16 +15,15 @@ from torch import Tensor
 
 from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.geometry.ridge import ridge
+from facepipe.learn.descent import Descent
 from facepipe.learn.encoder_network import EncoderNetwork, EncoderSize, as_tensor, first_weights
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.training_state import restore_state, restoring, state_of
 
 _DOUBTS = (0.003, 0.01, 0.03, 0.1, 0.3, 10.0)  # noise of reduced features, within -1..1: with the last, none counts
 BATCH = 64
 FIRST_RATE, LAST_RATE = 5e-4, 1e-6
 DECAY = 1.0  # of weights, a step and rate: the network bends no more than the frames ask for
 WARM = 100  # steps over which the rate rises
-CHECK_EVERY, KEEP_EVERY = 50, 100  # steps
 LEAST_NOISE = 1e-3  # mm: straight maps stay within what float32 resolves
 
 
@@ -62,21 +61,10 @@ def _rows(offsets: Tensor, features: Tensor, controls: Tensor) -> tuple[FloatArr
     return np.concatenate(pieces, axis=1), controls.numpy().astype(np.float64)
 
 
-@dataclass(frozen=True, kw_only=True)
-class EncoderLimits:
-    """How long it is trained."""
+class EncoderDescent(Descent):
+    """Adam with decoupled decay on frames with other noise each time."""
 
-    steps: int
-    patience: int  # steps without a better check that end it
-
-    def rate(self, step: int) -> float:
-        """Of a step, counted from 1: up over the first, then down along a cosine."""
-        down = LAST_RATE + (FIRST_RATE - LAST_RATE) * (1.0 + math.cos(math.pi * step / self.steps)) / 2.0
-        return down * min(1.0, step / WARM)
-
-
-class EncoderDescent:
-    """Adam with decoupled decay, batch by batch, on frames with other noise each time."""
+    check_every, keep_every = 50, 100
 
     def __init__(
         self,
@@ -85,67 +73,35 @@ class EncoderDescent:
         checked: tuple[Tensor, Tensor],
         noise: float,
         random: torch.Generator,
-        limits: EncoderLimits,
+        *,
+        steps: int,
+        patience: int,
     ) -> None:
         """
         :param samples: offsets (f, p, 3) in millimetres and controls (f, c)
         :param checked: others; the network that is best there is kept
         :param noise: standard deviation of a coordinate, millimetres
         """
-        self._network, self._samples, self._checked, self._limits = network, samples, checked, limits
-        self._noise, self._random = noise, random
-        self._optimiser = torch.optim.AdamW(network.learned, lr=FIRST_RATE, weight_decay=DECAY)
-        self._best, self._best_step, self._kept = network.error(*checked), 0, network.copied()
-        self._ended = False
-        self.steps = 0
+        self._network, self._samples, self._checked, self._noise = network, samples, checked, noise
+        optimiser = torch.optim.AdamW(network.learned, lr=FIRST_RATE, weight_decay=DECAY)
+        super().__init__(network.learned, optimiser, random, steps=steps, patience=patience)
+        self._best = self.error()
 
-    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, AnyArray]], object]) -> None:
-        """Go on to the end, and restore the best network.
+    def rate(self, step: int) -> float:
+        """Up over the first, then down along a cosine."""
+        down = LAST_RATE + (FIRST_RATE - LAST_RATE) * (1.0 + math.cos(math.pi * step / self._most)) / 2.0
+        return down * min(1.0, step / WARM)
 
-        :param done: called once for each step, of those before too
-        :param keep: called with the state every `KEEP_EVERY` steps and in the end
-        """
-        for _ in range(self.steps):
-            done()
-        while not self._ended:
-            self._step()
-            if self.steps % CHECK_EVERY == 0 or self.steps == self._limits.steps:
-                self._check()
-            if self.steps % KEEP_EVERY == 0 or self._ended:
-                keep(self.state())
-            done()
-        self._network.restore(self._kept)
-
-    def _step(self) -> None:
-        self.steps += 1
-        self._optimiser.param_groups[0]["lr"] = self._limits.rate(self.steps)
+    def loss(self) -> Tensor:
+        """Of the next batch."""
         offsets, controls = self._samples
         rows = torch.randint(len(offsets), (BATCH,), generator=self._random)
         seen = offsets[rows] + self._noise * torch.randn(BATCH, *offsets.shape[1:], generator=self._random)
-        self._optimiser.zero_grad()
-        loss = (self._network(seen) - controls[rows]).square().mean()
-        loss.backward()
-        self._optimiser.step()
+        return (self._network(seen) - controls[rows]).square().mean()
 
-    def _check(self) -> None:
-        error = self._network.error(*self._checked)
-        if error < self._best:
-            self._best, self._best_step, self._kept = error, self.steps, self._network.copied()
-        self._ended = self.steps - self._best_step >= self._limits.patience or self.steps == self._limits.steps
-
-    def state(self) -> dict[str, AnyArray]:
-        """All that going on takes."""
-        numbers = np.array([self.steps, self._best, self._best_step, self._ended], dtype=np.float64)
-        return {**state_of(self._network.learned, self._kept, self._optimiser, self._random), "numbers": numbers}
-
-    def go_on(self, state: Mapping[str, AnyArray]) -> None:
-        """Take over a state.
-
-        :raises KeyError, RuntimeError, ValueError: the state of another network
-        """
-        steps, self._best, best_step, ended = (float(one) for one in state["numbers"])
-        self.steps, self._best_step, self._ended = int(steps), int(best_step), bool(ended)
-        self._kept = restore_state(state, self._network.learned, self._optimiser, self._random, self.steps)
+    def error(self) -> float:
+        """Of the samples that are checked."""
+        return self._network.error(*self._checked)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +129,8 @@ def train_encoder(
     size: EncoderSize,
     noise: float,
     seed: int,
-    limits: EncoderLimits,
+    steps: int,
+    patience: int,
     done: Callable[[], object] = lambda: None,
     state: Mapping[str, AnyArray] | None = None,
     keep: Callable[[Mapping[str, AnyArray]], object] = lambda _: None,
@@ -184,7 +141,7 @@ def train_encoder(
     network. It sees every frame with other noise each time. After it the straight map and the last layer are solved
     for once more, as the least squares of the features found.
 
-    :param checked: other samples; training stops where their error has not fallen for some steps, and the best is
+    :param checked: other samples; training stops where their error has not fallen for `patience` steps, and the best is
         taken
     :param places: (p, 3) of the points at rest
     :param straight: (3 p, c) and (c,): what the network is beside
@@ -199,10 +156,9 @@ def train_encoder(
         learned, seen = [(as_tensor(one.offsets), as_tensor(one.controls)) for one in (samples, checked)]
         seen = (seen[0] + noise * torch.randn(seen[0].shape, generator=random), seen[1])
         network = EncoderNetwork(first_weights(learned[0], places, straight, size, random), places, size.heads)
-        descent = EncoderDescent(network, learned, seen, noise, random, limits)
+        descent = EncoderDescent(network, learned, seen, noise, random, steps=steps, patience=patience)
         if state is not None:
-            with restoring():
-                descent.go_on(state)
+            descent.go_on(state)
         descent.run(done, keep)
         weights = {name: one.detach().numpy() for name, one in network.evaluated().items()}
         frames = [(x, network.reduced(x), y) for x, y in (learned, seen)]

@@ -99,16 +99,6 @@ class EncoderNetwork:
             total = sum((float((self(x) - y).square().sum()) for x, y in pieces), 0.0)
             return float(total / controls.numel())
 
-    def copied(self) -> list[Tensor]:
-        """The parameters as they are now."""
-        return [one.detach().clone() for one in self.learned]
-
-    def restore(self, copies: list[Tensor]) -> None:
-        """Set the parameters to what they were."""
-        with torch.no_grad():
-            for one, copy in zip(self.learned, copies, strict=True):
-                one.copy_(copy)
-
 
 def first_weights(
     offsets: Tensor,

@@ -1,13 +1,10 @@
-"""Training of a small network with one hidden layer, beside a linear map, on samples of what is to be learnt.
-
-Descent can be stopped at any time and continued.
-"""
+"""Training of a small network with one hidden layer, beside a linear map, on samples of what is to be learnt."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,12 +12,11 @@ import torch
 from torch import Tensor
 
 from facepipe.core.arrays import AnyArray, FloatArray
+from facepipe.learn.descent import Descent
 from facepipe.learn.one_thread import one_thread
-from facepipe.learn.training_state import restore_state, restoring, state_of
 
 BATCH = 256
 FIRST_RATE, LAST_RATE = 1e-2, 1e-5
-CHECK_EVERY, KEEP_EVERY = 100, 500  # steps
 
 _ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 RIDGE = 1e-9  # of the mean square of the features
@@ -58,131 +54,76 @@ class Network:
             with torch.no_grad():
                 self.parameters[0].copy_(torch.nn.functional.softshrink(self.parameters[0], amount))
 
-    def copied(self) -> list[Tensor]:
-        """The parameters as they are now."""
-        return [parameter.detach().clone() for parameter in self.parameters]
 
-    def restore(self, copies: list[Tensor]) -> None:
-        """Set the parameters to what they were."""
-        with torch.no_grad():
-            for one, copy in zip(self.parameters, copies, strict=True):
-                one.copy_(copy)
+class NetworkDescent(Descent):
+    """Adam on a network; errors count by their squares, in shares of the outputs' own."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """How long a descent goes on, and what it draws."""
-
-    steps: int
-    patience: int  # steps without a better check that end it
-    seed: int
-    sparsity: float  # of the rate of Adam, drawn off the hidden layer's weights (proximal L1)
-
-    def rate(self, step: int) -> float:
-        """Of a step, counted from 1: half a cosine from the first to the last."""
-        turned = math.cos(math.pi * (step - 1) / self.steps)
-        return LAST_RATE + 0.5 * (FIRST_RATE - LAST_RATE) * (1.0 + turned)
-
-
-@dataclass(kw_only=True)
-class _Progress:
-    step: int = 0
-    best: float = math.inf
-    best_step: int = 0
-    summed: float = 0.0  # losses since the last check
-    curve: list[list[float]] = field(default_factory=list)
-
-
-class Descent:
-    """Adam on a network, batch by batch; errors count by their squares, in shares of the outputs' own."""
+    check_every, keep_every = 100, 500
 
     def __init__(
-        self, network: Network, samples: tuple[Tensor, Tensor], checked: tuple[Tensor, Tensor], schedule: Schedule
+        self,
+        network: Network,
+        samples: tuple[Tensor, Tensor],
+        checked: tuple[Tensor, Tensor],
+        *,
+        steps: int,
+        patience: int,
+        seed: int,
+        sparsity: float,
     ) -> None:
-        """:param checked: other samples; the network that is best there is kept"""
-        self._network, self._samples, self._checked, self._schedule = network, samples, checked, schedule
+        """:param checked: other samples; the network that is best there is kept
+        :param sparsity: of the rate of Adam, drawn off the hidden layer's weights (proximal L1)
+        """
+        self._network, self._samples, self._checked, self._sparsity = network, samples, checked, sparsity
         self._size = samples[1].square().mean().sqrt().clamp_min(1e-30)
-        self._optimiser = torch.optim.Adam(network.parameters, lr=FIRST_RATE)
-        self._random = torch.Generator().manual_seed(schedule.seed)
-        self._kept = network.copied()
-        self._now = _Progress()
-
-    @property
-    def steps(self) -> int:
-        """Steps taken."""
-        return self._now.step
+        self._curve: list[list[float]] = []
+        optimiser = torch.optim.Adam(network.parameters, lr=FIRST_RATE)
+        random = torch.Generator().manual_seed(seed)
+        super().__init__(network.parameters, optimiser, random, steps=steps, patience=patience)
 
     @property
     def curve(self) -> AnyArray:
         """(checks, 3): step, then what is left of the learned and of the checked samples, RMS in shares of all."""
-        return np.array(self._now.curve, dtype=np.float64).reshape(-1, 3)
+        return np.array(self._curve, dtype=np.float64).reshape(-1, 3)
 
-    def run(self, done: Callable[[], object], keep: Callable[[Mapping[str, AnyArray]], object]) -> None:
-        """Go on to the end, and restore the best network.
+    def rate(self, step: int) -> float:
+        """Half a cosine from the first to the last."""
+        turned = math.cos(math.pi * (step - 1) / self._most)
+        return LAST_RATE + 0.5 * (FIRST_RATE - LAST_RATE) * (1.0 + turned)
 
-        :param done: called once for each step, of those before too
-        :param keep: called with the state every `KEEP_EVERY` steps and in the end
-        """
-        for _ in range(self._now.step):
-            done()
-        while self._now.step < self._schedule.steps and not self._stale():
-            self._step()
-            if self._now.step % CHECK_EVERY == 0 or self._now.step == self._schedule.steps:
-                self._check()
-            if self._now.step % KEEP_EVERY == 0:
-                keep(self.state())
-            done()
-        if self._now.step % KEEP_EVERY:
-            keep(self.state())
-        self._network.restore(self._kept)
-
-    def _stale(self) -> bool:
-        return self._now.step - self._now.best_step >= self._schedule.patience and bool(self._now.curve)
-
-    def _step(self) -> None:
-        self._now.step += 1
-        rate = self._schedule.rate(self._now.step)
-        self._optimiser.param_groups[0]["lr"] = rate
+    def loss(self) -> Tensor:
+        """Of the next batch."""
         x, y = self._samples
         rows = torch.randint(len(x), (BATCH,), generator=self._random).to(x.device)
-        self._optimiser.zero_grad()
-        loss = ((self._network(x[rows]) - y[rows]) / self._size).square().mean()
-        loss.backward()
-        self._optimiser.step()
-        self._network.shrink(self._schedule.sparsity * rate)
-        self._now.summed += float(loss.detach())
+        return ((self._network(x[rows]) - y[rows]) / self._size).square().mean()
 
-    def _check(self) -> None:
-        now, (x, y) = self._now, self._checked
+    def error(self) -> float:
+        """Of the samples that are checked."""
+        x, y = self._checked
         with torch.no_grad():
-            error = float(((self._network(x) - y) / self._size).square().mean())
-        since = now.step - (int(now.curve[-1][0]) if now.curve else 0)
-        now.curve.append([float(now.step), math.sqrt(now.summed / since), math.sqrt(error)])
-        now.summed = 0.0
-        if error < now.best:
-            now.best, now.best_step, self._kept = error, now.step, self._network.copied()
+            return float(((self._network(x) - y) / self._size).square().mean())
 
     def state(self) -> dict[str, AnyArray]:
-        """All that going on takes."""
-        numbers = np.array([self._now.step, self._now.best, self._now.best_step, self._now.summed])
-        found = state_of(self._network.parameters, self._kept, self._optimiser, self._random)
-        return found | {"numbers": numbers, "curve": self.curve}
+        """With the curve."""
+        return super().state() | {"curve": self.curve}
 
-    def go_on(self, state: Mapping[str, AnyArray]) -> None:
-        """Take over a state.
+    def _stale(self) -> bool:
+        return self.steps - self._best_step >= self._patience and bool(self._curve)
 
-        :raises KeyError, RuntimeError, ValueError: the state of another network
-        """
-        step, best, best_step, summed = (float(one) for one in state["numbers"])
-        curve = np.asarray(state["curve"]).reshape(-1, 3).tolist()
-        self._kept = restore_state(state, self._network.parameters, self._optimiser, self._random, int(step))
-        self._now = _Progress(
-            step=int(step),
-            best=best,
-            best_step=int(best_step),
-            summed=summed,
-            curve=curve,
-        )
+    def _step(self) -> None:
+        super()._step()
+        self._network.shrink(self._sparsity * self.rate(self.steps))
+
+    def _check(self) -> float:
+        error = super()._check()
+        since = self.steps - (int(self._curve[-1][0]) if self._curve else 0)
+        self._curve.append([float(self.steps), math.sqrt(self._summed / since), math.sqrt(error)])
+        self._summed = 0.0
+        return error
+
+    def _take_over(self, state: Mapping[str, AnyArray]) -> None:
+        super()._take_over(state)
+        self._curve = np.asarray(state["curve"]).reshape(-1, 3).tolist()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,16 +182,16 @@ def train(
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
         left = [(x.to(device), (y - x @ linear - offset).to(device)) for x, y in parts]
         network = Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed, device)
-        schedule = Schedule(steps=steps, patience=patience, seed=seed, sparsity=sparsity)
-        descent = Descent(network, left[0], left[1], schedule)
+        descent = NetworkDescent(
+            network, left[0], left[1], steps=steps, patience=patience, seed=seed, sparsity=sparsity
+        )
         if state is not None:
-            with restoring():
-                descent.go_on(state)
+            descent.go_on(state)
         descent.run(done, keep)
         return _solved(network, *parts[0], descent)
 
 
-def _solved(network: Network, x: Tensor, y: Tensor, descent: Descent) -> Trained:
+def _solved(network: Network, x: Tensor, y: Tensor, descent: NetworkDescent) -> Trained:
     hidden, hidden_bias, _, _ = (parameter.detach().cpu() for parameter in network.parameters)
     units = network.units(x.to(network.parameters[0].device)).detach().cpu()
     solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)

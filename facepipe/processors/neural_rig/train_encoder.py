@@ -84,7 +84,7 @@ class TrainEncoder:
         :raises InputError: no control or no point that moves, a single block of frames, or a checkpoint of another
             training
         """
-        from facepipe.learn.encoder_fit import EncoderLimits, train_encoder
+        from facepipe.learn.encoder_fit import train_encoder
 
         options, still = self.options, motion.constant
         if len(still) == len(motion.controls):
@@ -104,7 +104,8 @@ class TrainEncoder:
             size=size,
             noise=options.noise_mm,
             seed=options.seed,
-            limits=EncoderLimits(steps=options.encoder_steps, patience=options.encoder_patience),
+            steps=options.encoder_steps,
+            patience=options.encoder_patience,
             done=done,
             state=kept.state() if kept else None,
             keep=kept.keep if kept else lambda _: None,
