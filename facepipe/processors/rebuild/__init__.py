@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     )
     from facepipe.processors.rebuild.scan_fit import ScanFit
     from facepipe.processors.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
-    from facepipe.processors.rebuild.steps import Readers
     from facepipe.processors.rebuild.template import Template
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -50,7 +49,6 @@ __all__ = [
     "PlacedExpression",
     "Project",
     "ProjectScan",
-    "Readers",
     "Rebuild",
     "Rebuilt",
     "RefineNeutral",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.processors.database import quality_from
 from facepipe.processors.rebuild.fit_neutral import FitNeutral
-from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
+from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.project import ProjectScan, Refinement, expression_weights
 from facepipe.processors.rebuild.refine_neutral import RefineNeutral
@@ -25,7 +25,6 @@ from facepipe.processors.rebuild.step_results import (
     TEMPLATE,
     FittedExpression,
     FittedNeutral,
-    options_json,
     place_json,
     place_of,
     shape_arrays,
@@ -64,14 +63,45 @@ class FitSteps:
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
         return self._neutral(steps.step(f"{self._below}neutral", inputs, compute, NEUTRAL))
 
-    def together(
-        self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
-    ) -> FittedNeutral:
-        """The neutral refined on all scans, from fits to each alone, see `_together_step`.
+    def together(self, first: FittedNeutral, shapes: Shapes, expressions: Expressions) -> FittedNeutral:
+        """The neutral refined on all scans, from fits to each alone.
 
+        :param shapes: the personal template of `first`
         :raises FacepipeError: what can't be read, fitted or written
         """
-        return self._neutral(_together_step(self._steps, f"{self._below}neutral", first, shapes, expressions))
+        project, steps = self._project, self._steps
+        scans = {scan.name: scan for scan in project.expressions}
+        coefficients = np.array(first.report["coefficients"])
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            placed = []
+            for name, one in expressions.items():
+                raw, marks = steps.read(scans[name])
+                given = ExpressionScan(scan=raw, landmarks=marks, weights=one.composite.weights)
+                placed.append(PlacedExpression(expression=given, place=one.place))
+            raw, marks = steps.read(project.neutral)
+            neutral = replace(first.scan, landmarks=marks)
+            fit_together = FitTogether(neutral=project.neutral_options, expressions=project.expression_options)
+            fit = fit_together(self._template, raw, neutral, coefficients, steps.database(), shapes, placed)
+            weights = dict(zip(expressions, fit.weights, strict=True))
+            report = fit.neutral.report.to_dict()
+            report["weights"] = _shown_weights(report["weights"], first.report["weights"])
+            report["together"] = {"moved_mean_mm": fit.moved_mean_mm, "weights": weights}
+            arrays = {"points": fit.neutral.points, "expression": fit.neutral.expression}
+            return arrays, {"report": report, "place": place_json(fit.neutral.place)}
+
+        inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
+        inputs |= {
+            "first": array_digest(first.scan.points, first.scan.shown, coefficients),
+            "weights": dict(first.report["weights"]),
+            "place": place_json(first.place),
+            "shapes": array_digest(*shapes.values()),
+        }
+        inputs["expressions"] = {}
+        for name, one in expressions.items():
+            found = {"weights": dict(one.composite.weights), "place": place_json(one.place)}
+            inputs["expressions"][name] = steps.inputs(scans[name], project.expression_options, **found)
+        return self._neutral(steps.step(f"{self._below}neutral", inputs, compute, NEUTRAL))
 
     def _neutral(self, result: StepResult) -> FittedNeutral:
         points = self._steps.after_correction(f"{self._below}neutral", result.arrays["points"])
@@ -119,7 +149,7 @@ class FitSteps:
             "neutral": array_digest(neutral),
             "template": steps.digest(project.template),
             "database": steps.digest(project.database),
-            "options": options_json(project.template_options),
+            "options": asdict(project.template_options),
         }
         result = steps.step(f"{self._below}template", inputs, compute, TEMPLATE)
         return shapes_of(result.arrays, result.content["names"])
@@ -174,7 +204,7 @@ class FitSteps:
             "names": list(shapes),
             "composites": {name: array_digest(one.points, one.matched) for name, one in composites.items()},
             "weights": {name: dict(one.weights) for name, one in composites.items()},
-            "options": options_json(options),
+            "options": asdict(options),
         }
         result = steps.step("shapes", inputs, compute, SHAPES)
         return shapes_of(result.arrays, result.content["names"]), result.content["report"]
@@ -192,68 +222,8 @@ def _markers(neutral: NeutralScan) -> dict[str, list[float]]:
     return {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()}
 
 
-def _together_step(
-    steps: Steps, name: str, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
-) -> StepResult:
-    """The neutral refined on all scans, from fits to each alone.
-
-    :param name: of the step
-    :param shapes: the personal template of `first`
-    :raises FacepipeError: what can't be read, fitted or written
-    """
-
-    def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-        fit = _fit(steps, first, shapes, expressions)
-        together = {
-            "moved_mean_mm": fit.moved_mean_mm,
-            "weights": dict(zip(expressions, fit.weights, strict=True)),
-        }
-        report = fit.neutral.report.to_dict()
-        report |= {"weights": _shown_weights(report["weights"], first.report["weights"]), "together": together}
-        arrays = {"points": fit.neutral.points, "expression": fit.neutral.expression}
-        return arrays, {"report": report, "place": place_json(fit.neutral.place)}
-
-    return steps.step(name, _inputs(steps, first, shapes, expressions), compute, NEUTRAL)
-
-
-def _fit(steps: Steps, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions) -> TogetherFit:
-    project, placed = steps.project, []
-    scans = {scan.name: scan for scan in project.expressions}
-    for name, one in expressions.items():
-        scan, marks = steps.read(scans[name])
-        given = ExpressionScan(scan=scan, landmarks=marks, weights=one.composite.weights)
-        placed.append(PlacedExpression(expression=given, place=one.place))
-    scan, marks = steps.read(project.neutral)
-    fit = FitTogether(neutral=project.neutral_options, expressions=project.expression_options)
-    neutral, coefficients = replace(first.scan, landmarks=marks), np.array(first.report["coefficients"])
-    return fit(steps.template, scan, neutral, coefficients, steps.database(), shapes, placed)
-
-
 def _shown_weights(together: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
     """Weights of the shapes that the neutral's scan shows besides: together they are fitted as one shape, of which
     `together` has how much, by what was found alone."""
     share = next(iter(together.values()), 1.0)
     return {shape: share * weight for shape, weight in alone.items()}
-
-
-def _inputs(
-    steps: Steps, first: FittedNeutral, shapes: Mapping[str, FloatArray], expressions: Expressions
-) -> dict[str, Any]:
-    project = steps.project
-    scans = {scan.name: scan for scan in project.expressions}
-    inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
-    return inputs | {
-        "first": array_digest(first.scan.points, first.scan.shown, np.array(first.report["coefficients"])),
-        "weights": dict(first.report["weights"]),
-        "place": place_json(first.place),
-        "shapes": array_digest(*shapes.values()),
-        "expressions": {
-            name: steps.inputs(
-                scans[name],
-                project.expression_options,
-                weights=dict(one.composite.weights),
-                place=place_json(one.place),
-            )
-            for name, one in expressions.items()
-        },
-    }

@@ -43,9 +43,8 @@ class PersonalTemplate:
         :raises InputError: neither has shapes
         :raises TopologyError: a database of another topology
         """
-        if self._from(template, database) and database is not None:
-            return predicted_shapes(database, neutral, done=done)
-        return _transferred(template, neutral, done)
+        source = self.source(template, database)
+        return _transferred(template, neutral, done) if source is None else predicted_shapes(source, neutral, done=done)
 
     def names(self, template: Template, database: FaceDatabase | None = None) -> tuple[str, ...]:
         """Those of the shapes that come of these, without making them.
@@ -53,24 +52,26 @@ class PersonalTemplate:
         :raises InputError: neither has shapes
         :raises TopologyError: a database of another topology
         """
-        if self._from(template, database) and database is not None:
-            return database.shapes
-        names = template.parts.shapes
+        source = self.source(template, database)
+        names = template.parts.shapes if source is None else source.shapes
         if not names:
             raise InputError(template.where, "has no blendshapes, expected some to start from")
         return names
 
-    def _from(self, template: Template, database: FaceDatabase | None) -> bool:
-        """Whether shapes come from the database."""
-        source = self.options.shapes_from
-        known = database is not None and database.expressions is not None
-        if source == "database" or (source == "auto" and known):
-            if database is None or not known:
-                raise InputError("database", "has no expressions, expected some (or shapes from the template)")
-            if database.topology.digest != template.topology.digest:
-                raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
-            return True
-        return False
+    def source(self, template: Template, database: FaceDatabase | None) -> FaceDatabase | None:
+        """The database where shapes come from it, None where they come from the template.
+
+        :raises InputError: a database without shapes that are to come from it
+        :raises TopologyError: a database of another topology
+        """
+        wanted, known = self.options.shapes_from, database is not None and database.expressions is not None
+        if wanted == "template" or (wanted == "auto" and not known):
+            return None
+        if database is None or not known:
+            raise InputError("database", "has no expressions, expected some (or shapes from the template)")
+        if database.topology.digest != template.topology.digest:
+            raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
+        return database
 
 
 def _transferred(template: Template, neutral: FloatArray, done: Callable[[], object]) -> dict[str, FloatArray]:
@@ -106,9 +107,7 @@ class AuthorPersonal:
     @property
     def count(self) -> int:
         """How many shapes there are to make."""
-        if self._from_database and self.database is not None:
-            return len(self.database.shapes)
-        return len(_shapes_of(self.template))
+        return len(self.make.names(self.template, self.database))
 
     def __call__(
         self, face: Face, *, recipe: Recipe | None = None, done: Callable[[], object] = lambda: None
@@ -124,27 +123,16 @@ class AuthorPersonal:
             raise TopologyError(face.where, f"other meshes or faces than {self.template.where}, expected the same")
         shapes = self.make(self.template, whole.points, self.database, done)
         report = AuthorNeutral(shapes=shapes)(face, whole.points, recipe=recipe)
+        source = self.make.source(self.template, self.database)
+        motion = {name: np.linalg.norm(delta, axis=1).max(initial=0.0) for name, delta in shapes.items()}
+        generic = whole_face(self.template.parts, self.template.where).deltas
         return PersonalReport(
-            source="from the database" if self._from_database else "from the template",
-            motion_mm={name: float(_lengths(delta).max(initial=0.0)) for name, delta in shapes.items()},
-            change_mean_mm=_change(shapes, _shapes_of(self.template)),
+            source="from the template" if source is None else "from the database",
+            motion_mm={name: float(largest) for name, largest in motion.items()},
+            change_mean_mm=_change(shapes, generic),
             authored=report.authored,
             warnings=(*report.warnings, *_kept(whole, shapes)),
         )
-
-    @property
-    def _from_database(self) -> bool:
-        return self.make.options.shapes_from != "template" and (
-            self.database is not None and self.database.expressions is not None
-        )
-
-
-def _shapes_of(template: Template) -> Mapping[str, FloatArray]:
-    return whole_face(template.parts, template.where).deltas
-
-
-def _lengths(delta: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(delta, axis=1))
 
 
 def _change(shapes: Mapping[str, FloatArray], generic: Mapping[str, FloatArray]) -> float:
@@ -152,8 +140,9 @@ def _change(shapes: Mapping[str, FloatArray], generic: Mapping[str, FloatArray])
     off = [np.zeros(0)]
     for name, delta in shapes.items():
         if name in generic:
-            motion = _lengths(generic[name])
-            off.append(_lengths(delta - generic[name])[motion > _MOVED * motion.max(initial=0.0)])
+            motion = np.linalg.norm(generic[name], axis=1)
+            moved = motion > _MOVED * motion.max(initial=0.0)
+            off.append(np.linalg.norm(delta - generic[name], axis=1)[moved])
     every = np.concatenate(off)
     return float(every.mean()) if len(every) else 0.0
 

@@ -16,7 +16,7 @@ from facepipe.processors.rebuild.fit_steps import FitSteps
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.project import Project, expression_weights
 from facepipe.processors.rebuild.step_results import Fitted, FittedNeutral
-from facepipe.processors.rebuild.steps import Readers, Steps
+from facepipe.processors.rebuild.steps import Steps
 from facepipe.processors.rebuild.template import Template, region_weights
 
 _ALONE = "alone/"  # folder of what a joint fit begins with
@@ -59,10 +59,10 @@ class Rebuild:
     """
 
     def __init__(
-        self, project: Project, template: Template, readers: Readers, began: Callable[[str], object] = lambda name: None
+        self, project: Project, template: Template, began: Callable[[str], object] = lambda name: None
     ) -> None:
         self._project, self._template = project, template
-        self._steps = Steps(project, template, readers, began)
+        self._steps = Steps(project, template, began)
 
     def __call__(self) -> Rebuilt:
         """All steps.

@@ -95,12 +95,11 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
-        from facepipe.processors.rebuild.steps import readers
         from facepipe.processors.rebuild.template import Template
 
         template = Template.of(face.parts(), str(self.base))
         with job.watch("rebuild", step_count(self._project)) as bar, apart():  # steps stay where a later one fails
-            rebuilt = Rebuild(self._project, template, readers(), _named_steps(bar))()
+            rebuilt = Rebuild(self._project, template, _named_steps(bar))()
         quality, missed = to_json(rebuilt.quality), misses(rebuilt.quality, QualityLimits())
         authored = AuthorNeutral(shapes=rebuilt.shapes)(face, rebuilt.neutral, recipe=job.recipe(quality=quality))
         return RebuildReport(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -123,8 +122,3 @@ def shape_arrays(shapes: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 def shapes_of(arrays: Mapping[str, AnyArray], names: list[str]) -> dict[str, FloatArray]:
     """The shapes back, in the order of `names`."""
     return {name: np.asarray(arrays[f"shape/{name}"], np.float64) for name in names}
-
-
-def options_json(options: Any) -> dict[str, Any]:
-    """Options as inputs of a step."""
-    return dataclasses.asdict(options)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from facepipe.processors.database import FaceDatabase, load_database, whole_face
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.rebuild.project import Project, ProjectScan
 from facepipe.processors.rebuild.scan_input import landmarks_of
-from facepipe.processors.rebuild.step_results import Kept, options_json
+from facepipe.processors.rebuild.step_results import Kept
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
@@ -146,16 +146,6 @@ def array_digest(*arrays: AnyArray) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Readers:
-    """How files come in: the command binds them to the importers."""
-
-    scan: Callable[[Path], Scan]
-    landmarks: Callable[[Path], ScanLandmarks]
-    find_landmarks: Callable[[Scan], ScanLandmarks]
-    face: Callable[[Path], FaceParts]  # a corrected mesh
-
-
 class Steps:
     """The work folder of one run, and what happened in it.
 
@@ -163,11 +153,8 @@ class Steps:
     :raises InputError: a work folder that can't be made
     """
 
-    def __init__(
-        self, project: Project, template: Template, readers: Readers, began: Callable[[str], object] = lambda name: None
-    ) -> None:
-        self.project, self.template = project, template
-        self._readers, self._began = readers, began
+    def __init__(self, project: Project, template: Template, began: Callable[[str], object]) -> None:
+        self.project, self.template, self._began = project, template, began
         self._folder = WorkFolder(project.work)
         self._database: FaceDatabase | None = None
         self._digests: dict[Path, str] = {}
@@ -205,7 +192,7 @@ class Steps:
         if path is None:
             return np.asarray(points, np.float64)
         self.corrected.append(name)
-        return whole_face(self._readers.face(path), str(path), self.template.topology, self.template.where).points
+        return whole_face(_face(path), str(path), self.template.topology, self.template.where).points
 
     def idle_corrections(self) -> tuple[str, ...]:
         """A line for each mesh that corrects nothing."""
@@ -217,16 +204,16 @@ class Steps:
 
         :raises FacepipeError: of the readers
         """
-        named = replace(self._readers.scan(scan.scan), name=str(scan.scan))
+        named = replace(read_scan(scan.scan), name=str(scan.scan))
         if scan.landmarks:
             return named, self.landmarks(scan)
         if scan.scan not in self._found:
-            self._found[scan.scan] = self._readers.find_landmarks(named)
+            self._found[scan.scan] = landmarks_of(None, named)[0]
         return named, self._found[scan.scan]
 
     def landmarks(self, scan: ProjectScan) -> ScanLandmarks:
         """Those that are given for a scan."""
-        return self._readers.landmarks(scan.landmarks) if scan.landmarks else ScanLandmarks()
+        return read_scan_landmarks(scan.landmarks) if scan.landmarks else ScanLandmarks()
 
     def database(self) -> FaceDatabase:
         """The project's, read once."""
@@ -251,7 +238,7 @@ class Steps:
             "template": self.digest(self.project.template),
             "scan": self.digest(scan.scan),
             "landmarks": self.digest(scan.landmarks),
-            "options": options_json(options),
+            "options": asdict(options),
             **more,
         }
 
@@ -259,16 +246,6 @@ class Steps:
         path = self._folder.place(f"{name}.usdc")
         if not (result.reused and path.is_file()):
             save_parts(self.template.topology.parts(result.arrays["points"]), path)
-
-
-def readers() -> Readers:
-    """Those of the importers."""
-    return Readers(
-        scan=read_scan,
-        landmarks=read_scan_landmarks,
-        find_landmarks=lambda scan: landmarks_of(None, scan)[0],
-        face=_face,
-    )
 
 
 def _face(path: Path) -> FaceParts:

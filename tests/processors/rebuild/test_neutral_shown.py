@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import expression_domes
 import numpy as np
@@ -20,7 +21,6 @@ from facepipe.kinds import found_of
 from facepipe.processors.database import save_database, whole_face, whole_points
 from facepipe.processors.rebuild import (
     ExpressionScan,
-    Readers,
     Rebuild,
     Rebuilt,
     RegisterScans,
@@ -29,7 +29,7 @@ from facepipe.processors.rebuild import (
 )
 from facepipe.processors.rebuild.register_scans import placed_neutral
 from facepipe.processors.rebuild.scan_fit import FaceOnScan, scan_distances
-from facepipe.scans import Scan, ScanLandmarks
+from facepipe.scans import ScanLandmarks
 from facepipe.stage import save_parts
 
 SHOWN = 0.8  # of the person's own brows, which the neutral's scan has up
@@ -140,17 +140,9 @@ def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
 
 def rebuilt(folder: Path) -> Rebuilt:
     project = read_project(folder / "anna.toml")
-
-    def not_asked(scan: Scan) -> ScanLandmarks:
-        raise AssertionError(scan.name)
-
-    readers = Readers(
-        scan=read_scan,
-        landmarks=read_scan_landmarks,
-        find_landmarks=not_asked,
-        face=lambda path: facepipe.open(path).parts(),
-    )
-    return Rebuild(project, Template.of(facepipe.open(folder / "head.usda").parts(), "head.usda"), readers)()
+    template = Template.of(facepipe.open(folder / "head.usda").parts(), "head.usda")
+    with mock.patch("facepipe.processors.rebuild.steps.landmarks_of", side_effect=AssertionError):
+        return Rebuild(project, template)()
 
 
 def check_brows(found: Rebuilt) -> None:

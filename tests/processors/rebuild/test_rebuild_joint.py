@@ -19,7 +19,6 @@ from scan_domes import POSE
 import facepipe
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.closest_points import closest_places
-from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import save_database, whole_face
@@ -31,11 +30,11 @@ from facepipe.processors.rebuild import (
     NeutralScan,
     PersonalTemplate,
     PlacedExpression,
-    Readers,
     Rebuild,
     RegisterScans,
     Template,
     read_project,
+    steps,
 )
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
@@ -157,28 +156,25 @@ def test_a_joint_rebuild_keeps_and_reuses_its_stages(drawer: Path, capsys: pytes
     assert np.allclose(found[400], sculpted[400], atol=1e-4)
 
 
-def test_landmarks_found_on_the_neutrals_scan_count_after_an_interruption_too(drawer: Path, tmp_path: Path) -> None:
+def test_landmarks_found_on_the_neutrals_scan_count_after_an_interruption_too(
+    drawer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("head.usda", "faces.fpdb", "anna.ply", "open.ply", "open.landmarks.json"):
         shutil.copyfile(drawer / name, tmp_path / name)
     (tmp_path / "anna.toml").write_text(PROJECT)
     project = read_project(tmp_path / "anna.toml")
     asked = []
 
-    def find_landmarks(scan: Scan) -> ScanLandmarks:
+    def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[str, ...]]:
         asked.append(Path(scan.name).name)
-        return read_scan_landmarks(drawer / "anna.landmarks.json")
+        return read_scan_landmarks(drawer / "anna.landmarks.json"), ()
 
-    readers = Readers(
-        scan=read_scan,
-        landmarks=read_scan_landmarks,
-        find_landmarks=find_landmarks,
-        face=lambda path: facepipe.open(path).parts(),
-    )
+    monkeypatch.setattr(steps, "landmarks_of", landmarks_of)
     template = Template.of(expression_domes.face(), "head.usda")
-    first = Rebuild(project, template, readers)()
+    first = Rebuild(project, template)()
     assert asked == ["anna.ply"]
     (tmp_path / "anna/neutral.fpstage").unlink()
-    second = Rebuild(project, template, readers)()
+    second = Rebuild(project, template)()
     assert "alone/neutral" in second.reused
     assert "neutral" not in second.reused
     assert np.array_equal(second.neutral, first.neutral)

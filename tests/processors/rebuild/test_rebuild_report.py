@@ -8,6 +8,7 @@ import json
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -19,8 +20,6 @@ from rebuild_project import put
 
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
-from facepipe.importers.scan_file import read_scan
-from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.rebuild_pictures import (
@@ -33,7 +32,7 @@ from facepipe.pictures.rebuild_pictures import (
     turntable,
 )
 from facepipe.processors.database import save_database
-from facepipe.processors.rebuild import Readers, Rebuild, Rebuilt, Template, read_project
+from facepipe.processors.rebuild import Rebuild, Rebuilt, Template, read_project
 from facepipe.processors.rebuild.rebuild_report import RebuildPictures, ShapeRow, shape_rows, shapes_table
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
@@ -68,12 +67,8 @@ class Made:
         """What the pictures are drawn of, from the stages' results."""
         project = read_project(self.folder / "p.toml")
         template = Template.of(open_face(project.template).parts(), "head.usda")
-
-        def never(*given: object) -> object:
-            raise AssertionError(given)
-
-        readers = Readers(scan=read_scan, landmarks=read_scan_landmarks, find_landmarks=never, face=never)  # type: ignore[arg-type]
-        rebuilt = Rebuild(project, template, readers)()
+        with mock.patch("facepipe.processors.rebuild.steps.landmarks_of", side_effect=AssertionError):
+            rebuilt = Rebuild(project, template)()
         return RebuildPictures(project=project, template=template, rebuilt=rebuilt), rebuilt
 
 
