@@ -13,27 +13,18 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Iterable, Iterator
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from facepipe.cli.parser import Parser
 from facepipe.core.errors import InputError
 
 
-class _Flag(NamedTuple):
-    """A flag, or the first word that stands alone (no names)."""
-
-    names: tuple[str, ...]
-    help: str
-    choices: tuple[str, ...]  # its values, where they are few
-    value: Literal["nothing", "word", "file"]  # what follows it; a word is no file
-
-
 class _Line(NamedTuple):
-    """A command, or an action of one, and what it takes."""
+    """A command, or an action of one, and what it takes: its flags, and the first word that stands alone."""
 
     verb: str
     summary: str
-    flags: tuple[_Flag, ...]
+    flags: tuple[argparse.Action, ...]
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -48,58 +39,45 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _lines() -> Iterator[_Line]:
-    """Every command, and every action of those that have some; of plug-ins that can't be used only the names."""
-    from facepipe.cli import command_module, commands_of
-    from facepipe.cli.action_line import ActionGroup
-
-    for verb, summary in commands_of().items():
-        parser = Parser(prog=verb)
-        try:
-            module: Any = command_module(verb)
-            module.configure(parser, ["--help"])
-        except InputError:
-            yield _Line(verb, summary, ())
-            continue
-        yield _Line(verb, summary, _flags(parser))
-        if isinstance(module, ActionGroup):
-            yield from _actions(module)
-
-
-def _actions(group: Any) -> Iterator[_Line]:
+    """Every command, and every action of those that have some."""
     from facepipe.actions import summaries
+    from facepipe.cli import commands_of
 
-    for verb, summary in summaries(f"{group.name} ").items():
-        parser, action = Parser(prog=group.name), verb.partition(" ")[2]
-        try:
-            group.configure(parser, [action])
-        except InputError:
-            yield _Line(verb, summary, ())
-            continue
-        (actions,) = (one for one in parser._actions if isinstance(one, argparse._SubParsersAction))
-        yield _Line(verb, summary, _flags(actions.choices[action]))
+    for command, summary in commands_of().items():
+        yield _Line(command, summary, _flags(command, "--help"))
+        for verb, text in summaries(f"{command} ").items():
+            yield _Line(verb, text, _flags(*verb.split()))
 
 
-def _flags(parser: argparse.ArgumentParser) -> tuple[_Flag, ...]:
-    shown = [
+def _flags(command: str, word: str) -> tuple[argparse.Action, ...]:
+    """What the command takes, or its action called `word`; nothing of plug-ins that can't be used."""
+    from facepipe.cli import command_module
+
+    parser: argparse.ArgumentParser = Parser(prog=command)
+    try:
+        command_module(command).configure(parser, [word])
+    except InputError:
+        return ()
+    for actions in parser._actions:
+        if isinstance(actions, argparse._SubParsersAction) and word in actions.choices:
+            parser = actions.choices[word]
+    return tuple(
         action
         for action in parser._actions
         if action.help != argparse.SUPPRESS and (action.option_strings or action.choices)
-    ]
-    return tuple(_Flag(tuple(one.option_strings), _sentence(one.help), _choices(one), _value(one)) for one in shown)
+    )
 
 
-def _sentence(help: str | None) -> str:
-    return (help or "").replace("%%", "%").partition("; ")[0]
+def _choices(flag: argparse.Action) -> str:
+    """Its values, where they are few."""
+    return " ".join(map(str, flag.choices or ()))
 
 
-def _choices(action: argparse.Action) -> tuple[str, ...]:
-    return tuple(map(str, action.choices or ()))
-
-
-def _value(action: argparse.Action) -> Literal["nothing", "word", "file"]:
-    if action.nargs == 0:
+def _value(flag: argparse.Action) -> Literal["nothing", "word", "file"]:
+    """What follows it; a word is no file."""
+    if flag.nargs == 0:
         return "nothing"
-    return "word" if getattr(action.type, "__name__", "") in ("int", "float") or action.choices else "file"
+    return "word" if getattr(flag.type, "__name__", "") in ("int", "float") or flag.choices else "file"
 
 
 def _cases(lines: Iterable[_Line]) -> str:
@@ -108,11 +86,11 @@ def _cases(lines: Iterable[_Line]) -> str:
     for line in lines:
         last = line.verb.rpartition(" ")[2]
         for flag in line.flags:
-            words = " ".join(flag.choices) or ("-" if flag.value == "word" else "")
+            words = _choices(flag) or ("-" if _value(flag) == "word" else "")
             if words:
-                names = "|".join(f'"{line.verb} {name}"' for name in flag.names or (last,))
+                names = "|".join(f'"{line.verb} {name}"' for name in flag.option_strings or (last,))
                 values.append(f'        {names}) values="{words}" ;;')
-        names = " ".join(name for flag in line.flags for name in flag.names)
+        names = " ".join(name for flag in line.flags for name in flag.option_strings)
         flags.append(f'        "{line.verb}") flags="{names}" ;;')
     return "\n".join(['    case "$verb $before" in', *values, "    esac", '    case "$verb" in', *flags, "    esac"])
 
@@ -198,11 +176,13 @@ def _fish(lines: list[_Line]) -> str:
             where, seen = seen, f"{seen}; and __fish_seen_subcommand_from {action}"
         rows.append(f"complete -c facepipe -f -n '{where}' -a {action or group} -d {_fish_quoted(line.summary)}")
         for flag in line.flags:
-            names = " ".join(f"-l {one[2:]}" if one.startswith("--") else f"-s {one[1:]}" for one in flag.names)
-            takes = {"nothing": "", "word": " -x", "file": " -r"}[flag.value] if flag.names else " -f"
-            choices = f" -a '{' '.join(flag.choices)}'" if flag.choices else ""
-            named = f" {names}" if names else ""
-            rows.append(f"complete -c facepipe -n '{seen}'{named}{takes}{choices} -d {_fish_quoted(flag.help)}")
+            names = "".join(
+                f" -l {one[2:]}" if one.startswith("--") else f" -s {one[1:]}" for one in flag.option_strings
+            )
+            takes = {"nothing": "", "word": " -x", "file": " -r"}[_value(flag)] if names else " -f"
+            choices = f" -a '{_choices(flag)}'" if flag.choices else ""
+            help = _fish_quoted((flag.help or "").replace("%%", "%").partition("; ")[0])
+            rows.append(f"complete -c facepipe -n '{seen}'{names}{takes}{choices} -d {help}")
     return "\n".join(rows)
 
 

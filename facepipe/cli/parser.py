@@ -231,19 +231,6 @@ def output_or_edited(arguments: argparse.Namespace, inputs: Sequence[Path]) -> P
     return output_of(argparse.Namespace(output=edited, force=True), inputs)
 
 
-def picture_of(path: Path, arguments: argparse.Namespace, inputs: Sequence[Path], out: Path | None = None) -> Path:
-    """The path of a picture drawn beside the output `out`, checked before any work.
-
-    :raises InputError: as `output_of`, no .png, or `out` itself
-    """
-    picture = output_of(argparse.Namespace(output=path, force=arguments.force), inputs)
-    if picture.suffix.lower() != ".png":
-        raise InputError(picture, f"suffix '{picture.suffix}', expected .png")
-    if out is not None and picture.absolute() == out.absolute():
-        raise InputError(picture, "is the output too, expected another file")
-    return picture
-
-
 def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
     """`--rename NAMES|FILE`; the list of conventions is loaded for --help alone."""
     kinds = ""

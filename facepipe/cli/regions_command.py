@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli import action_line
-from facepipe.cli.parser import Parser, picture_of
+from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
 from facepipe.processors import regions_action
@@ -35,7 +35,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.face is None:
         raise InputError("FACE", "none given, expected a face stage")
     picture = getattr(arguments, "picture", None)
-    return _list(arguments, None if picture is None else picture_of(picture, arguments, [arguments.face]))
+    if picture is not None:
+        output_of(argparse.Namespace(output=picture, force=arguments.force), [arguments.face])
+        if picture.suffix.lower() != ".png":
+            raise InputError(picture, f"suffix '{picture.suffix}', expected .png")
+    return _list(arguments, picture)
 
 
 def _list(arguments: argparse.Namespace, picture: Path | None) -> int:
