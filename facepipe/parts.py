@@ -7,9 +7,9 @@ into USD values and back.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -39,6 +39,9 @@ def identity() -> FloatArray:
     return np.eye(4)
 
 
+Sculpt = TypeVar("Sculpt", "Blendshape", "Inbetween")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Inbetween:
     """An extra sculpt of a blendshape, reached at `weight` (0 < weight, not 1)."""
@@ -59,6 +62,17 @@ class Blendshape:
     normal_offsets: FloatArray | None = None  # (k, 3)
     inbetweens: tuple[Inbetween, ...] = ()
     label: str | None = None  # the source's name, where `name` had to be another: several are called so, or ""
+
+    def changed(
+        self, offsets: Callable[[FloatArray], FloatArray], normal_offsets: Callable[[FloatArray], FloatArray]
+    ) -> Blendshape:
+        """The shape with other (k, 3) offsets of points and, where it has them, of normals; its inbetweens too."""
+
+        def sculpt(one: Sculpt) -> Sculpt:
+            normals = None if one.normal_offsets is None else normal_offsets(one.normal_offsets)
+            return replace(one, offsets=offsets(one.offsets), normal_offsets=normals)
+
+        return replace(sculpt(self), inbetweens=tuple(map(sculpt, self.inbetweens)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,6 +229,11 @@ class Slider:
     shape_curves: tuple[Curve | None, ...] = ()  # empty, or one per shape; None: straight
     mirror: str | None = None  # the slider of the other side, whose mirror this one is
 
+    @property
+    def setting(self) -> float:
+        """Its value, or its default where none is set."""
+        return self.default if self.value is None else self.value
+
 
 @dataclass(frozen=True, kw_only=True)
 class SliderNetwork:
@@ -231,6 +250,22 @@ class SliderNetwork:
     biases: tuple[FloatArray, ...]  # (out,) of each layer
     activation: Literal["tanh", "relu", "silu"] = "tanh"
     info: Mapping[str, object] = field(default_factory=dict)  # how it was made: JSON values
+
+    @property
+    def layers(self) -> list[int]:
+        """Its inputs, and the units of each layer."""
+        return [len(self.sliders), *(len(bias) for bias in self.biases)]
+
+    def summary(self) -> dict[str, object]:
+        """All but its numbers, as JSON has it."""
+        return {
+            "activation": self.activation,
+            "channels": [list(channel) for channel in self.channels],
+            "info": dict(self.info),
+            "layers": self.layers,
+            "shapes": list(self.shapes),
+            "sliders": list(self.sliders),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -370,6 +405,23 @@ class FaceParts:
     def shapes(self) -> tuple[str, ...]:
         """Names of its blendshapes, each once, in the order of the meshes."""
         return tuple(dict.fromkeys(shape.name for mesh in self.meshes for shape in mesh.blendshapes))
+
+    @property
+    def gltf_axes(self) -> FloatArray:
+        """(4, 4) from the world of the stage to that of glTF: metres, Y up."""
+        unit = self.meters_per_unit
+        axes = np.diag([unit, unit, unit, 1.0])
+        if self.up_axis == "Z":
+            axes[1:3, 1:3] = [[0.0, unit], [-unit, 0.0]]
+        return axes
+
+    def placed(self, matrix: FloatArray) -> FaceParts:
+        """The face elsewhere in its world, moved by (4, 4): only the transforms of meshes and skeleton change."""
+        return replace(
+            self,
+            meshes=tuple(replace(mesh, transform=matrix @ mesh.transform) for mesh in self.meshes),
+            skeleton=replace(self.skeleton, transform=matrix @ self.skeleton.transform),
+        )
 
 
 class HasParts(Protocol):

@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.hosting.edited_face import edited_face, made_face
 from facepipe.hosting.host_face import recipe_from
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Material, Mesh
+from facepipe.parts import FaceParts, Material, Mesh
 
 from .armature import joint_paths, read_skeleton, skeleton_at_rest
 from .face_objects import FaceObjects
@@ -53,7 +53,7 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
         place = _between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
     home = _home(before, face)
     moved = _snapped(place, home, size) @ np.linalg.inv(home)
-    parts = _placed_face(edited.parts, moved)
+    parts = edited.parts if np.array_equal(moved, np.eye(4)) else edited.parts.placed(moved)
     if not own_units:
         parts = replace(parts, meters_per_unit=view.unit, up_axis=made.up_axis)
     parts = replace(parts, recipe=recipe_from(parts.recipe, Path(kept.file).parent, view.folder))
@@ -179,10 +179,6 @@ def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
     def offsets(values: FloatArray) -> FloatArray:
         return (np.asarray(values, np.float64) @ linear.T).astype(np.float32)
 
-    def shape(one: Blendshape) -> Blendshape:
-        between: list[Inbetween] = [replace(each, offsets=offsets(each.offsets)) for each in one.inbetweens]
-        return replace(one, offsets=offsets(one.offsets), inbetweens=tuple(between))
-
     normals = None
     if mesh.normals is not None:
         turned = np.asarray(mesh.normals, np.float64) @ turn
@@ -192,7 +188,7 @@ def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
         mesh,
         points=points.astype(np.float32),
         normals=normals,
-        blendshapes=tuple(shape(blendshape) for blendshape in mesh.blendshapes),
+        blendshapes=tuple(shape.changed(offsets, offsets) for shape in mesh.blendshapes),  # none has normals yet
     )
 
 
@@ -213,15 +209,4 @@ def _moved_face(parts: FaceParts, matrix: FloatArray) -> FaceParts:
         parts,
         meshes=tuple(_moved_mesh(mesh, matrix) for mesh in parts.meshes),
         skeleton=skeleton_at_rest(parts.skeleton.name, parts.skeleton.joints, bones).called(parts.skeleton.names),
-    )
-
-
-def _placed_face(parts: FaceParts, matrix: FloatArray) -> FaceParts:
-    """A face that stands elsewhere: only the transforms of its meshes and its skeleton change."""
-    if np.array_equal(matrix, np.eye(4)):
-        return parts
-    return replace(
-        parts,
-        meshes=tuple(replace(mesh, transform=matrix @ mesh.transform) for mesh in parts.meshes),
-        skeleton=replace(parts.skeleton, transform=matrix @ parts.skeleton.transform),
     )

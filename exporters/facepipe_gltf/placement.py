@@ -14,7 +14,6 @@ from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe_gltf.influences import merge
 
 _UNIT = 2e-7
-_Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -44,12 +43,10 @@ class Space:
 
 def space_of(parts: FaceParts) -> Space:
     """The conversion of a face; its skeleton's transform must be invertible."""
-    world = np.eye(4)
-    turn = _Z_UP_TO_Y_UP if parts.up_axis == "Z" else np.eye(3)
-    world[:3, :3] = turn * parts.meters_per_unit
+    world = parts.gltf_axes
     skeleton = world @ np.asarray(parts.skeleton.transform, dtype=np.float64)
     axes = np.eye(4)
-    axes[:3, :3] = turn * np.cbrt(abs(np.linalg.det(skeleton[:3, :3])))
+    axes[:3, :3] = np.sign(world[:3, :3]) * np.cbrt(abs(np.linalg.det(skeleton[:3, :3])))
     return Space(world, skeleton, axes, skeleton @ np.linalg.inv(axes))
 
 

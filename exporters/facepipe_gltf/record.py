@@ -145,24 +145,8 @@ def _keeps_polygons(baked: Baked) -> bool:
 
 def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
     names = {sculpt.shape for sculpt in baked.sculpts}
-    return tuple(
-        replace(
-            shape,
-            point_indices=NONE,
-            offsets=NONE,
-            normal_offsets=None if shape.normal_offsets is None else NONE,
-            inbetweens=tuple(
-                replace(
-                    inbetween,
-                    offsets=NONE,
-                    normal_offsets=None if inbetween.normal_offsets is None else NONE,
-                )
-                for inbetween in shape.inbetweens
-            ),
-        )
-        for shape in baked.mesh.blendshapes
-        if shape.name in names
-    )
+    shapes = [shape for shape in baked.mesh.blendshapes if shape.name in names]
+    return tuple(replace(shape, point_indices=NONE).changed(lambda _: NONE, lambda _: NONE) for shape in shapes)
 
 
 def _animation_husk(animation: Animation, joints: Collection[str], shapes: Collection[str]) -> Animation:

@@ -41,7 +41,6 @@ _SLIDER_CONVENTIONS = {
     "morph_weights": "activations of the morph targets, inbetweens among them; meshes[i].targets numbers those of a "
     "mesh in the order of its GLB targets",
 }
-_Z_UP_TO_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def describe(
@@ -80,7 +79,7 @@ def describe(
         ],
         "meshes": _with_targets(metadata["meshes"], parts, rig),
         "outputs": [_output(name, shape, parts, rig) for name, shape in outputs.items()],
-        "slider_network": None if network is None else _network_record(network),
+        "slider_network": None if network is None else network.summary(),
         "sliders": _slider_records(sliders),
     }
 
@@ -140,7 +139,7 @@ def _output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Js
     if name == "coefficients":
         return value | {"channels": list(CHANNELS), "joints": list(rig.joints), "units": _units()}
     if name == "skinning_matrices":
-        world = _gltf_from_world(parts)
+        world = parts.gltf_axes
         back = np.linalg.inv(world @ rig.parent_world)
         return value | {
             "gltf_from_world": _numbers(world),
@@ -181,28 +180,12 @@ def _slider_record(slider: Slider) -> Json:
         "range": [slider.minimum, slider.maximum],
         "shape_curves": _curves(slider.shape_curves),
         "shapes": [list(shape) for shape in slider.shapes],
-        "value": _value(slider),
-    }
-
-
-def _network_record(network: SliderNetwork) -> Json:
-    """The learned network of a face's sliders, without its numbers."""
-    return {
-        "activation": network.activation,
-        "channels": [list(channel) for channel in network.channels],
-        "info": dict(network.info),
-        "layers": [len(network.sliders), *(len(bias) for bias in network.biases)],
-        "shapes": list(network.shapes),
-        "sliders": list(network.sliders),
+        "value": slider.setting,
     }
 
 
 def _curves(found: Sequence[Any]) -> list[Any]:
     return [None if curve is None else [list(knot) for knot in curve] for curve in found]
-
-
-def _value(slider: Slider) -> float:
-    return slider.default if slider.value is None else slider.value
 
 
 def _slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) -> Json:
@@ -215,7 +198,7 @@ def _slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) 
         "range": [[slider.minimum, slider.maximum] for slider in sliders],
         "shape": list(shape),
         "type": "float32",
-        "values": [_value(slider) for slider in sliders],
+        "values": [slider.setting for slider in sliders],
     }
 
 
@@ -224,16 +207,9 @@ def _units() -> list[str]:
     return ["stage units"] * 3 + ["radians"] * 3 + ["factor of rest"] * 3
 
 
-def _gltf_from_world(parts: FaceParts) -> FloatArray:
-    """(4, 4) from world space of the stage to glTF: metres, Y up."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = (_Z_UP_TO_Y_UP if parts.up_axis == "Z" else np.eye(3)) * parts.meters_per_unit
-    return matrix
-
-
 def _with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Json]:
     """The `meshes` with the numbers of their morph targets, and with marks of their neutral."""
-    neutral = rig.evaluate() @ _gltf_from_world(parts)[:3, :3].T
+    neutral = rig.evaluate() @ parts.gltf_axes[:3, :3].T
     return [
         entry | {"marks": _marks(neutral[entry["first"] :][: entry["count"]]), "targets": _targets(mesh, rig)}
         for entry, mesh in zip(meshes, parts.meshes, strict=True)

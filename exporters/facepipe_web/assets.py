@@ -69,21 +69,13 @@ def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
     return [*([] if report.pose == "rest" else [f"at rest: {report.pose}"]), *report.warnings]
 
 
-def axes_of(parts: FaceParts) -> list[list[float]]:
-    """(4, 4) rows: from stage space to glTF, metres, Y up."""
-    size = parts.meters_per_unit
-    if parts.up_axis == "Z":
-        return [[size, 0, 0, 0], [0, 0, size, 0], [0, -size, 0, 0], [0, 0, 0, 1]]
-    return [[size, 0, 0, 0], [0, size, 0, 0], [0, 0, size, 0], [0, 0, 0, 1]]
-
-
 def _joints(parts: FaceParts) -> Json | None:
     """Paths of the joints, and the axes of their coefficients: the stage's times the skeleton's scale."""
     import numpy as np
 
     if not parts.skeleton.joints:
         return None
-    axes = np.array(axes_of(parts))
+    axes = parts.gltf_axes
     axes[:3, :3] *= np.cbrt(abs(np.linalg.det(np.asarray(parts.skeleton.transform)[:3, :3])))
     return {"paths": list(parts.skeleton.joints), "axes": axes.tolist()}
 

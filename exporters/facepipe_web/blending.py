@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
 from facepipe.records import Json
-from facepipe_web.assets import axes_of, write_assets
+from facepipe_web.assets import write_assets
 from facepipe_web.server import Answer, Server
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Blending:
         except (ValueError, KeyError, TypeError, RecursionError):
             raise InputError("blend", "no request, expected weights and what is wanted") from None
         if wanted == "points":
-            return "application/octet-stream", self._live.points(rows, axes_of(self._live.base))
+            return "application/octet-stream", self._live.points(rows, self._live.base.gltf_axes)
         if wanted == "face":
             with self._lock:
                 return "application/json", json.dumps(self._version(rows)).encode()

@@ -57,7 +57,7 @@ def _list(arguments: argparse.Namespace) -> int:
     rows = [row for group in sorted(groups) for row in _rows(group, groups[group])]
     lines = [f"{arguments.face}: {len(sliders)} sliders in {len(groups)} groups", *([table(rows)] if rows else [])]
     lines += [_listed(face.slider_network)] if face.slider_network else []
-    network = None if face.slider_network is None else _network_json(face.slider_network)
+    network = None if face.slider_network is None else face.slider_network.summary()
     result = {"path": str(arguments.face), "sliders": [_json(one) for one in sliders], "network": network}
     emit(result, "\n".join(lines), as_json=arguments.json)
     return 0
@@ -98,7 +98,7 @@ def _json(slider: Slider) -> dict[str, Any]:
         "group": slider.group,
         "range": [slider.minimum, slider.maximum],
         "default": slider.default,
-        "value": slider.default if slider.value is None else slider.value,
+        "value": slider.setting,
         "mirror": slider.mirror,
         "channels": [
             {"joint": joint, "channel": channel, "gain": gain, "curve": curve}
@@ -108,20 +108,8 @@ def _json(slider: Slider) -> dict[str, Any]:
     }
 
 
-def _network_json(network: SliderNetwork) -> dict[str, Any]:
-    """A face's network in the list of sliders, as JSON."""
-    return {
-        "activation": network.activation,
-        "channels": [list(channel) for channel in network.channels],
-        "info": dict(network.info),
-        "layers": [len(network.sliders), *(len(bias) for bias in network.biases)],
-        "shapes": list(network.shapes),
-        "sliders": list(network.sliders),
-    }
-
-
 def _listed(network: SliderNetwork) -> str:
     """A face's network in the list of sliders, as text."""
-    layers = " -> ".join(map(str, (len(network.sliders), *(len(bias) for bias in network.biases))))
+    layers = " -> ".join(map(str, network.layers))
     what = f"{len(network.channels)} channels and {len(network.shapes)} shapes"
     return f"learned network {layers} ({network.activation}) adds to {what}"

@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.performing import job_of, read_kept
@@ -63,7 +62,7 @@ class LiveBlend:
         """The regions that can have weights of their own."""
         return tuple(sorted({name for mesh in self.base.meshes for name in mesh.regions}))
 
-    def points(self, rows: Mapping[str, object], axes: Sequence[Sequence[float]]) -> bytes:
+    def points(self, rows: Mapping[str, object], axes: FloatArray) -> bytes:
         """Points (n, 3) of the neutral's meshes one after another at bind time, float32.
 
         :param rows: as `rows`
@@ -73,8 +72,7 @@ class LiveBlend:
         weights = self._weights(rows)
         with self._lock:
             found = self.session.neutral(weights).points
-        matrix = np.asarray(axes, dtype=np.float64) @ self.base.skeleton.transform
-        return bytes(transformed(found, matrix).astype("<f4").tobytes())
+        return bytes(transformed(found, axes @ self.base.skeleton.transform).astype("<f4").tobytes())
 
     def face(self, rows: Mapping[str, object]) -> FaceParts:
         """The whole blended face, as `facepipe blend` would author it.

@@ -66,18 +66,7 @@ def _on_top(shape: Blendshape, weight: float, linear: FloatArray | None, turn: F
     def moved(offsets: FloatArray) -> FloatArray:
         return np.asarray(offsets if linear is None else np.einsum("nij,nj->ni", linear[rows], offsets))
 
-    def turned(offsets: FloatArray | None) -> FloatArray | None:
-        return None if offsets is None else np.asarray(np.einsum("nij,nj->ni", turn[rows], offsets))
-
-    return replace(
-        shape,
-        offsets=moved(shape.offsets),
-        normal_offsets=turned(shape.normal_offsets),
-        inbetweens=tuple(
-            replace(inbetween, offsets=moved(inbetween.offsets), normal_offsets=turned(inbetween.normal_offsets))
-            for inbetween in shape.inbetweens
-        ),
-    )
+    return shape.changed(moved, lambda offsets: np.asarray(np.einsum("nij,nj->ni", turn[rows], offsets)))
 
 
 def _from(shape: Blendshape, start: float) -> Blendshape:

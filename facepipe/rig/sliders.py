@@ -42,8 +42,7 @@ def slide(
     clamped: dict[str, float] = {}
     for slider in sliders:
         _check_curves(slider)
-        setting = slider.default if slider.value is None else slider.value
-        value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, setting))
+        value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, slider.setting))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
                 raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")
@@ -177,7 +176,7 @@ def clamped_value(slider: Slider) -> float:
 
     :raises InputError: a value that is not finite
     """
-    return _clamped(slider, slider.default if slider.value is None else slider.value)
+    return _clamped(slider, slider.setting)
 
 
 def _clamped(slider: Slider, value: float) -> float:

@@ -99,13 +99,12 @@ def check_face_network(where: object, parts: FaceParts, error: type[FacepipeErro
 def author_slider_network(prim: Usd.Prim, network: SliderNetwork) -> None:
     """Apply a network to the face prim."""
     apply_schema(prim, tokens.SLIDER_NETWORK_API)
-    layers = [len(network.sliders), *(len(bias) for bias in network.biases)]
     for name, value in (
         (tokens.NETWORK_SLIDERS, list(network.sliders)),
         (tokens.NETWORK_JOINTS, [joint for joint, _ in network.channels]),
         (tokens.NETWORK_CHANNELS, [channel for _, channel in network.channels]),
         (tokens.NETWORK_SHAPES, list(network.shapes)),
-        (tokens.NETWORK_LAYERS, layers),
+        (tokens.NETWORK_LAYERS, network.layers),
         (tokens.NETWORK_WEIGHTS, to_floats(np.concatenate([weight.ravel() for weight in network.weights]))),
         (tokens.NETWORK_BIASES, to_floats(np.concatenate(network.biases))),
         (tokens.NETWORK_ACTIVATION, network.activation),

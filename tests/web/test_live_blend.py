@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done
-from facepipe_web.assets import axes_of
 from facepipe_web.blending import Blending, blending_of
 from facepipe_web.server import Server
 from faces import tiny_face
@@ -53,19 +52,19 @@ def test_moved_weights_are_those_of_the_command(child: Path, capsys: Capsys) -> 
     """The whole face, and its points alone; also when they are moved back and forth."""
     done(capsys, "blend", "a.usda", "b.usda", *SETS, "-o", "other_weights.usda")
     expected, live = facepipe.open("other_weights.usda"), live_of(child)
-    live.points(live.rows, np.eye(4).tolist())
+    live.points(live.rows, np.eye(4))
     parts = live.face(ROWS)
     rng = np.random.default_rng(0)
     for weights in ({}, {name: float(rng.uniform()) for name in expected.shapes}):
         assert np.abs(build(parts).evaluate(weights) - expected.evaluate(weights)).max() < 1e-6
-    points = np.frombuffer(live.points(ROWS, axes_of(live.base)), "<f4").reshape(-1, 3)
+    points = np.frombuffer(live.points(ROWS, live.base.gltf_axes), "<f4").reshape(-1, 3)
     assert np.abs(points / live.base.meters_per_unit - expected.evaluate()).max() < 1e-5  # its rest is its bind pose
 
 
 def test_locked_regions_stay(child: Path, capsys: Capsys) -> None:
     done(capsys, "blend", "a.usda", "b.usda", "--lock", "mouth=2", "-o", "locked.usda")
     live = live_of(Path("locked.usda"))
-    axes = np.eye(4).tolist()
+    axes = np.eye(4)
     assert live.points({**ROWS, "mouth": [1.0, 0.0]}, axes) == live.points({**ROWS, "mouth": [0.0, 1.0]}, axes)
     assert live.points({**ROWS, "neck": [0.0, 1.0]}, axes) != live.points(ROWS, axes)
 

@@ -9,7 +9,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
 from facepipe.geometry.vectors import transformed, unit_vectors
-from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, identity
+from facepipe.parts import Mesh, Skin, identity
 from facepipe_gltf.read import materials, meshes, morphs, primitives
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.morphs import Role
@@ -30,44 +30,19 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not 1e-30 < determinant < 1e30:
         return replace(mesh, skin=replace(mesh.skin, geom_bind_transform=matrix))
-    move = _Move(matrix[:3, :3], np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant))
+    turn: FloatArray = np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant)
+
+    def offset(values: FloatArray) -> FloatArray:
+        return (np.asarray(values, np.float64) @ matrix[:3, :3].T).astype(np.float32)
+
+    def normal(values: FloatArray) -> FloatArray:
+        return (np.asarray(values, np.float64) @ turn.T).astype(np.float32)
+
     return replace(
         mesh,
         points=transformed(mesh.points, matrix).astype(np.float32),
-        normals=None if mesh.normals is None else unit_vectors(move.normal(mesh.normals)),
-        blendshapes=tuple(_shape(shape, move) for shape in mesh.blendshapes),
-    )
-
-
-@dataclass(frozen=True)
-class _Move:
-    """How offsets and normals (n, 3) follow: (3, 3) matrices."""
-
-    linear: FloatArray
-    turn: FloatArray
-
-    def offset(self, values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ self.linear.T).astype(np.float32)
-
-    def normal(self, values: FloatArray) -> FloatArray:
-        return (np.asarray(values, np.float64) @ self.turn.T).astype(np.float32)
-
-    def optional(self, values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else self.normal(values)
-
-
-def _shape(shape: Blendshape, move: _Move) -> Blendshape:
-    return replace(
-        shape,
-        offsets=move.offset(shape.offsets),
-        normal_offsets=move.optional(shape.normal_offsets),
-        inbetweens=tuple(_inbetween(inbetween, move) for inbetween in shape.inbetweens),
-    )
-
-
-def _inbetween(inbetween: Inbetween, move: _Move) -> Inbetween:
-    return replace(
-        inbetween, offsets=move.offset(inbetween.offsets), normal_offsets=move.optional(inbetween.normal_offsets)
+        normals=None if mesh.normals is None else unit_vectors(normal(mesh.normals)),
+        blendshapes=tuple(shape.changed(offset, normal) for shape in mesh.blendshapes),
     )
 
 

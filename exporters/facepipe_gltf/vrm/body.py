@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,14 +74,8 @@ def turned_to_front(parts: FaceParts, figure: Figure) -> tuple[FaceParts, int]:
 
 def moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
     """The whole face moved by a rigid `matrix` (4, 4) of glTF space."""
-    world = space_of(parts).world
-    in_stage = np.linalg.inv(world) @ matrix @ world
-    meshes = tuple(replace(mesh, transform=in_stage @ mesh.transform) for mesh in parts.meshes)
-    return replace(
-        parts,
-        meshes=meshes,
-        skeleton=replace(parts.skeleton, transform=in_stage @ np.asarray(parts.skeleton.transform)),
-    )
+    world = parts.gltf_axes
+    return parts.placed(np.linalg.inv(world) @ matrix @ world)
 
 
 def _landmarks(meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:

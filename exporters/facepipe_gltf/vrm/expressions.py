@@ -13,7 +13,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import first_names
-from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
+from facepipe.parts import Blendshape, FaceParts, Mesh
 from facepipe.records import Json
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes
@@ -127,9 +127,8 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
     names, worst = [], 0.0
     for name, sliders in sliders_by_shape.items():
         full = _points(parts, rig, {one: by_name[one].maximum for one in sliders}) - rest
-        half = (
-            _points(parts, rig, {one: (by_name[one].maximum + _authored(by_name[one])) / 2 for one in sliders}) - rest
-        )
+        halfway = {one: (by_name[one].maximum + by_name[one].setting) / 2 for one in sliders}
+        half = _points(parts, rig, halfway) - rest
         if np.abs(full).max() > still:
             names.append(name)
             worst = max(worst, float(np.linalg.norm(half - full / 2, axis=1).max()))
@@ -155,10 +154,6 @@ def _points(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> FloatArr
     """(n, 3) points of the face with these sliders moved."""
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, values, parts.slider_network)
     return rig.evaluate(weights, coefficients=coefficients)
-
-
-def _authored(slider: Slider) -> float:
-    return slider.default if slider.value is None else slider.value
 
 
 def _in_mesh(parts: FaceParts, mesh: Mesh, space: Space, offsets: FloatArray) -> FloatArray:
