@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe_gltf.read.document import Document, optional_integer
+from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Value
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -56,7 +56,6 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
     if kind.text() not in types:
         raise reference.error(f"{value.place} is {kind.text()[:20]}, expected {' or '.join(types)}")
     dtype = _dtype(value.require("componentType"))
-    normalized = value.get("normalized")
     count = value.require("count").integer(1)
     if count > _MAX_COUNT:
         raise value.error(f"count {count}, expected at most {_MAX_COUNT}")
@@ -66,7 +65,7 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
         count=count,
         components=components,
         dtype=dtype,
-        normalized=normalized is not None and normalized.flag(),
+        normalized=value.get_or("normalized", False).flag(),
         base=_base(document, value, count, components, dtype),
         sparse=_sparse(document, value, count, components, dtype),
     )
@@ -170,7 +169,7 @@ def _strided(
     step: int,
 ) -> RawArray:
     data, start, length = document.view(reference)
-    offset = optional_integer(value, "byteOffset")
+    offset = value.get_or("byteOffset", 0).integer()
     end = offset + step * (count - 1) + components * dtype.itemsize
     if end > length:
         raise value.error(f"{count} elements end at byte {end} of a bufferView of {length}")

@@ -117,8 +117,7 @@ class Assembly:
         return _placed(replace(mesh, skin=skin), bind @ to_joint)
 
     def _note_weights(self, value: Value) -> None:
-        weights = value.get("weights")
-        if weights is not None and any(weights.numbers()):
+        if any(value.get_or("weights", []).numbers()):
             self.document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
 
 

@@ -21,7 +21,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
 from facepipe.core.trust import check_copied
 from facepipe_gltf.read.meshopt import EXTENSION, decode
-from facepipe_gltf.read.values import Value, members, parse, quote
+from facepipe_gltf.read.values import Value, parse, quote
 
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
@@ -89,7 +89,7 @@ class Document:
     def entries(self, kind: str) -> list[Value]:
         """All of one kind (``accessors``, ``nodes`` ...)."""
         if kind not in self._entries:
-            self._entries[kind] = list(members(self.root.get(kind)))
+            self._entries[kind] = self.root.get_or(kind, []).items()
         return self._entries[kind]
 
     def index(self, kind: str, reference: Value) -> int:
@@ -120,12 +120,12 @@ class Document:
     def view(self, reference: Value) -> tuple[bytes, int, int]:
         """The buffer, first byte and length of a bufferView."""
         value = self.entry("bufferViews", reference)
-        compressed = _compressed(value)
+        compressed = value.extension(EXTENSION)
         if compressed is not None:
             decoded = self._decode(self.index("bufferViews", reference), compressed)
             return decoded, 0, len(decoded)
         data = self.buffer(value.require("buffer"))
-        start = optional_integer(value, "byteOffset")
+        start = value.get_or("byteOffset", 0).integer()
         length = value.require("byteLength").integer(1)
         if start + length > len(data):
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
@@ -135,14 +135,12 @@ class Document:
         """What a bufferView of compressed data holds."""
         if number not in self._decoded:
             data = self.buffer(packed.require("buffer"))
-            start, length = optional_integer(packed, "byteOffset"), packed.require("byteLength").integer(1)
+            start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
             count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
             self.budget.spend(count * size, packed)
-            mode, filtered = packed.require("mode").text(), packed.get("filter")
+            mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
             try:
-                self._decoded[number] = decode(
-                    data[start : start + length], count, size, mode, "NONE" if filtered is None else filtered.text()
-                )
+                self._decoded[number] = decode(data[start : start + length], count, size, mode, filtered)
             except ValueError as error:
                 raise packed.error(f"can't be decoded: {error}") from None
         return self._decoded[number]
@@ -161,17 +159,6 @@ class Document:
             raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
         self.budget.grant(length)
         return data[:length] if len(data) > length else data
-
-
-def _compressed(view: Value) -> Value | None:
-    extensions = view.get("extensions")
-    return None if extensions is None else extensions.get(EXTENSION)
-
-
-def optional_integer(value: Value, key: str, default: int = 0) -> int:
-    """A whole number member, or `default` where it is absent."""
-    member = value.get(key)
-    return default if member is None else member.integer()
 
 
 def open_document(source: Path) -> Document:
@@ -243,10 +230,10 @@ def _check_version(document: Document) -> None:
 
 
 def _check_extensions(document: Document) -> None:
-    for name in members(document.root.get("extensionsRequired")):
+    for name in document.root.get_or("extensionsRequired", []).items():
         if name.text() not in _SUPPORTED_EXTENSIONS:
             raise name.error(f"the file needs the extension {quote(name.text())}, which is not supported")
-    for name in members(document.root.get("extensionsUsed")):
+    for name in document.root.get_or("extensionsUsed", []).items():
         if name.text() not in _SUPPORTED_EXTENSIONS:
             document.warn(name, f"the extension {quote(name.text())} is ignored")
 

@@ -20,7 +20,7 @@ from facepipe_gltf.read.nodes import Nodes, read_nodes
 from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import read_joints
-from facepipe_gltf.read.values import Value, members, quote
+from facepipe_gltf.read.values import Value, quote
 
 _KINDS = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "images", "samplers", "cameras")
 _READ = ("facepipe", "targetNames")  # keys of extras
@@ -112,8 +112,7 @@ def _note_hidden(document: Document, nodes: Nodes) -> None:
 
 
 def _attribution(document: Document) -> str:
-    copyright_ = document.root.require("asset").get("copyright")
-    return "" if copyright_ is None else " ".join(copyright_.text().split())
+    return " ".join(document.root.require("asset").get_or("copyright", "").text().split())
 
 
 def _check_finite(document: Document, parts: FaceParts) -> None:
@@ -141,21 +140,18 @@ def _note_losses(document: Document, *, ours: bool) -> None:
     """
     for kind in _KINDS:
         _note_extras(document, kind, document.entries(kind))
-    primitives = [member for mesh in document.entries("meshes") for member in members(mesh.get("primitives"))]
+    primitives = [member for mesh in document.entries("meshes") for member in mesh.get_or("primitives", []).items()]
     _note_extras(document, "primitives", primitives)
     if not ours:
         _note_tangents(document, primitives)
     cameras = len(document.entries("cameras"))
     if cameras:
         document.warn(document.root, f"{_counted(cameras, 'camera')} left out")
-    sharp = sum(any(_filter(entry, key) in _NEAREST for key in _FILTERS) for entry in document.entries("samplers"))
+    sharp = sum(
+        any(entry.get_or(key, None).data in _NEAREST for key in _FILTERS) for entry in document.entries("samplers")
+    )
     if sharp:
         document.warn(document.root, f"{_counted(sharp, 'nearest texel filter')} left out: USD has none")
-
-
-def _filter(sampler: Value, key: str) -> object:
-    value = sampler.get(key)
-    return None if value is None else value.data
 
 
 def _note_extras(document: Document, kind: str, values: Sequence[Value]) -> None:
@@ -190,7 +186,9 @@ def _note_tangents(document: Document, primitives: Sequence[Value]) -> None:
             f"TANGENT of {_counted(tangents, 'primitive')} left out: exports compute it where a normal map needs it",
         )
     morphs = sum(
-        target.get("TANGENT") is not None for primitive in primitives for target in members(primitive.get("targets"))
+        target.get("TANGENT") is not None
+        for primitive in primitives
+        for target in primitive.get_or("targets", []).items()
     )
     if morphs:
         document.warn(document.root, f"tangents of {_counted(morphs, 'morph target')} left out")

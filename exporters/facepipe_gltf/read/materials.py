@@ -12,7 +12,7 @@ from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, optional_integer, read_uri, uri_name
+from facepipe_gltf.read.document import Document, read_uri, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.names import Names, file_name, given_name
 from facepipe_gltf.read.values import Value
@@ -55,8 +55,7 @@ def read_materials(document: Document, names: list[str], used: Iterable[str]) ->
 
 def is_double_sided(document: Document, index: int) -> bool:
     """Whether material `index` shows both sides."""
-    flag = document.entries("materials")[index].get("doubleSided")
-    return flag is not None and flag.flag()
+    return document.entries("materials")[index].get_or("doubleSided", False).flag()
 
 
 class _Textures:
@@ -78,7 +77,7 @@ class _Textures:
             document.warn(texture, "has no PNG or JPEG image: left out")
             return None
         sampler = texture.get("sampler")
-        settings = None if sampler is None else document.entry("samplers", sampler)
+        settings = Value({}, texture.trail) if sampler is None else document.entry("samplers", sampler)
         return TextureInput(
             texture=self._image(document.index("images", source)),
             channels=channels,
@@ -90,16 +89,15 @@ class _Textures:
         )
 
     def _uv_number(self, reference: Value) -> int:
-        number = optional_integer(reference, "texCoord")
-        transform = _extension(reference, "KHR_texture_transform")
+        number = reference.get_or("texCoord", 0).integer()
+        transform = reference.extension("KHR_texture_transform")
         if transform is None:
             return number
-        offset, scale, rotation = transform.get("offset"), transform.get("scale"), transform.get("rotation")
-        moved = offset is not None and offset.numbers(2) != (0.0, 0.0)
-        scaled = scale is not None and scale.numbers(2) != (1.0, 1.0)
-        if moved or scaled or (rotation is not None and rotation.number() != 0.0):
+        moved = transform.get_or("offset", [0.0, 0.0]).numbers(2) != (0.0, 0.0)
+        scaled = transform.get_or("scale", [1.0, 1.0]).numbers(2) != (1.0, 1.0)
+        if moved or scaled or transform.get_or("rotation", 0.0).number() != 0.0:
             self._document.warn(transform, "texture offsets, scales and rotations are left out")
-        return optional_integer(transform, "texCoord", number)
+        return transform.get_or("texCoord", number).integer()
 
     def _image(self, index: int) -> Texture:
         if index not in self._images:
@@ -131,9 +129,9 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     surface = value.get("pbrMetallicRoughness") or empty
     base = _factors(surface, "baseColorFactor", 4, 1.0)
     opacity, threshold = _opacity(textures, value, surface, base[3])
-    ior = _extension(value, "KHR_materials_ior")
+    ior = value.extension("KHR_materials_ior") or empty
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
-    coat = _extension(value, "KHR_materials_clearcoat") or empty
+    coat = value.extension("KHR_materials_clearcoat") or empty
     label = given_name(value)
     return Material(
         name=name,
@@ -146,7 +144,7 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         opacity_threshold=threshold,
         occlusion=_occlusion(textures, value.get("occlusionTexture")),
         normal=_normal(textures, value.get("normalTexture")),
-        ior=1.5 if ior is None else _factor(ior, "ior", 1.5),
+        ior=_factor(ior, "ior", 1.5),
         **_clearcoat(textures, coat),
     )
 
@@ -175,8 +173,7 @@ def _scalar(textures: _Textures, reference: Value | None, channel: Channels, fac
 
 
 def _emission(textures: _Textures, value: Value) -> Color | TextureInput:
-    strength = _extension(value, "KHR_materials_emissive_strength")
-    gain = 1.0 if strength is None else _factor(strength, "emissiveStrength")
+    gain = _factor(value.extension("KHR_materials_emissive_strength") or Value({}, value.trail), "emissiveStrength")
     red, green, blue = (gain * factor for factor in _factors(value, "emissiveFactor", 3, 0.0))
     if (red, green, blue) == (0.0, 0.0, 0.0):
         return (0.0, 0.0, 0.0)
@@ -184,8 +181,7 @@ def _emission(textures: _Textures, value: Value) -> Color | TextureInput:
 
 
 def _opacity(textures: _Textures, value: Value, surface: Value, alpha: float) -> tuple[float | TextureInput, float]:
-    mode = value.get("alphaMode")
-    name = "OPAQUE" if mode is None else mode.text()
+    name = value.get_or("alphaMode", "OPAQUE").text()
     if name not in ("OPAQUE", "MASK", "BLEND"):
         raise value.error(f"alphaMode {ascii(name)[:40]}, expected OPAQUE, MASK or BLEND")
     threshold = _factor(value, "alphaCutoff", 0.5) if name == "MASK" else 0.0
@@ -211,35 +207,25 @@ def _normal(textures: _Textures, reference: Value | None) -> TextureInput | None
     return textures.input(reference, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
 
 
-def _wrap(sampler: Value | None, key: str) -> Wrap:
-    mode = None if sampler is None else sampler.get(key)
-    if mode is None:
-        return "repeat"
+def _wrap(sampler: Value, key: str) -> Wrap:
+    mode = sampler.get_or(key, 10497)
     if mode.integer() not in _WRAPS:
         raise mode.error(f"{mode.integer()}, expected one of {', '.join(map(str, _WRAPS))}")
     return _WRAPS[mode.integer()]
 
 
 def _note_extensions(document: Document, value: Value) -> None:
-    extensions = value.get("extensions")
-    for name in extensions.member_names() if extensions is not None else ():
+    for name in value.get_or("extensions", {}).member_names():
         if name not in _IMPLEMENTED:
             document.warn(value, f"the extension {ascii(name)[:60]} is left out")
 
 
-def _extension(value: Value, name: str) -> Value | None:
-    extensions = value.get("extensions")
-    return None if extensions is None else extensions.get(name)
-
-
 def _factor(value: Value, key: str, default: float = 1.0) -> float:
-    factor = value.get(key)
-    return default if factor is None else factor.number()
+    return value.get_or(key, default).number()
 
 
 def _factors(value: Value, key: str, count: int, default: float) -> tuple[float, ...]:
-    factors = value.get(key)
-    return (default,) * count if factors is None else factors.numbers(count)
+    return value.get_or(key, [default] * count).numbers(count)
 
 
 def with_recorded_images(

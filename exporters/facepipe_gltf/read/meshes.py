@@ -60,8 +60,7 @@ def _warn(document: Document, value: Value, error: InputError | KeyError) -> Non
 
 def _ours(document: Document, geometry: Geometry, weld: Weld) -> tuple[Value | None, dict[int, int]]:
     """Our exporter's extras of the mesh, and the point of each of its point numbers."""
-    extras, numbers = geometry.value.get("extras"), geometry.vertices.point_numbers
-    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    ours, numbers = geometry.value.extras().get("facepipe"), geometry.vertices.point_numbers
     if ours is None or not isinstance(ours.data, dict):
         return None, {}
     if numbers is None:
@@ -231,11 +230,8 @@ def _materials(
 
 def _is_white(document: Document, material: int) -> bool:
     """Whether a material has no colour but vertex colours."""
-    surface = document.entries("materials")[material].get("pbrMetallicRoughness")
-    if surface is None:
-        return True
-    factor = surface.get("baseColorFactor")
-    plain = factor is None or factor.numbers(4)[:3] == (1.0, 1.0, 1.0)
+    surface = document.entries("materials")[material].get_or("pbrMetallicRoughness", {})
+    plain = surface.get_or("baseColorFactor", [1.0] * 4).numbers(4)[:3] == (1.0, 1.0, 1.0)
     return plain and surface.get("baseColorTexture") is None
 
 

@@ -18,7 +18,7 @@ from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.names import Names
 from facepipe_gltf.read.primitives import Geometry, Target
-from facepipe_gltf.read.values import Value, members
+from facepipe_gltf.read.values import Value
 from facepipe_gltf.read.weld import Weld
 
 
@@ -60,7 +60,7 @@ def blendshapes(document: Document, geometry: Geometry, weld: Weld, names: Names
     targets = geometry.vertices.targets
     if not targets:
         return ()
-    if any(weight.number() != 0.0 for weight in members(geometry.value.get("weights"))):
+    if any(weight.number() != 0.0 for weight in geometry.value.get_or("weights", []).items()):
         document.warn(geometry.value, "default morph weights are left out: the neutral has all shapes at 0")
     by_shape: dict[str, list[tuple[Role, Target]]] = {}
     for role, target in zip(roles(document, geometry.value, len(targets), names), targets, strict=True):
@@ -131,10 +131,7 @@ def _rows(points: IntArray, deltas: Deltas) -> FloatArray:
 def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
     primitives = mesh.require("primitives").items()
     for value in (mesh, *primitives):
-        extras = value.get("extras")
-        if extras is None or not isinstance(extras.data, dict):
-            continue
-        names = extras.get("targetNames")
+        names = value.extras().get("targetNames")
         if names is None:
             continue
         listed = names.data
@@ -152,8 +149,7 @@ def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
 
 def _inbetweens(document: Document, mesh: Value, originals: list[str]) -> dict[int, tuple[str, float]]:
     """Target number -> shape and weight of every target that is an inbetween."""
-    extras = mesh.get("extras")
-    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    ours = mesh.extras().get("facepipe")
     listed = ours.get("inbetweens") if ours is not None else None
     if listed is None:
         return {}

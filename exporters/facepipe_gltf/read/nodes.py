@@ -13,7 +13,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.parts import identity
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value, members
+from facepipe_gltf.read.values import Value
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     :raises InputError: cycles, nodes with two parents, indices out of range, transforms that aren't finite
     """
     values = document.entries("nodes")
-    children = [[document.index("nodes", child) for child in members(value.get("children"))] for value in values]
+    children = [[document.index("nodes", child) for child in value.get_or("children", []).items()] for value in values]
     parents = _parents(values, children)
     roots = [node for node, parent in enumerate(parents) if parent < 0]
     order = _depth_first(roots, children)
@@ -55,15 +55,15 @@ def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
     matrix = value.get("matrix")
     if matrix is not None:
         return decompose(_matrix(matrix))[:3]
-    translation, rotation, scale = value.get("translation"), value.get("rotation"), value.get("scale")
-    quaternion = np.array([0.0, 0.0, 0.0, 1.0] if rotation is None else rotation.numbers(4))
+    rotation = value.get_or("rotation", [0.0, 0.0, 0.0, 1.0])
+    quaternion = np.array(rotation.numbers(4))
     length = float(np.linalg.norm(quaternion))
-    if rotation is not None and not 1e-6 < length < 1e6:
+    if not 1e-6 < length < 1e6:
         raise rotation.error("a quaternion without a usable length, expected a unit quaternion")
     return (
-        np.array(translation.numbers(3) if translation is not None else (0.0, 0.0, 0.0)),
+        np.array(value.get_or("translation", [0.0] * 3).numbers(3)),
         quaternion if abs(length - 1.0) < 1e-12 else quaternion / length,
-        np.array(scale.numbers(3) if scale is not None else (1.0, 1.0, 1.0)),
+        np.array(value.get_or("scale", [1.0] * 3).numbers(3)),
     )
 
 
@@ -126,7 +126,7 @@ def _scene_roots(document: Document, scene: int | None, roots: list[int], parent
         return roots
     chosen = scene if scene is not None else (default.integer() if default is not None else 0)
     listed: dict[int, None] = {}
-    for reference in members(scenes[chosen].get("nodes")):
+    for reference in scenes[chosen].get_or("nodes", []).items():
         node = document.index("nodes", reference)
         if parents[node] >= 0 or node in listed:
             raise reference.error(f"nodes[{node}] is not a root or is listed twice")

@@ -16,11 +16,12 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value, members
+from facepipe_gltf.read.values import Value
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
 _KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
+_STILL = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 
 
@@ -69,7 +70,7 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         joints=joints,
         weights=weights,
         point_numbers=None if point is None else _point_numbers(document, point, count),
-        targets=tuple(_target(document, target, count) for target in members(primitive.get("targets"))),
+        targets=tuple(_target(document, target, count) for target in primitive.get_or("targets", []).items()),
     )
 
 
@@ -145,9 +146,8 @@ def _target(document: Document, target: Value, count: int) -> Target:
     for name in target.member_names():
         if name not in ("POSITION", "NORMAL", "TANGENT"):
             document.warn(target, f"morphs of {ascii(name)[:40]} are left out")
-    none = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
     return Target(
-        positions=none if positions is None else accessors.deltas(document, positions, count),
+        positions=_STILL if positions is None else accessors.deltas(document, positions, count),
         normals=None if normals is None else accessors.deltas(document, normals, count),
     )
 
@@ -181,10 +181,9 @@ def _widened(array: npt.NDArray[Any] | None, width: int) -> npt.NDArray[Any]:
 
 def _join_target(targets: list[Target], starts: list[int]) -> Target:
     normals = [target.normals for target in targets]
-    none = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
     return Target(
         positions=_join_deltas([target.positions for target in targets], starts),
-        normals=_join_deltas([normal or none for normal in normals], starts) if any(normals) else None,
+        normals=_join_deltas([normal or _STILL for normal in normals], starts) if any(normals) else None,
     )
 
 
@@ -216,8 +215,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
     materials: list[IntArray] = []
     total = 0
     for primitive in value.require("primitives").items():
-        mode = primitive.get("mode")
-        number = 4 if mode is None else mode.integer()
+        number = primitive.get_or("mode", 4).integer()
         if number >= len(_MODES):
             raise primitive.error(f"mode {number}, expected 0 to 6")
         if number < 4:
@@ -244,7 +242,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
 
 def _pool_key(document: Document, primitive: Value) -> tuple[tuple[str, int], ...]:
     """A key of the vertices that a primitive uses: its attributes and those of its targets."""
-    sets = [primitive.require("attributes"), *members(primitive.get("targets"))]
+    sets = [primitive.require("attributes"), *primitive.get_or("targets", []).items()]
     return tuple(
         (f"{i}{name}", document.index("accessors", attributes.require(name)))
         for i, attributes in enumerate(sets)

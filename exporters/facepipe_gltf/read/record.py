@@ -33,8 +33,7 @@ _UNIT = 2e-7  # a direction this near to length 1 has it in float32
 
 def read_record(document: Document) -> Record | None:
     """The record of a file that facepipe wrote; None, with a warning where it is damaged or of another version."""
-    extras = document.root.get("extras")
-    ours = extras.get("facepipe") if extras is not None and isinstance(extras.data, dict) else None
+    ours = document.root.extras().get("facepipe")
     if ours is None or not isinstance(ours.data, dict):
         return None
     try:

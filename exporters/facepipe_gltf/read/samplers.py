@@ -45,8 +45,7 @@ def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sam
 
     :raises InputError: times that don't ascend, or keys that don't fit them
     """
-    interpolation = value.get("interpolation")
-    mode = "LINEAR" if interpolation is None else interpolation.text()
+    mode = value.get_or("interpolation", "LINEAR").text()
     if mode not in ("STEP", "LINEAR", "CUBICSPLINE"):
         raise value.error(f"interpolation {ascii(mode)[:40]}, expected STEP, LINEAR or CUBICSPLINE")
     times = accessors.floats(document, value.require("input"), "SCALAR")[:, 0].astype(np.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -42,6 +41,19 @@ class Value:
         if key not in members:
             return None
         return Value(members[key], f"{self.trail}{' -> ' if self.root else '.'}{key}")
+
+    def get_or(self, key: str, default: object) -> Value:
+        """The member `key` of an object, `default` in its place where there is none."""
+        return self.get(key) or Value(default, self.trail)
+
+    def extension(self, name: str) -> Value | None:
+        """What an extension says of an object, None where it says nothing."""
+        return self.get_or("extensions", {}).get(name)
+
+    def extras(self) -> Value:
+        """The extras of an object; empty where there are none, or where they are no object."""
+        extras = self.get_or("extras", {})
+        return extras if isinstance(extras.data, dict) else Value({}, extras.trail)
 
     def require(self, key: str) -> Value:
         """The member `key` of an object that must have it."""
@@ -117,11 +129,6 @@ class Value:
         if isinstance(self.data, str):
             shown = f"the text {quote(self.data)}"
         return self.error(f"is {shown}, expected {kind}")
-
-
-def members(value: Value | None) -> Iterator[Value]:
-    """The elements of an array that may be absent."""
-    return iter(value.items() if value is not None else ())
 
 
 def quote(text: str) -> str:
