@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import ExportError
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, TextureInput
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Material, Mesh, Skeleton, Skin, TextureInput
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -34,12 +34,9 @@ def check(parts: FaceParts) -> None:
 
 
 def _skeleton(where: str, skeleton: Skeleton) -> None:
-    _finite(f"{where} -> transform", skeleton.transform)
     _invertible(f"{where} -> transform", skeleton.transform)
     for name in ("bind_transforms", "rest_transforms"):
-        matrices = getattr(skeleton, name)
-        _shape(f"{where} -> {name}", matrices, (len(skeleton.joints), 4, 4))
-        _finite(f"{where} -> {name}", matrices)
+        _array(f"{where} -> {name}", getattr(skeleton, name), (len(skeleton.joints), 4, 4))
     singular = np.flatnonzero(_singular(np.asarray(skeleton.bind_transforms, dtype=np.float64)))
     if len(singular):
         _invertible(
@@ -52,7 +49,7 @@ def _skeleton(where: str, skeleton: Skeleton) -> None:
 def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
     count, corners = len(mesh.points), len(mesh.face_vertex_indices)
     _shape(f"{where} -> points", mesh.points, (count, 3))
-    for name in ("points", "transform", "normals", "colors"):
+    for name in ("points", "normals", "colors"):
         if getattr(mesh, name) is not None:
             _finite(f"{where} -> {name}", getattr(mesh, name))
     _invertible(f"{where} -> transform", mesh.transform)
@@ -74,20 +71,16 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
     for one in mesh.material_faces:
         _indices(f"{where} -> {one.material} -> faces", one.faces, len(mesh.face_vertex_counts))
     if mesh.skin is not None:
-        _skin(where, mesh, joint_count)
+        _skin(where, mesh.skin, count, joint_count)
     for shape in mesh.blendshapes:
         _blendshape(f"{where} -> {shape.name}", shape, count)
 
 
-def _skin(where: str, mesh: Mesh, joint_count: int) -> None:
-    skin = mesh.skin
-    if skin is None:
-        return
+def _skin(where: str, skin: Skin, count: int, joint_count: int) -> None:
     width = np.shape(skin.joint_weights)[-1]
-    _shape(f"{where} -> jointWeights", skin.joint_weights, (len(mesh.points), width))
-    _shape(f"{where} -> jointIndices", skin.joint_indices, (len(mesh.points), width))
+    _shape(f"{where} -> jointWeights", skin.joint_weights, (count, width))
+    _shape(f"{where} -> jointIndices", skin.joint_indices, (count, width))
     _finite(f"{where} -> jointWeights", skin.joint_weights)
-    _finite(f"{where} -> geomBindTransform", skin.geom_bind_transform)
     _invertible(f"{where} -> geomBindTransform", skin.geom_bind_transform)
     _indices(f"{where} -> jointIndices", skin.joint_indices, joint_count)
 
@@ -106,25 +99,18 @@ def _blendshape(where: str, shape: Blendshape, count: int) -> None:
 
 def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ...]) -> None:
     for name, array in (("offsets", sculpt.offsets), ("normalOffsets", sculpt.normal_offsets)):
-        if array is not None:
-            _shape(f"{where} -> {name}", array, expected)
-            _finite(f"{where} -> {name}", array)
+        _array(f"{where} -> {name}", array, expected)
 
 
 def _animation(where: str, animation: Animation) -> None:
     count = animation.samples
     joints, shapes = len(animation.joints), len(animation.shapes)
-    widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3)}
-    widths |= {"coefficients": (joints, 9)}
+    widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3), "coefficients": (joints, 9)}
     for name, width in widths.items():
-        if getattr(animation, name) is not None:
-            _shape(f"{where} -> {name}", getattr(animation, name), (count, *width))
-            _finite(f"{where} -> {name}", getattr(animation, name))
+        _array(f"{where} -> {name}", getattr(animation, name), (count, *width))
     if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
         raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
-    if animation.shape_weights is not None:
-        _shape(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
-        _finite(f"{where} -> shape weights", animation.shape_weights)
+    _array(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
     if animation.times is not None:
         _finite(f"{where} -> times", animation.times)
         if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
@@ -151,6 +137,7 @@ def _are_finite(values: npt.NDArray[Any]) -> bool:
 
 
 def _invertible(where: str, matrix: Any) -> None:
+    _finite(where, matrix)
     if _singular(np.asarray(matrix, dtype=np.float64)):
         raise ExportError(where, "singular matrix, expected an invertible one")
 
@@ -165,6 +152,12 @@ def _singular(matrices: FloatArray) -> npt.NDArray[np.bool_]:
 def _shape(where: str, array: Any, expected: tuple[int, ...]) -> None:
     if np.shape(array) != expected:
         raise ExportError(where, f"array of shape {np.shape(array)}, expected {expected}")
+
+
+def _array(where: str, array: Any, expected: tuple[int, ...]) -> None:
+    if array is not None:
+        _shape(where, array, expected)
+        _finite(where, array)
 
 
 def _indices(where: str, indices: Any, count: int) -> None:

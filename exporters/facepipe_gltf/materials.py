@@ -75,15 +75,7 @@ class MaterialWriter:
     def _base_color(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         pbr = result["pbrMetallicRoughness"]
         diffuse, opacity = material.diffuse_color, material.opacity
-        factor = [1.0, 1.0, 1.0, 1.0]
-        if isinstance(diffuse, TextureInput):
-            factor[:3] = self._scale(material, "diffuseColor", diffuse, range(3))
-        else:
-            factor[:3] = self._clipped(material, "diffuseColor", diffuse)
-        if isinstance(opacity, TextureInput):
-            factor[3] = self._scale(material, "opacity", opacity, [_CHANNEL.get(opacity.channels, 0)])[0]
-        else:
-            factor[3] = self._clipped(material, "opacity", [opacity])[0]
+        factor = self._factors(material, "diffuseColor", diffuse, range(3)) + self._factor(material, "opacity", opacity)
         image, source = self._base_image(material)
         if image is not None and source is not None:
             pbr["baseColorTexture"] = self.textures.info(image, source, uv_names)
@@ -120,13 +112,8 @@ class MaterialWriter:
 
     def _metallic_roughness(self, pbr: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         metallic, roughness = material.metallic, material.roughness
-        factors = []
-        for name, value in (("metallic", metallic), ("roughness", roughness)):
-            if isinstance(value, TextureInput):
-                factors += self._scale(material, name, value, [_CHANNEL.get(value.channels, 0)])
-            else:
-                factors += self._clipped(material, name, [value])
-        pbr["metallicFactor"], pbr["roughnessFactor"] = factors
+        (pbr["metallicFactor"],) = self._factor(material, "metallic", metallic)
+        (pbr["roughnessFactor"],) = self._factor(material, "roughness", roughness)
         inputs = [one for one in (metallic, roughness) if isinstance(one, TextureInput)]
         if not inputs:
             return
@@ -208,10 +195,9 @@ class MaterialWriter:
         coat: Json = {}
         inputs = (("clearcoat", material.clearcoat), ("clearcoatRoughness", material.clearcoat_roughness))
         for place, (name, value) in enumerate(inputs):
+            (coat[f"{name}Factor"],) = self._factor(material, name, value)
             if not isinstance(value, TextureInput):
-                coat[f"{name}Factor"] = self._clipped(material, name, [value])[0]
                 continue
-            coat[f"{name}Factor"] = self._scale(material, name, value, [_CHANNEL.get(value.channels, 0)])[0]
             whole = _CHANNEL.get(value.channels, 0) == place
             image = self.textures.whole(value.texture) if whole else self._merge(material, name, [_channel(value)] * 3)
             if image is not None:
@@ -222,12 +208,19 @@ class MaterialWriter:
         pixels = merged(channels, self.textures)
         return None if pixels is None else self.textures.made(f"{material.name}_{role}", pixels)
 
-    def _scale(self, material: Material, name: str, source: TextureInput, channels: Sequence[int]) -> list[float]:
-        if any(source.bias[channel] for channel in channels):
-            self.textures.warn(f"{material.name}: bias of the {name} texture left out")
-        return self._clipped(material, name, [source.scale[channel] for channel in channels])
+    def _factor(self, material: Material, name: str, value: float | TextureInput) -> list[float]:
+        if isinstance(value, TextureInput):
+            return self._factors(material, name, value, [_CHANNEL.get(value.channels, 0)])
+        return self._factors(material, name, [value])
 
-    def _clipped(self, material: Material, name: str, values: Sequence[float]) -> list[float]:
+    def _factors(
+        self, material: Material, name: str, values: Sequence[float] | TextureInput, channels: Sequence[int] = ()
+    ) -> list[float]:
+        """Constants, or a texture's scales of `channels`, within 0..1."""
+        if isinstance(values, TextureInput):
+            if any(values.bias[channel] for channel in channels):
+                self.textures.warn(f"{material.name}: bias of the {name} texture left out")
+            values = [values.scale[channel] for channel in channels]
         clipped = [float(min(max(value, 0.0), 1.0)) for value in values]
         if clipped != [float(value) for value in values]:
             self.textures.warn(f"{material.name}: {name} {tuple(values)} clamped to 0..1")

@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.errors import InputError
 from facepipe.records import Json
-from facepipe_gltf.raw import RawDocument, children, is_index, parents
+from facepipe_gltf.raw import RawDocument, as_list, as_object, children, is_index, parents
 from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.skin_validation import Problem, attributes
 
@@ -19,16 +19,14 @@ _SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
 def primitives(document: RawDocument) -> Iterator[tuple[str, Json]]:
     """Every primitive and where it is."""
     for i, mesh in enumerate(document.items("meshes")):
-        found = mesh.get("primitives")
-        for j, one in enumerate(found if isinstance(found, list) else []):
+        for j, one in enumerate(as_list(mesh.get("primitives"))):
             if isinstance(one, dict):
                 yield f"/meshes/{i}/primitives/{j}", one
 
 
 def targets(primitive: Json) -> list[Json]:
     """Morph targets of a primitive."""
-    found = primitive.get("targets")
-    return [one if isinstance(one, dict) else {} for one in found] if isinstance(found, list) else []
+    return [as_object(one) for one in as_list(primitive.get("targets"))]
 
 
 def accessors(document: RawDocument) -> Iterator[Problem]:
@@ -99,9 +97,8 @@ def vertex_counts(document: RawDocument) -> Iterator[Problem]:
 def distinct_target_names(document: RawDocument) -> Iterator[Problem]:
     """The names in extras.targetNames of a mesh are distinct: of two of one name an engine sets only one."""
     for i, mesh in enumerate(document.items("meshes")):
-        extras = mesh.get("extras")
-        names = extras.get("targetNames") if isinstance(extras, dict) else None
-        if isinstance(names, list) and len({str(name) for name in names}) != len(names):
+        names = as_list(as_object(mesh.get("extras")).get("targetNames"))
+        if len({str(name) for name in names}) != len(names):
             yield f"/meshes/{i}/extras/targetNames", "a name twice, expected each once"
 
 
@@ -113,25 +110,23 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
         count = counts[0] if counts else 0
         if len(set(counts)) > 1:
             yield where, f"primitives with {sorted(set(counts))} targets, expected as many on each"
-        extras = mesh.get("extras")
-        names = extras.get("targetNames") if isinstance(extras, dict) else None
+        names = as_object(mesh.get("extras")).get("targetNames")
         if names is None and count:
             yield f"{where}/extras/targetNames", f"no names of {count} targets, expected one each"
-        elif names is not None and (not isinstance(names, list) or len(names) != count):
-            count_there = len(names) if isinstance(names, list) else "no"
-            yield f"{where}/extras/targetNames", f"{count_there} names, expected {count}"
-        weights = mesh.get("weights")
-        if weights is not None and (not isinstance(weights, list) or len(weights) != count):
-            count_there = len(weights) if isinstance(weights, list) else "no"
-            yield f"{where}/weights", f"{count_there} weights, expected {count}"
+        for place, what, listed in (
+            ("extras/targetNames", "names", names),
+            ("weights", "weights", mesh.get("weights")),
+        ):
+            if listed is not None and (not isinstance(listed, list) or len(listed) != count):
+                count_there = len(listed) if isinstance(listed, list) else "no"
+                yield f"{where}/{place}", f"{count_there} {what}, expected {count}"
 
 
 def asset(document: RawDocument) -> Iterator[Problem]:
     """The file is glTF 2, asks for no extension that readers of plain geometry lack, and holds a mesh."""
     for note in document.notes:
         yield "/", note.partition(": ")[2]
-    stated = document.json.get("asset")
-    version = stated.get("version") if isinstance(stated, dict) else None
+    version = as_object(document.json.get("asset")).get("version")
     if version != "2.0":
         yield "/asset/version", f"{str(version)[:40]}, expected 2.0"
     required = document.json.get("extensionsRequired", [])

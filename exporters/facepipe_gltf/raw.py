@@ -16,6 +16,16 @@ from facepipe_gltf.read.document import Document, read_document
 from facepipe_gltf.read.values import Value
 
 
+def as_object(value: object) -> Json:
+    """A JSON object; an empty one in place of anything else."""
+    return value if isinstance(value, dict) else {}
+
+
+def as_list(value: object) -> list[Any]:
+    """A JSON array; an empty one in place of anything else."""
+    return value if isinstance(value, list) else []
+
+
 class RawDocument:
     """The JSON of a .glb, .vrm or .gltf and its buffers.
 
@@ -42,15 +52,12 @@ class RawDocument:
 
     def items(self, name: str) -> list[Json]:
         """The objects of a top-level array; what is no object is an empty one."""
-        found = self.json.get(name)
-        return [one if isinstance(one, dict) else {} for one in found] if isinstance(found, list) else []
+        return [as_object(one) for one in as_list(self.json.get(name))]
 
     def item(self, name: str, index: object) -> Json | None:
         """One object of a top-level array; None where there is none of that index."""
-        objects = self.json.get(name)
-        if not isinstance(objects, list) or not is_index(index) or index >= len(objects):
-            return None
-        return objects[index] if isinstance(objects[index], dict) else {}
+        objects = as_list(self.json.get(name))
+        return as_object(objects[index]) if is_index(index) and index < len(objects) else None
 
     def accessor(self, index: object) -> FloatArray:
         """(count, width) float64 values, integers as they are unless normalised.
@@ -78,8 +85,7 @@ def is_index(value: object) -> TypeGuard[int]:
 
 def children(node: Json) -> list[int]:
     """Indices that a node names as its children."""
-    found = node.get("children")
-    return [one for one in found if is_index(one)] if isinstance(found, list) else []
+    return [one for one in as_list(node.get("children")) if is_index(one)]
 
 
 def parents(document: RawDocument) -> dict[int, list[int]]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.records import Json
-from facepipe_gltf.raw import RawDocument, is_index, local_matrix, parents, world_matrix
+from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, world_matrix
 
 Problem = tuple[str, str]  # JSON path, message
 
@@ -19,8 +19,7 @@ _REST_TOLERANCE = 1e-3
 
 def joints_of(skin: Json) -> list[int]:
     """The node of every joint; -1 for what is no index."""
-    found = skin.get("joints")
-    return [one if is_index(one) else -1 for one in found] if isinstance(found, list) else []
+    return [one if is_index(one) else -1 for one in as_list(skin.get("joints"))]
 
 
 def skinned(document: RawDocument) -> Iterator[tuple[str, Json, list[int]]]:
@@ -29,16 +28,14 @@ def skinned(document: RawDocument) -> Iterator[tuple[str, Json, list[int]]]:
         skin, mesh = document.item("skins", node.get("skin")), document.item("meshes", node.get("mesh"))
         if skin is None or mesh is None:
             continue
-        found = mesh.get("primitives")
-        for i, primitive in enumerate(found if isinstance(found, list) else []):
+        for i, primitive in enumerate(as_list(mesh.get("primitives"))):
             if isinstance(primitive, dict):
                 yield f"/meshes/{node['mesh']}/primitives/{i}", primitive, joints_of(skin)
 
 
 def attributes(primitive: Json) -> dict[str, object]:
     """Attribute name -> accessor index."""
-    found = primitive.get("attributes")
-    return found if isinstance(found, dict) else {}
+    return as_object(primitive.get("attributes"))
 
 
 def joint_indices(document: RawDocument) -> Iterator[Problem]:
@@ -100,8 +97,7 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
     their joints in ascending node order.
     """
     above = parents(document)
-    asset = document.json.get("asset")
-    by_facepipe = isinstance(asset, dict) and str(asset.get("generator")).startswith("facepipe ")
+    by_facepipe = str(as_object(document.json.get("asset")).get("generator")).startswith("facepipe ")
     for i, skin in enumerate(document.items("skins")):
         joints, matrices = joints_of(skin), _inverse_binds(document, skin)
         if min(joints, default=-1) < 0 or max(joints) >= len(document.items("nodes")):

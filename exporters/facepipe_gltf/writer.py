@@ -18,7 +18,7 @@ from facepipe.core.errors import ExportError, InputError
 from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
-from facepipe.rig import set_face
+from facepipe.rig import SetFace, set_face
 from facepipe_gltf.buffers import Chunk
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.options import Options
@@ -58,15 +58,22 @@ def export(
 
         levels = lower_levels(face)
     document = write(delivered.parts, options, levels=[set_face(level, options.pose).parts for level in levels])
-    files = save(document, target, on_document=on_document)
+    return report_of(document, save(document, target, on_document=on_document), delivered, start)
+
+
+def report_of(
+    document: Document, files: Sequence[Path], delivered: SetFace, start: float, added: tuple[str, ...] = ()
+) -> ExportReport:
+    """The report of a document that was written as `files`, by a run that began at `start` (`time.perf_counter`)."""
     return ExportReport(
-        path=target,
+        path=files[0],
         files=tuple(files),
         counts=document.counts,
         bytes=sum(file.stat().st_size for file in files),
         seconds=time.perf_counter() - start,
         warnings=document.warnings,
         dropped=document.dropped,
+        added=added,
         error_mm=document.error_mm,
         pose=delivered.pose,
         pose_error=None if delivered.error is None else asdict(delivered.error),

@@ -14,7 +14,7 @@ from facepipe.core.reports import Finding
 from facepipe.records import Json
 from facepipe_gltf import validation as gltf
 from facepipe_gltf.mesh_validation import primitives, targets
-from facepipe_gltf.raw import RawDocument, is_index, local_matrix, parents, world_matrix
+from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, world_matrix
 from facepipe_gltf.skin_validation import Problem
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
@@ -32,9 +32,7 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
     :raises InputError: no such file, or no glTF at all
     """
     document = RawDocument(Path(path))
-    extensions = document.json.get("extensions")
-    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
-    vrm: Json = found if isinstance(found, dict) else {}
+    vrm = as_object(as_object(document.json.get("extensions")).get(EXTENSION))
     checks = [(name, partial(check, vrm=vrm), severity) for name, check, severity in _CHECKS]
     return gltf.judged(document, (*checks, *gltf.CHECKS), khronos=khronos)
 
@@ -44,15 +42,13 @@ def _version(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     if vrm.get("specVersion") != "1.0":
         found = f"specVersion {str(vrm['specVersion'])[:40]}" if "specVersion" in vrm else f"no {EXTENSION}"
         yield "/extensions", f"{found}, expected {EXTENSION} with specVersion 1.0"
-    used = document.json.get("extensionsUsed")
-    if not isinstance(used, list) or EXTENSION not in used:
+    if EXTENSION not in as_list(document.json.get("extensionsUsed")):
         yield "/extensionsUsed", f"no {EXTENSION}, expected it"
 
 
 def _meta(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """The model has a name, authors and a licence."""
-    meta = vrm.get("meta")
-    for field, what in problems(meta if isinstance(meta, dict) else {}):
+    for field, what in problems(as_object(vrm.get("meta"))):
         yield f"/extensions/{EXTENSION}/meta/{field}", what
 
 
@@ -115,22 +111,18 @@ def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
 
 def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """Binds name morph targets that are there, presets are VRM's and other names are not."""
-    expressions = vrm.get("expressions")
-    expressions = expressions if isinstance(expressions, dict) else {}
+    expressions = as_object(vrm.get("expressions"))
     presets = table()["preset"]
     for group in ("preset", "custom"):
-        named = expressions.get(group)
-        for name, expression in (named if isinstance(named, dict) else {}).items():
+        for name, expression in as_object(expressions.get(group)).items():
             where = f"/extensions/{EXTENSION}/expressions/{group}/{name}"
             if (name in presets) != (group == "preset"):
                 yield where, "is no preset of VRM 1.0" if group == "preset" else "has the name of a preset"
-            binds = expression.get("morphTargetBinds", []) if isinstance(expression, dict) else []
-            for i, bind in enumerate(binds if isinstance(binds, list) else []):
-                yield from _bind(document, f"{where}/morphTargetBinds/{i}", bind)
+            for i, bind in enumerate(as_list(as_object(expression).get("morphTargetBinds"))):
+                yield from _bind(document, f"{where}/morphTargetBinds/{i}", as_object(bind))
 
 
-def _bind(document: RawDocument, where: str, bind: Any) -> Iterator[Problem]:
-    bind = bind if isinstance(bind, dict) else {}
+def _bind(document: RawDocument, where: str, bind: Json) -> Iterator[Problem]:
     node = document.item("nodes", bind.get("node"))
     mesh = node.get("mesh") if node is not None else None
     counts = [len(targets(one)) for at, one in primitives(document) if at.startswith(f"/meshes/{mesh}/")]
@@ -149,26 +141,20 @@ def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     if look_at is None:
         return
     where = f"/extensions/{EXTENSION}/lookAt"
-    look_at = look_at if isinstance(look_at, dict) else {}
+    look_at = as_object(look_at)
     if look_at.get("type") not in ("bone", "expression"):
         yield f"{where}/type", f"{str(look_at.get('type'))[:40]}, expected bone or expression"
     if look_at.get("type") == "bone" and not {"leftEye", "rightEye"} <= _human_bones(vrm).keys():
         yield f"{where}/type", "bone without the human bones leftEye and rightEye, expected both"
     for name in _RANGES:
-        if name in look_at and not (
-            isinstance(look_at[name], dict) and {"inputMaxValue", "outputScale"} <= {*look_at[name]}
-        ):
+        if name in look_at and not {"inputMaxValue", "outputScale"} <= {*as_object(look_at[name])}:
             yield f"{where}/{name}", "expected inputMaxValue and outputScale"
 
 
 def _human_bones(vrm: Json) -> dict[str, Any]:
     """Bone -> its node in the file, unchecked."""
-    humanoid = vrm.get("humanoid")
-    bones = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
-    return {
-        str(bone): entry.get("node") if isinstance(entry, dict) else None
-        for bone, entry in (bones if isinstance(bones, dict) else {}).items()
-    }
+    bones = as_object(as_object(vrm.get("humanoid")).get("humanBones"))
+    return {bone: as_object(entry).get("node") for bone, entry in bones.items()}
 
 
 def _paths(document: RawDocument) -> Callable[[int], list[int]]:

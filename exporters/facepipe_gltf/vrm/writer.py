@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -26,7 +26,7 @@ from facepipe_gltf.vrm.expressions import Expressions, expressions_of, table, wi
 from facepipe_gltf.vrm.meta import EXTENSION, meta_of
 from facepipe_gltf.vrm.nodes import NodeTree
 from facepipe_gltf.vrm.options import Options
-from facepipe_gltf.writer import embedded, write_glb
+from facepipe_gltf.writer import embedded, report_of, write_glb
 
 _UNIFORM = 1e-4
 _RANGE_FIELDS = {
@@ -51,20 +51,7 @@ def export(face: HasParts, path: str | os.PathLike[str], options: Options | None
         raise InputError("option pose", "set-joints scales joints, which VRM doesn't allow, expected set or rest")
     delivered = set_face(face.parts(), options.pose)
     document, added = _vrm_document(delivered.parts, options, target.stem)
-    files = write_glb(target, *embedded(document))
-    return ExportReport(
-        path=target,
-        files=tuple(files),
-        counts=document.counts,
-        bytes=target.stat().st_size,
-        seconds=time.perf_counter() - start,
-        warnings=document.warnings,
-        dropped=document.dropped,
-        added=added,
-        error_mm=document.error_mm,
-        pose=delivered.pose,
-        pose_error=None if delivered.error is None else asdict(delivered.error),
-    )
+    return report_of(document, write_glb(target, *embedded(document)), delivered, start, added)
 
 
 def outputs(path: str | os.PathLike[str]) -> tuple[Path, ...]:
