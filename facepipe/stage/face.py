@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import __version__, tokens
 from facepipe.core.arrays import FloatArray, require_finite
@@ -27,7 +27,7 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.files import check_units, derived_stage, open_stage, over
+from facepipe.stage.files import check_units, open_stage, over
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.materials import read_material
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
@@ -38,6 +38,8 @@ from facepipe.stage.sliders import read_sliders
 
 if TYPE_CHECKING:
     import trimesh
+
+    from facepipe.stage.textures import NewTextures
 
 Read = TypeVar("Read")
 
@@ -63,6 +65,7 @@ class Face:
         self._skeleton_prim = skeletons[0]
 
     warnings: tuple[str, ...] = ()  # what could not be read of the file that it was imported from
+    _new_textures: NewTextures | None = None  # of a layer that is being made
 
     @classmethod
     def from_parts(cls, parts: FaceParts) -> Face:
@@ -372,14 +375,45 @@ class Face:
 
         :raises InputError: `path` can't be written, is the source itself, or the source was never saved
         """
-        if flatten or Path(path).suffix.lower() == ".usdz":
-            stage = Usd.Stage.Open(over(self.stage.GetRootLayer(), Path(path).absolute()))
-            face = Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+        from facepipe.stage.textures import NewTextures
+
+        target, base = Path(path).absolute(), self.stage.GetRootLayer()
+        flatten = flatten or target.suffix.lower() == ".usdz"
+        if not (flatten or base.realPath):
+            raise InputError(path, "the source was never saved, expected one with a file to refer to (or flatten)")
+        stage = Usd.Stage.Open(over(base, target))
+        face = Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+        with NewTextures() as textures:
+            face._new_textures = textures
             yield face
-            face.save(path)
-            return
-        with derived_stage(self.stage, path) as stage:
-            yield Face(stage, stage.GetPrimAtPath(self.prim.GetPath()))
+            if flatten:
+                face.save(path)
+                return
+            written = Sdf.Layer.CreateAnonymous(".usda")
+            written.TransferContent(stage.GetRootLayer())
+            textures.save(written, target, base.realPath)
+
+    def color_texture(self, materials: Sequence[str], name: str, data: bytes) -> None:
+        """Give materials another image for their colour's texture, within `deriving`.
+
+        The image is written beside the layer when that is saved; faces that are read from the stage later have it.
+
+        :param materials: by name
+        :param name: of the file, with extension
+        :param data: of an image in sRGB
+        :raises InputError: no layer is being made, no such material, or one without a texture
+        """
+        from facepipe.stage.materials import author_color_texture
+
+        if self._new_textures is None:
+            raise InputError(self.where, "no layer to put textures on, expected a face within `deriving`")
+        paths = {label: path for path, label in self.material_names.items()}
+        unknown_names = [material for material in materials if material not in paths]
+        if unknown_names:
+            raise InputError(self.where, unknown(unknown_names[0], list(paths), "material"))
+        asset = self._new_textures.add(name, data)
+        for material in materials:
+            author_color_texture(self.stage.GetPrimAtPath(paths[material]), asset)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""

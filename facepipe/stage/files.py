@@ -195,26 +195,6 @@ def new_stage(meters_per_unit: float, up_axis: str, frames_per_second: float = 2
     return stage
 
 
-@contextlib.contextmanager
-def derived_stage(source: Usd.Stage, path: str | os.PathLike[str]) -> Iterator[Usd.Stage]:
-    """A stage over `source` whose opinions go to a new layer, saved as `path` when the block ends well.
-
-    The new layer sublayers the source by a relative path and holds only what changed.
-
-    :raises InputError: `path` is the source itself or can't be written, or the source is in memory only
-    """
-    target, base = Path(path).absolute(), source.GetRootLayer()
-    if not base.realPath:
-        raise InputError(path, "the source was never saved, expected one with a file to refer to (or flatten)")
-    layer = over(base, target)
-    stage = Usd.Stage.Open(layer)
-    yield stage
-    written = Sdf.Layer.CreateAnonymous(".usda")
-    written.TransferContent(layer)
-    written.subLayerPaths[0] = relative_path(base.realPath, target.parent)
-    save_layer(written, target)
-
-
 def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
     """A layer in memory that sublayers `base` and has its stage metadata.
 

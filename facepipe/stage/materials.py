@@ -9,9 +9,10 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 from facepipe.core.errors import InputError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput
+from facepipe.stage.api_schemas import put
 from facepipe.stage.assets import copy_refusal, name_of, read_image
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.prims import author_name, label
+from facepipe.stage.prims import author_name, editable, label
 
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
@@ -158,6 +159,23 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
                 if textures.setdefault(texture.name, texture).data != texture.data:
                     raise InputError(material.name, f"two different textures named '{texture.name}'")
     return textures
+
+
+def author_color_texture(material: Usd.Prim, path: str) -> None:
+    """Put another image in place of the texture of a material's colour, which is read as it is.
+
+    :param path: asset path of the image
+    :raises InputError: the colour is no texture
+    """
+    surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
+    given = _attribute(surface, "diffuseColor") if surface else None
+    shader = UsdShade.Shader(editable(given.GetPrim())) if given else None
+    if not shader or shader.GetShaderId() != "UsdUVTexture":
+        raise InputError(material.GetPath(), "no texture of its colour, expected one")
+    put(shader.CreateInput("file", Sdf.ValueTypeNames.Asset).GetAttr(), Sdf.AssetPath(path))
+    for name, neutral in (("scale", 1.0), ("bias", 0.0)):
+        if shader.GetInput(name):
+            put(shader.GetInput(name).GetAttr(), Gf.Vec4f(neutral))
 
 
 def author_materials(

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from pxr import Usd, UsdUtils
+from pxr import Sdf, Usd, UsdUtils
 
 from facepipe.core.atomic import collect, hidden_folder, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.trust import check_beside
 from facepipe.stage.assets import images_of, name_of
-from facepipe.stage.files import check_suffix, save_layer
+from facepipe.stage.files import check_suffix, relative_path, save_layer
 from facepipe.stage.levels import flattened
 
 
@@ -65,6 +66,42 @@ class TextureFolder:
         if file.name.casefold() in self._taken:
             return self._files.get(file) == data
         return not file.exists() or (file.is_file() and file.read_bytes() == data)
+
+
+class NewTextures:
+    """Textures made for a layer that is not saved yet: files in a temporary folder, named by their absolute paths."""
+
+    def __init__(self) -> None:
+        self._stack = contextlib.ExitStack()
+        self._files: dict[str, bytes] = {}  # by the asset path
+
+    def __enter__(self) -> NewTextures:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def add(self, name: str, data: bytes) -> str:
+        """Take a texture; its asset path until the layer is saved."""
+        folder = self._stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
+        file = Path(folder) / file_name(name, "texture")
+        file.write_bytes(data)
+        self._files[file.as_posix()] = data
+        return file.as_posix()
+
+    def save(self, layer: Sdf.Layer, target: Path, base: str) -> None:
+        """Save a layer over the file `base`, and its new textures beside it.
+
+        :raises InputError: a folder that can't be written
+        """
+        with texture_home(target) as home, together(target):
+            folder = TextureFolder(home)
+            places = {path: folder.add(Path(path).name, data) for path, data in self._files.items()}
+            if places:
+                UsdUtils.ModifyAssetPaths(layer, lambda name: places.get(name, name))
+            layer.subLayerPaths[0] = relative_path(base, target.parent)
+            folder.write()
+            save_layer(layer, target)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,104 @@
+"""Textures from photos, authored on a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
+from facepipe.kinds import Watch
+from facepipe.parts import PhotoView, Recipe
+from facepipe.processors.photo_fit import Photo, read_photo
+from facepipe.processors.photo_texture.bake import Baked, bake
+from facepipe.processors.photo_texture.bake_photo_action import BakePhotoReport
+from facepipe.processors.photo_texture.observed import Exposure, expose
+from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture, skin_surface
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+
+
+def author_textures(
+    face: Face, photos: Sequence[tuple[PhotoView, Path]], size: int | None, recipe: Recipe, watch: Watch
+) -> BakePhotoReport:
+    """Bake photos, and author the textures on a face within `Face.deriving`.
+
+    :raises InputError: a photo that can't be read or has another size than it was fitted at, or a face without
+        textures or landmarks
+    """
+    with watch("bake", len(photos) + 2) as bar, one_thread():
+        skin = skin_surface(face.parts(), face.evaluate(pose="set"), size)
+        bar.update()
+        exposures = []
+        for view, path in photos:
+            exposures.append(_exposure(face, skin, view, _pixels(view, path)))
+            bar.update()
+        baked = bake(skin, exposures)
+        bar.update()
+    scales = {view.name: scale for (view, _), scale in zip(photos, baked.scales, strict=True)}
+    author_changes(face, replace(face.parts(), photos=_relit(face, skin, scales), recipe=recipe))
+    files = {}
+    for texture, picture in zip(skin.textures, baked.pictures, strict=True):
+        name = f"{Path(texture.source.texture.name).stem}_photo.png"
+        face.color_texture(texture.materials, name, _png(picture))
+        files[name] = texture.materials
+    return _report(skin, photos, exposures, baked, files)
+
+
+def _pixels(view: PhotoView, path: Path) -> Photo:
+    photo = read_photo(path)
+    height, width = photo.pixels.shape[:2]
+    if (width, height) != (view.width, view.height):
+        raise InputError(path, f"is {width} x {height} pixels, expected {view.width} x {view.height} as it was fitted")
+    return photo
+
+
+def _exposure(face: Face, skin: SkinSurface, view: PhotoView, photo: Photo) -> Exposure:
+    if view.animation is None:
+        raise InputError(f"{face.where} -> {view.name}", "no pose of the face in the photo, expected one")
+    transforms, weights = face.sample(view.animation)
+    return expose(skin, view, photo.pixels, face.evaluate(weights, joint_transforms=transforms))
+
+
+def _relit(face: Face, skin: SkinSurface, scales: Mapping[str, FloatArray]) -> tuple[PhotoView, ...]:
+    """The photos in the light that the textures were made with: the skin has no tint any more."""
+    baked = {name for texture in skin.textures for name in texture.materials}
+    return tuple(_scaled(view, scales[view.name], baked) if view.name in scales else view for view in face.photos)
+
+
+def _scaled(view: PhotoView, scale: FloatArray, baked: set[str]) -> PhotoView:
+    def times(color: tuple[float, float, float], factor: FloatArray) -> tuple[float, float, float]:
+        red, green, blue = (np.array(color) * factor).tolist()
+        return red, green, blue
+
+    key = None if view.key is None else replace(view.key, color=times(view.key.color, scale))
+    tint = {name: times(color, 1 / scale) for name, color in view.tint.items() if name not in baked}
+    return replace(view, light=view.light * scale, key=key, tint=tint)
+
+
+def _png(picture: FloatArray) -> bytes:
+    from PIL import Image
+
+    stream = BytesIO()
+    levels = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+    Image.fromarray(levels).save(stream, format="PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def _report(
+    skin: SkinSurface,
+    photos: Sequence[tuple[PhotoView, Path]],
+    exposures: Sequence[Exposure],
+    baked: Baked,
+    files: Mapping[str, tuple[str, ...]],
+) -> BakePhotoReport:
+    areas = skin.areas * skin.outside
+    shares = {
+        path.name: float(trust @ areas / areas.sum()) for (_, path), trust in zip(photos, baked.trusts, strict=True)
+    }
+    return BakePhotoReport(textures=files, photos=shares, seen=float(baked.seen @ areas / areas.sum()))

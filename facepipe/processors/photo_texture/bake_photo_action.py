@@ -1,0 +1,81 @@
+"""Bake the colours of photos to the textures of a fitted face, without the photos' light.
+
+STAGE is what `facepipe fit-photo` wrote: it has the camera, the light and the pose of each photo. Every texel of the
+skin's colours is looked up in the photos that see it, and divided by the light that falls there. Hair, glasses, hands,
+clothes and what is behind stay off, as do the insides of mouth and eyes; highlights and shadows are evened. What no
+photo shows is taken from the other side of the face, else from the texture that the face had, without a seam.
+
+OUT is an override layer over STAGE, with PNGs beside it for the materials of the skin. Cards of brows that lie over the
+photo's brows are made transparent (--brows keeps them).
+
+examples:
+  facepipe bake-photo person.usda portrait.jpg -o textured.usda
+  facepipe bake-photo person.usda front.jpg left.jpg right.jpg -o textured.usda --size 1024
+  facepipe export textured.usda -o person.glb
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report, table
+from facepipe.declare import option, source
+from facepipe.kinds import Job, StageAction, action
+
+if TYPE_CHECKING:
+    from facepipe.parts import PhotoView
+    from facepipe.processors.photo_fit import Photo
+    from facepipe.stage import Face
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakePhotoReport(Report):
+    """What was baked."""
+
+    textures: Mapping[str, tuple[str, ...]]  # file -> the materials that show it
+    photos: Mapping[str, float]  # file name -> share of the skin that it shows
+    seen: float  # share of the skin that some photo shows
+    seconds: float = 0.0
+
+
+@action("bake-photo", "bake the colours of photos to a fitted face")
+@dataclass(frozen=True, kw_only=True)
+class BakePhoto(StageAction[BakePhotoReport]):
+    """The action."""
+
+    stage: Path = source("face stage that was fitted to the photos")
+    photos: tuple[Path, ...] = source("photos that it was fitted to, one or more")
+    size: int | None = option(None, "size of the textures (default that of those they replace)", 64, 4096, "texels")
+
+    def check(self) -> None:
+        super().check()
+        names = [photo.name for photo in self.photos]
+        if not names:
+            raise InputError("PHOTO", "none given, expected one or more")
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InputError("PHOTO", f"two called {twice}, expected photos of different names")
+
+    def author(self, face: Face, job: Job) -> BakePhotoReport:
+        from facepipe.processors.photo_texture.author import author_textures
+
+        begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
+        pairs = [(self._view(face, photo), photo) for photo in self.photos]
+        report = author_textures(face, pairs, self.size, recipe, job.watch)
+        return replace(report, seconds=time.perf_counter() - begin)
+
+    def _view(self, face: Face, photo: Path) -> PhotoView:
+        views = [view for view in face.photos if view.image == photo.name]
+        if not views:
+            known = ", ".join(view.image for view in face.photos) or "none"
+            raise InputError(photo, f"no photo that {face.where} was fitted to, expected one of {known}")
+        return views[0]
+
+    def text(self, report: BakePhotoReport, out: Path) -> str:
+        rows = [("photo", "skin that it shows"), *((name, f"{share:.0%}") for name, share in report.photos.items())]
+        return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}"

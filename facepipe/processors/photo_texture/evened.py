@@ -1,0 +1,142 @@
+"""Which of a photo's colours are skin, and what of them is light that the fit has missed: by robust statistics.
+
+Colours are natural logarithms of ratios to the template's, at points. What varies with the direction of the surface, or
+widely from one side of the face to the other, is light; true colours hardly do.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.geometry.factor import Factor, factorise
+from facepipe.geometry.harmonics import harmonics
+from facepipe.geometry.polygons import components
+from facepipe.processors.photo_texture.observed import GREY, Exposure
+from facepipe.processors.photo_texture.seen_skin import step
+from facepipe.processors.photo_texture.skin_surface import SkinSurface
+
+# all lengths are shares of the eyes' distance
+_INNER = (0.28, 0.55)  # off the landmarks inside the face: skin up to the first, anything beyond the second
+_WIDE = 0.25  # over which both sides of a face are made alike
+_LEVELS = ((0.15, 0.45), (0.05, 0.12), (0.05, 0.12))  # least and largest deviation of skin: brightness, two hues
+_STRANGE = (2.8, 7.0)  # deviations beyond which a colour is no skin, outside the face and inside
+_EDGE = (0.03, 0.10)  # off what is no skin: where confidence begins, where it is full
+_OUTLIER = 0.2  # of a logarithm
+_RIDGE = 0.02
+_BRIGHTEST, _LEVEL_TRUST = 1.15, 0.7  # light of the brightest skin of a well exposed photo, and what that counts
+_HUE_TRUST = 0.7  # that the light of a photo is white, as cameras make it
+_FAINT = 0.3  # confidence that doesn't join patches of skin
+
+
+def balance(photo: Exposure) -> FloatArray:
+    """(3,) factor of a photo's light that makes it likely.
+
+    A photo tells light and colour of the skin apart by their product alone: a fit leaves the skin about as the template
+    has it. But photos are exposed so that a face is well lit, and balanced so that its light is white.
+    """
+    bright = photo.white[photo.trust > _FAINT]
+    if not len(bright):
+        return np.ones(3)
+    level = float(np.quantile(bright @ GREY, 0.9))
+    mean = np.average(photo.white, axis=0, weights=photo.trust)
+    hue = mean / float(mean @ GREY)
+    factor = (_BRIGHTEST / level) ** _LEVEL_TRUST * hue**-_HUE_TRUST
+    return np.asarray(np.clip(factor, 0.1, 10.0))
+
+
+def inner(skin: SkinSurface) -> FloatArray:
+    """(n,) 1 on the face, 0 off it: hair, ears, neck."""
+    marks = skin.points[skin.landmarks]
+    cheeks = (marks[1:16] + marks[33]) / 2
+    distance = cKDTree(np.concatenate([marks[17:], cheeks])).query(skin.points)[0]
+    return 1 - step(distance / skin.eye_distance(skin.points), *_INNER)
+
+
+def missed_light(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    """(n, 3) of colours (n, 3): what follows the direction of the surface as light does, by robust least squares."""
+    shape = harmonics(photo.normals)[:, 1:]
+    weight = trust * skin.areas * inner(skin)
+    if not weight.any():
+        return np.zeros_like(colors)
+    shape = shape - np.average(shape, axis=0, weights=weight)
+    centred = np.column_stack([np.ones(len(shape)), shape])
+    ridge = np.diag([0.0, *[_RIDGE] * 8]) * weight.sum()
+    robust = weight
+    solution = np.zeros((9, 3))
+    for _ in range(5):
+        solution = np.linalg.solve(centred.T @ (centred * robust[:, None]) + ridge, centred.T @ (robust[:, None] * colors))
+        off = np.abs((colors - centred @ solution) @ GREY)
+        robust = weight / (1 + (off / _OUTLIER) ** 2)
+    return np.asarray(shape @ solution[1:])
+
+
+def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    """(n,) 0..1, what of colours (n, 3) are skin: not hair, glasses, clothes, hands or what is behind.
+
+    What is far from the median colour of the face is no skin, nor are patches that hang together with the face through
+    it alone.
+    """
+    face = inner(skin)
+    weight = trust * skin.areas * face
+    if not weight.any():
+        return np.zeros(len(trust))
+    levels = np.column_stack([colors @ GREY, colors[:, 0] - colors[:, 1], colors[:, 2] - colors[:, 1]])
+    square = np.zeros(len(trust))
+    for level, (least, most) in zip(levels.T, _LEVELS, strict=True):
+        off = np.abs(level - _quantile(level, weight, 0.5))
+        square += (off / np.clip(1.5 * _quantile(off, weight, 0.5), least, most)) ** 2
+    far = _smoothed(smoother(skin, 0.03), np.sqrt(square)[:, None], trust * skin.areas)[:, 0]
+    strange = (trust > 0) & (far > _STRANGE[0] + (_STRANGE[1] - _STRANGE[0]) * face)
+    certain = np.ones(len(trust))
+    if strange.any():
+        distance = cKDTree(skin.points[strange]).query(skin.points)[0]
+        certain = step(distance / skin.eye_distance(skin.points), *_EDGE)
+    return certain * _joined(skin, certain * trust > _FAINT, weight)
+
+
+def _joined(skin: SkinSurface, certain: BoolArray, weight: FloatArray) -> FloatArray:
+    """(n,) the connected part of certain points with the most weight (n,), and the uncertain ones."""
+    edges, _ = skin.edges
+    part = components(len(certain), edges[certain[edges].all(axis=1)])
+    main = np.bincount(part, weight * certain).argmax()
+    return np.asarray(~certain | (part == main), np.float64)
+
+
+def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    """(n, 3) what of colours (n, 3) differs widely from the other side of the face."""
+    mirror, known = np.maximum(skin.mirror, 0), skin.mirror >= 0
+    factor, weight = smoother(skin, _WIDE), trust * skin.areas
+    other = np.where(known, weight[mirror], 0.0)
+    own = _parts(factor, colors, weight)
+    both = own + _parts(factor, colors[mirror], other)
+    return _ratio(own) - _ratio(both)
+
+
+def smoother(skin: SkinSurface, width: float) -> Factor:
+    """What spreads point values, times areas, over a width: ``(areas + width^2 Laplacian)^-1``."""
+    from scipy.sparse import diags_array
+
+    return factorise(diags_array(skin.areas) + width**2 * skin.laplacian)
+
+
+def _smoothed(factor: Factor, values: FloatArray, weight: FloatArray) -> FloatArray:
+    """(n, c) weighted means of values (n, c) around each point."""
+    return _ratio(_parts(factor, values, weight))
+
+
+def _parts(factor: Factor, values: FloatArray, weight: FloatArray) -> Any:
+    return np.maximum(factor.solve(np.column_stack([weight[:, None] * values, weight])), -np.inf)
+
+
+def _ratio(parts: FloatArray) -> FloatArray:
+    return np.asarray(parts[:, :-1] / np.maximum(parts[:, -1:], 1e-9))
+
+
+def _quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
+    order = np.argsort(values, kind="stable")
+    sums = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(sums, share * sums[-1])])

@@ -1,0 +1,65 @@
+"""The light of a photo on a face: what a white matt surface shows at each of its points, and what it mirrors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.harmonics import harmonics
+from facepipe.parts import KeyLamp, PhotoView
+from facepipe.pictures.occlusion import depth_map, visible_sky
+
+_SKY_RESOLUTION = 256  # map pixels
+_LAMP_RESOLUTION = 448
+_SOFT = 3  # map pixels of a lamp's shadow's edge: photos' lamps are no points
+_FACING = 0.04  # share of light that skin mirrors where it falls straight on
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoLight:
+    """The light of a photo at points of a face; vectors are in camera coordinates."""
+
+    view: PhotoView
+    hidden: FloatArray  # (n, 9) what self-shadowing adds to the harmonics of the points' normals
+    arriving: FloatArray  # (n,) share of the lamp's light that reaches each point
+
+    @classmethod
+    def on_points(cls, view: PhotoView, points: FloatArray, normals: FloatArray, opaque: IntArray) -> PhotoLight:
+        """Of points (n, 3) with unit normals (n, 3), past triangles (o, 3)."""
+        sky = visible_sky(points, normals, opaque, np.zeros(len(points), bool), _SKY_RESOLUTION)
+        cosine = np.maximum(normals @ sky.directions.T, 0.0) * (1 - sky.seen)
+        hidden = -(4 / len(sky.directions)) * cosine @ harmonics(sky.directions)
+        arriving = np.ones(len(points))
+        if view.key is not None:
+            lamp = depth_map(points, opaque, np.array(view.key.direction), _LAMP_RESOLUTION)
+            arriving = lamp.lit(points, normals, _SOFT)
+        return cls(view=view, hidden=hidden, arriving=arriving)
+
+    def white(self, normals: FloatArray, hidden: FloatArray, arriving: FloatArray) -> FloatArray:
+        """(m, 3) linear light of white matt surfaces with unit normals (m, 3)."""
+        light = np.maximum((harmonics(normals) + hidden) @ self.view.light, 0.0)
+        if self.view.key is None:
+            return np.asarray(light)
+        cosine = np.maximum(normals @ _towards(self.view.key), 0.0) * arriving
+        return np.asarray(light + cosine[:, None] * np.array(self.view.key.color))
+
+    def mirrored(self, normals: FloatArray, towards_eye: FloatArray, arriving: FloatArray) -> FloatArray:
+        """(m, 3) linear light of the lamp's highlight: normalised Blinn-Phong with Schlick's Fresnel term."""
+        key = self.view.key
+        if key is None:
+            return np.zeros((len(normals), 3))
+        towards = _towards(key)
+        half = towards_eye + towards
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        grazing = 1 - np.clip((towards_eye * half).sum(axis=1), 0, 1)
+        fresnel = _FACING + (1 - _FACING) * grazing**5
+        lobe = (key.exponent + 2) / 8 * np.maximum((normals * half).sum(axis=1), 1e-4) ** key.exponent
+        matt = np.maximum(normals @ towards, 0.0) * arriving
+        return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color))
+
+
+def _towards(key: KeyLamp) -> FloatArray:
+    direction = np.array(key.direction)
+    return np.asarray(direction / np.linalg.norm(direction))

@@ -1,0 +1,187 @@
+"""The skin that photos are baked to: the mesh with the face's landmarks, and the textures of its colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.geometry.differences import cotangent_weights, incidence
+from facepipe.geometry.landmarks import eye_distance
+from facepipe.geometry.polygons import point_areas, triangulate
+from facepipe.geometry.texels import Texels, texels_of
+from facepipe.geometry.vectors import transformed
+from facepipe.geometry.visibility import seen_from_outside
+from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
+
+SCHEME = "multipie68"
+LEFT = (*range(17, 22), *range(36, 42), 31, 48, 3, 6)  # landmarks whose mirrors are known
+RIGHT = (*range(26, 21, -1), 45, 44, 43, 42, 47, 46, 35, 54, 13, 10)
+_SAME = 0.03  # of the eyes' distance: a mirrored point may lie so far from another
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinTexture:
+    """A texture of the skin's colours."""
+
+    materials: tuple[str, ...]  # that show it
+    source: TextureInput
+    texels: Texels
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkinSurface:
+    """A mesh of n points among those of all meshes."""
+
+    mesh: Mesh
+    first: int  # its first point among those of all meshes
+    triangles: IntArray  # (t, 3) its own, by its points
+    opaque: IntArray  # (o, 3) of all meshes that no light goes through, by the points of all
+    points: FloatArray  # (n, 3) world, the neutral person
+    outside: BoolArray  # (n,) nothing hides it from all sides: not the mouth's inside, nor the eyes' sockets
+    mirror: IntArray  # (n,) point of the other side, -1 where there is none
+    textures: tuple[SkinTexture, ...]
+
+    @property
+    def landmarks(self) -> IntArray:
+        """(68,) points."""
+        return np.asarray(self.mesh.landmarks[SCHEME].indices)
+
+    @property
+    def span(self) -> slice:
+        """Its points among those of all meshes."""
+        return slice(self.first, self.first + len(self.points))
+
+    def eye_distance(self, points: FloatArray) -> float:
+        """Distance of the eyes' outer corners on its points (n, 3)."""
+        return eye_distance(points[self.landmarks])
+
+    @cached_property
+    def areas(self) -> FloatArray:
+        """(n,) of each point's share of the surface, in squares of the eyes' distance."""
+        areas = point_areas(self.points, self.triangles) / self.eye_distance(self.points) ** 2
+        return np.maximum(areas, 1e-12)
+
+    @cached_property
+    def laplacian(self) -> Any:
+        """(n, n) sparse, the cotangent Laplacian, positive."""
+        from scipy.sparse import diags_array
+
+        edges, weights = cotangent_weights(self.points, self.triangles)
+        differences = incidence(edges, len(self.points))
+        return (differences.T @ diags_array(weights) @ differences).tocsc()
+
+    @cached_property
+    def edges(self) -> tuple[IntArray, FloatArray]:
+        """(e, 2) edges and their cotangent weights (e,)."""
+        return cotangent_weights(self.points, self.triangles)
+
+
+def skin_surface(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurface:
+    """The skin of a face.
+
+    :param neutral: (n, 3) world points of all meshes
+    :param size: texels a side of the textures; None: as large as they are
+    :raises InputError: no mesh has landmarks, or its materials have no texture of colours
+    """
+    mesh = next((mesh for mesh in parts.meshes if SCHEME in mesh.landmarks), None)
+    if mesh is None:
+        raise InputError(parts.name, f"no landmarks '{SCHEME}', expected a face that was fitted to photos")
+    first = sum(len(other.points) for other in parts.meshes[: parts.meshes.index(mesh)])
+    opaque = np.concatenate(list(_opaque(parts)))
+    corners, faces = triangulate(mesh.face_vertex_counts)
+    triangles = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
+    span = slice(first, first + len(mesh.points))
+    return SkinSurface(
+        mesh=mesh,
+        first=first,
+        triangles=triangles,
+        opaque=opaque,
+        points=neutral[span],
+        outside=seen_from_outside(neutral, opaque)[span],
+        mirror=mirrored_points(transformed(mesh.points, mesh.transform), np.asarray(mesh.landmarks[SCHEME].indices)),
+        textures=_textures(parts, mesh, triangles, corners, faces, size),
+    )
+
+
+def _opaque(parts: FaceParts) -> Iterator[IntArray]:
+    """Triangles of each mesh without those of materials that let light through."""
+    opacity = {material.name: material.opacity for material in parts.materials}
+    first = 0
+    for mesh in parts.meshes:
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        solid = np.array([opacity.get(name, 1.0) == 1.0 for name in _names(mesh)])[_of_faces(mesh)]
+        yield np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners[solid[faces]]] + first
+        first += len(mesh.points)
+
+
+def _names(mesh: Mesh) -> tuple[str, ...]:
+    return (mesh.material or "", *(bound.material for bound in mesh.material_faces))
+
+
+def _of_faces(mesh: Mesh) -> IntArray:
+    """(faces,) which of `_names` each face shows."""
+    number = np.zeros(len(mesh.face_vertex_counts), np.int64)
+    for place, bound in enumerate(mesh.material_faces, 1):
+        number[np.asarray(bound.faces, dtype=np.int64)] = place
+    return number
+
+
+def _textures(
+    parts: FaceParts, mesh: Mesh, triangles: IntArray, corners: IntArray, faces: IntArray, size: int | None
+) -> tuple[SkinTexture, ...]:
+    materials = {material.name: material for material in parts.materials}
+    shown: dict[tuple[str, str], list[int]] = {}
+    for place, name in enumerate(_names(mesh)):
+        source = materials[name].diffuse_color if name in materials else None
+        if isinstance(source, TextureInput):
+            shown.setdefault((source.texture.name, source.uv_set), []).append(place)
+    textures = []
+    for (_, uv_set), places in shown.items():
+        chosen = np.isin(_of_faces(mesh)[faces], places)
+        names = tuple(dict.fromkeys(_names(mesh)[place] for place in places))
+        source = _source(materials[names[0]])
+        uv = next((one for one in mesh.uv_sets if one.name == uv_set), None)
+        if uv is None or not chosen.any():
+            continue
+        rows = triangles if uv.indices is None else np.asarray(uv.indices, dtype=np.int64)[corners]
+        texels = texels_of(np.asarray(uv.values)[rows[chosen]], triangles[chosen], size or _side(source.texture))
+        textures.append(SkinTexture(materials=names, source=source, texels=texels))
+    if not textures:
+        raise InputError(f"{parts.name} -> {mesh.name}", "no texture of colours, expected a material with one")
+    return tuple(textures)
+
+
+def _source(material: Material) -> TextureInput:
+    assert isinstance(material.diffuse_color, TextureInput)
+    return material.diffuse_color
+
+
+def _side(texture: Texture) -> int:
+    from facepipe.core.images import open_image
+
+    return int(np.clip(max(open_image(texture.image(), f"texture {texture.name}").size), SMALLEST, LARGEST))
+
+
+SMALLEST, LARGEST = 64, 4096  # texels a side
+
+
+def mirrored_points(points: FloatArray, landmarks: IntArray) -> IntArray:
+    """(n,) of each point (n, 3) the one at its mirror image, -1 where there is none.
+
+    The plane of symmetry is that between landmarks (68,) of both sides.
+    """
+    left, right = points[landmarks[list(LEFT)]], points[landmarks[list(RIGHT)]]
+    normal = (right - left).sum(axis=0)
+    normal /= max(float(np.linalg.norm(normal)), 1e-12)
+    offset = float(((left + right) / 2 @ normal).mean())
+    image = points - 2 * (points @ normal - offset)[:, None] * normal
+    distance, nearest = cKDTree(points).query(image)
+    reach = _SAME * eye_distance(points[landmarks])
+    return np.where(distance <= reach, nearest, -1)
