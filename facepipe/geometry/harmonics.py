@@ -1,4 +1,4 @@
-"""Light as spherical harmonics up to the second order: nine numbers a colour channel (Ramamoorthi and Hanrahan, 2001)."""
+"""Light as spherical harmonics up to the second order: nine numbers a colour (Ramamoorthi and Hanrahan 2001)."""
 
 from __future__ import annotations
 

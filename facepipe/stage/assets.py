@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 from pxr import Ar, Sdf, Usd
@@ -45,14 +45,14 @@ def copy_refusal(
     return None
 
 
-def images_of(stage: Usd.Stage) -> dict[str, bytes]:
-    """The images that a stage names, by resolved path.
+def images_of(stage: Usd.Stage, known: Container[str] = ()) -> dict[str, bytes]:
+    """The images that a stage names, by resolved path, but those known.
 
     :raises InputError: one that may not be copied
     """
     images: dict[str, bytes] = {}
     for attribute, time, asset in _asset_values(stage):
-        data = read_image(asset)
+        data = None if asset.resolvedPath in known else read_image(asset)
         if data is None:
             continue
         refusal = copy_refusal(attribute.GetPath(), attribute, asset, time)

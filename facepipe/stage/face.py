@@ -375,7 +375,7 @@ class Face:
 
         :raises InputError: `path` can't be written, is the source itself, or the source was never saved
         """
-        from facepipe.stage.textures import NewTextures
+        from facepipe.stage.textures import NewTextures, save_standalone
 
         target, base = Path(path).absolute(), self.stage.GetRootLayer()
         flatten = flatten or target.suffix.lower() == ".usdz"
@@ -387,7 +387,7 @@ class Face:
             face._new_textures = textures
             yield face
             if flatten:
-                face.save(path)
+                save_standalone(stage, path, textures.files)
                 return
             written = Sdf.Layer.CreateAnonymous(".usda")
             written.TransferContent(stage.GetRootLayer())

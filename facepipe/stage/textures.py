@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from pxr import Sdf, Usd, UsdUtils
 
@@ -73,7 +74,7 @@ class NewTextures:
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
-        self._files: dict[str, bytes] = {}  # by the asset path
+        self.files: dict[str, bytes] = {}  # by the asset path
 
     def __enter__(self) -> NewTextures:
         return self
@@ -86,7 +87,7 @@ class NewTextures:
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
         file = Path(folder) / file_name(name, "texture")
         file.write_bytes(data)
-        self._files[file.as_posix()] = data
+        self.files[file.as_posix()] = data
         return file.as_posix()
 
     def save(self, layer: Sdf.Layer, target: Path, base: str) -> None:
@@ -96,7 +97,7 @@ class NewTextures:
         """
         with texture_home(target) as home, together(target):
             folder = TextureFolder(home)
-            places = {path: folder.add(Path(path).name, data) for path, data in self._files.items()}
+            places = {path: folder.add(Path(path).name, data) for path, data in self.files.items()}
             if places:
                 UsdUtils.ModifyAssetPaths(layer, lambda name: places.get(name, name))
             layer.subLayerPaths[0] = relative_path(base, target.parent)
@@ -125,14 +126,17 @@ def texture_folder(stage_file: Path) -> Path:
     return stage_file.parent / f"{stage_file.stem}_textures"
 
 
-def save_standalone(stage: Usd.Stage, path: str | os.PathLike[str]) -> None:
+def save_standalone(
+    stage: Usd.Stage, path: str | os.PathLike[str], new: Mapping[str, bytes] = MappingProxyType({})
+) -> None:
     """Flatten a stage and save it atomically; its textures are copied, so that the result can be moved.
 
+    :param new: images by the paths that the stage has for them, as of `NewTextures`
     :raises InputError: a suffix that is not USD, a folder that can't be written, or a texture that may not be copied
     """
     target = Path(path)
     check_suffix(target)
-    images = images_of(stage)
+    images = {**images_of(stage, new), **new}
     layer = flattened(stage)
     with texture_home(target) as home, together(target):
         folder = TextureFolder(home)

@@ -18,6 +18,7 @@ from typing import Any
 import live_link
 import numpy as np
 import scan_domes
+from baked_face import put_fitted
 from facepipe_blender.addon import write_own_wheel
 from import_data import SHARED
 from network_faces import network, networked
@@ -66,6 +67,7 @@ skin third.usdz --from head.usda -o moved.usda --optimise --iterations 1
 train-photo head.usda -o start.onnx --people 1024 --renders 8 --epochs 1 --steps 1
 fit-photo front.png head.usda --landmarks front.json -o me.usda --report me --start start.onnx \
 --iterations 1 --size 64 --identity 0
+bake-photo painted/fitted.usda painted/front.png -o photographed.usda --size 128
 lod head.usda --triangles 8000,2500 -o lods.usda
 export lods.usda -o lods.glb --lods
 lod third.usdz --triangles 3000 --flatten -o flat_lods.usdc
@@ -118,6 +120,9 @@ def work(seed: int) -> None:
 def _put_heads() -> None:
     parts = make(0)
     write_photos(parts, Path())
+    Path("painted").mkdir()
+    painted = make(0, textures=64)
+    put_fitted(painted, painted, Path("painted"), size=64, front=0.0)
     live_link.write(Path("take.csv"), live_link.performance(20))
     _put("points.json", {"nose": 3, "chin": 4})
     places = {"neck": (0, 150, 0), "neck/head": (0, 160, 0), "neck/head/jaw": (0, 158, 2)}

@@ -223,6 +223,11 @@ LINES: dict[str, Line] = {
         more=("report/report.json", "report/report.html", "report/old.render.png"),
         early=True,
     ),
+    "bake-photo": _out(
+        *("bake-photo", "photo/fitted.usda", "photo/front.png", "--size", "64", "-o", "out.usda"),
+        uses=("photo",),
+        **_TEXTURES,
+    ),
     "train-photo": _out(
         *("train-photo", "head.usdc", "--people", "0", "--renders", "8", "--epochs", "0", "--steps", "1"),
         *("-o", "out.onnx"),
@@ -404,6 +409,7 @@ def _small_faces() -> None:
 
 
 def _heads() -> None:
+    from baked_face import put_fitted
     from photographed_face import write_photos
     from small_head import make
 
@@ -412,6 +418,9 @@ def _heads() -> None:
     parts = make(0)
     save_parts(parts, "head.usdc")
     write_photos(parts, Path())
+    Path("photo").mkdir()
+    painted = make(0, textures=16)
+    put_fitted(painted, painted, Path("photo"), size=64, front=0.0)
     save_parts(parts, "textured.usdz")
     _done("export", "head.usdc", "-o", "head.glb")
 

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.photo_texture.bake_photo_action import BakePhoto, BakePhotoReport
+    from facepipe.processors.photo_texture.bake_photo_action import BakePhoto
+    from facepipe.processors.photo_texture.report import BakePhotoReport
 else:
     __getattr__, __dir__ = lazy(__name__)
 

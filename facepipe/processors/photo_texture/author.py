@@ -15,10 +15,10 @@ from facepipe.core.threads import one_thread
 from facepipe.kinds import Watch
 from facepipe.parts import PhotoView, Recipe
 from facepipe.processors.photo_fit import Photo, read_photo
-from facepipe.processors.photo_texture.bake import Baked, bake
-from facepipe.processors.photo_texture.bake_photo_action import BakePhotoReport
+from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
-from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture, skin_surface
+from facepipe.processors.photo_texture.report import BakePhotoReport
+from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_surface
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
@@ -38,7 +38,7 @@ def author_textures(
         for view, path in photos:
             exposures.append(_exposure(face, skin, view, _pixels(view, path)))
             bar.update()
-        baked = bake(skin, exposures)
+        baked = Baker(skin)(exposures)
         bar.update()
     scales = {view.name: scale for (view, _), scale in zip(photos, baked.scales, strict=True)}
     author_changes(face, replace(face.parts(), photos=_relit(face, skin, scales), recipe=recipe))
@@ -47,7 +47,7 @@ def author_textures(
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.color_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
-    return _report(skin, photos, exposures, baked, files)
+    return _report(photos, baked, files)
 
 
 def _pixels(view: PhotoView, path: Path) -> Photo:
@@ -91,14 +91,7 @@ def _png(picture: FloatArray) -> bytes:
 
 
 def _report(
-    skin: SkinSurface,
-    photos: Sequence[tuple[PhotoView, Path]],
-    exposures: Sequence[Exposure],
-    baked: Baked,
-    files: Mapping[str, tuple[str, ...]],
+    photos: Sequence[tuple[PhotoView, Path]], baked: Baked, files: Mapping[str, tuple[str, ...]]
 ) -> BakePhotoReport:
-    areas = skin.areas * skin.outside
-    shares = {
-        path.name: float(trust @ areas / areas.sum()) for (_, path), trust in zip(photos, baked.trusts, strict=True)
-    }
-    return BakePhotoReport(textures=files, photos=shares, seen=float(baked.seen @ areas / areas.sum()))
+    shares = {path.name: share for (_, path), share in zip(photos, baked.shares, strict=True)}
+    return BakePhotoReport(textures=files, photos=shares, seen=baked.seen)

@@ -1,4 +1,7 @@
-"""Textures of the skin from photos: observed, evened, merged by confidence, and filled."""
+"""Textures of the skin from photos: observed, evened, merged by confidence, and completed.
+
+Colours are natural logarithms of ratios to the template's throughout.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray, IntArray
+from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.core.images import open_image
 from facepipe.geometry.colors import from_srgb, to_srgb
-from facepipe.processors.photo_texture.evened import balance, inner, is_skin, missed_light, one_sided, smoother
-from facepipe.processors.photo_texture.filled import filled
+from facepipe.geometry.texture_fill import spread
+from facepipe.processors.photo_texture.evened import balance, inner, is_skin, missed_light, one_sided, quantile
 from facepipe.processors.photo_texture.observed import DARKEST, GREY, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
+
+# all lengths are shares of the eyes' distance
+_REACH = 0.02  # of the completion: what is smaller is detail
+_FAR = 0.8  # over which what is unseen goes to the skin's median colour
+_INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
+_LOCAL = 0.10  # what is brighter than all around it over that is a highlight
+_HIGHLIGHT, _KEPT = (0.06, 0.25), 0.25  # of a logarithm: limits of what skin itself may be brighter; share kept beyond
+_SHARP = 2  # power of confidence by which photos are mixed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,66 +33,156 @@ class Baked:
 
     pictures: tuple[FloatArray, ...]  # of each (size, size, 3) sRGB 0..1
     scales: tuple[FloatArray, ...]  # (3,) of each photo's light
-    trusts: tuple[FloatArray, ...]  # (n,) confidence of each photo at points
-    seen: FloatArray  # (n,) of all
+    shares: tuple[float, ...]  # of the face that each photo shows
+    seen: float  # share of the face that some photo shows
 
 
-def template_texels(texture: SkinTexture) -> FloatArray:
-    """(size, size, 3) linear colours of a texture as it is, of its input's scale and bias."""
+@dataclass(frozen=True, kw_only=True)
+class _Layer:
+    """One photo's colours of the skin."""
+
+    observed: tuple[Observed, ...]  # of each texture
+    colors: FloatArray  # (n, 3) at points
+    trust: FloatArray  # (n,)
+    scale: FloatArray  # (3,) of its light
+
+
+class Baker:
+    """The textures of one skin as they are to be baked over."""
+
+    def __init__(self, skin: SkinSurface) -> None:
+        self.skin = skin
+        self.templates = [template_texels(texture) for texture in skin.textures]
+        self.flats = [
+            np.maximum(template.reshape(-1, 3)[texture.texels.at], DARKEST)
+            for template, texture in zip(self.templates, skin.textures, strict=True)
+        ]
+        ones = (
+            texture.texels.summed(np.ones((len(texture.texels.at), 1)), len(skin.points)) for texture in skin.textures
+        )
+        self.totals = np.asarray(sum(one[:, 0] for one in ones))
+
+    def __call__(self, photos: Sequence[Exposure]) -> Baked:
+        """Textures from photos, one or more."""
+        layers = self._alike([self._layer(photo) for photo in photos])
+        face = inner(self.skin) * self.skin.areas * self.skin.outside
+        seen = np.max([layer.trust for layer in layers], axis=0)
+        return Baked(
+            pictures=tuple(self._pictures(layers)),
+            scales=tuple(layer.scale for layer in layers),
+            shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
+            seen=float(seen @ face / face.sum()),
+        )
+
+    def _layer(self, photo: Exposure) -> _Layer:
+        skin, scale = self.skin, balance(photo)
+        observed = [observe(skin, photo, number, flat, scale) for number, flat in enumerate(self.flats)]
+        colors, trust = self._at_points(observed)
+        light = missed_light(skin, photo, colors, trust)
+        colors = colors - light
+        mask = is_skin(skin, colors, trust)
+        trust = trust * mask
+        light = light + one_sided(skin, colors, trust)
+        observed = [self._evened(number, one, light, mask) for number, one in enumerate(observed)]
+        colors, trust = self._at_points(observed)
+        return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale)
+
+    def _at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) mean colours at points, and (n,) confidence."""
+        sums = np.zeros((len(self.skin.points), 4))
+        for texture, one in zip(self.skin.textures, observed, strict=True):
+            values = np.column_stack([one.ratio * one.trust[:, None], one.trust])
+            sums += texture.texels.taken(one.place).summed(values, len(self.skin.points))
+        return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(self.totals, 1e-9)
+
+    def _evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:
+        part = self.skin.textures[number].texels.taken(one.place)
+        trust = one.trust * part.carried(mask[:, None])[:, 0]
+        kept = np.flatnonzero(trust > 0)
+        ratio = (one.ratio - part.carried(light))[kept]
+        return Observed(place=one.place[kept], ratio=ratio, trust=trust[kept])
+
+    def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:
+        """Layers as bright as the one that shows most, where both show skin."""
+        first = max(layers, key=lambda layer: float(layer.trust @ self.skin.areas))
+        return [layer if layer is first else self._like(first, layer) for layer in layers]
+
+    def _like(self, first: _Layer, layer: _Layer) -> _Layer:
+        weight = first.trust * layer.trust * self.skin.areas
+        if not weight.any():
+            return layer
+        off = np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
+        observed = tuple(
+            Observed(place=one.place, ratio=one.ratio + off.astype(np.float32), trust=one.trust)
+            for one in layer.observed
+        )
+        return _Layer(observed=observed, colors=layer.colors + off, trust=layer.trust, scale=layer.scale * np.exp(-off))
+
+    def _pictures(self, layers: Sequence[_Layer]) -> list[FloatArray]:
+        merged = [self._merged(number, layers) for number in range(len(self.flats))]
+        colors, trust = self._at_points(merged)
+        whole = self._completed(colors, trust)
+        limit = self._local(colors, trust)
+        pictures = []
+        for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
+            ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
+            fine = one.ratio - part.carried(colors)
+            fine = fine - np.maximum((1 - _KEPT) * part.carried(limit), 0)
+            ratio[one.place] += one.trust[:, None] * fine
+            pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
+        return pictures
+
+    def _merged(self, number: int, layers: Sequence[_Layer]) -> Observed:
+        if len(layers) == 1:
+            return layers[0].observed[number]
+        count = len(self.flats[number])
+        sums, weights, most = np.zeros((count, 3), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+        for layer in layers:
+            one = layer.observed[number]
+            weight = one.trust**_SHARP
+            sums[one.place] += weight[:, None] * one.ratio
+            weights[one.place] += weight
+            most[one.place] = np.maximum(most[one.place], one.trust)
+        place = np.flatnonzero(weights > 0)
+        return Observed(place=place, ratio=sums[place] / weights[place, None], trust=most[place])
+
+    def _completed(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
+        """(n, 3) colours of all points: those seen, and what continues them without a step where none is.
+
+        Gradients there are those of the other side of the face where that is seen, else the template's own. Far off
+        and inside mouth and sockets, colours go to the median of what is seen, and to the template's.
+        """
+        skin = self.skin
+        other, known = skin.other_side(colors, trust)
+        weight = trust * skin.areas * inner(skin)
+        middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
+        pull = np.where(skin.outside, (1 - trust) * (_REACH / _FAR) ** 2, (_REACH / _INSIDE) ** 2)
+        target = np.where(skin.outside[:, None], middle, 0.0)
+
+        def whole(values: FloatArray, weights: FloatArray, rest: FloatArray) -> FloatArray:
+            total = weights + pull
+            mixed = (weights[:, None] * values + pull[:, None] * rest) / np.maximum(total, 1e-12)[:, None]
+            return skin.smooth(mixed, total, _REACH)
+
+        guide = whole(other, known, target)
+        return guide + whole(colors - guide, trust, target - guide)
+
+    def _local(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
+        """(n, 1) how much brighter points are than all around them, beyond what skin itself is."""
+        level = (colors @ GREY)[:, None]
+        above = level - self.skin.smooth(level, trust, _LOCAL)
+        weight = trust * self.skin.areas
+        usual = np.clip(quantile(above[:, 0], weight, 0.95), *_HIGHLIGHT) if weight.any() else 0.0
+        return np.asarray(np.maximum(above - usual, 0))
+
+
+def template_texels(texture: SkinTexture) -> Float32Array:
+    """(size, size, 3) linear colours of a texture as its material shows it."""
     from PIL import Image
 
     source, size = texture.source, texture.texels.size
     picture = open_image(source.texture.image(), f"texture {source.texture.name}").convert("RGB")
     picture = picture.resize((size, size), Image.Resampling.BICUBIC)
     linear = from_srgb(np.asarray(picture, np.float32) / np.float32(255))
-    return np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1).astype(np.float32)
-
-
-def bake(skin: SkinSurface, photos: Sequence[Exposure]) -> Baked:
-    templates = [template_texels(texture) for texture in skin.textures]
-    flats = [
-        np.maximum(template.reshape(-1, 3)[texture.texels.at], DARKEST)
-        for template, texture in zip(templates, skin.textures, strict=True)
-    ]
-    totals = sum(tx.texels.summed(np.ones((len(tx.texels.at), 1)), len(skin.points))[:, 0] for tx in skin.textures)
-    scales, seen, all_colors, all_trust = [], [], [], []
-    for photo in photos:
-        scale = balance(photo)
-        observed = [observe(skin, photo, i, flat, scale) for i, flat in enumerate(flats)]
-        colors, trust = at_points(skin, observed, totals)
-        light = missed_light(skin, photo, colors, trust)
-        colors = colors - light
-        trust = trust * is_skin(skin, colors, trust)
-        side = one_sided(skin, colors, trust)
-        colors = colors - side
-        scales.append(scale)
-        seen.append([evened(skin, i, o, light + side, trust) for i, o in enumerate(observed)])
-        all_colors.append(colors)
-        all_trust.append(trust)
-    colors, trust = at_points(skin, seen[0], totals)
-    whole = filled(skin, colors, trust)
-    pictures = []
-    for number, (texture, template, flat) in enumerate(zip(skin.textures, templates, flats, strict=True)):
-        texels, one = texture.texels, seen[0][number]
-        ratio = texels.carried(whole)
-        fine = one.ratio - texels.taken(one.place).carried(colors)
-        ratio[one.place] += one.trust[:, None] * fine
-        linear = np.exp(ratio) * flat
-        pictures.append(to_srgb(texels.picture(linear, template)))
-    return Baked(pictures=tuple(pictures), scales=tuple(scales), trusts=tuple(all_trust), seen=trust)
-
-
-def at_points(skin: SkinSurface, observed: Sequence[Observed], totals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) mean colours at points and (n,) confidence."""
-    sums = np.zeros((len(skin.points), 4))
-    for texture, one in zip(skin.textures, observed, strict=True):
-        values = np.column_stack([one.ratio * one.trust[:, None], one.trust])
-        sums += texture.texels.taken(one.place).summed(values, len(skin.points))
-    return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(totals, 1e-9)
-
-
-def evened(skin: SkinSurface, number: int, one: Observed, light: FloatArray, trust: FloatArray) -> Observed:
-    part = skin.textures[number].texels.taken(one.place)
-    mask = part.carried((trust > 0.02)[:, None] * 1.0)[:, 0]
-    kept = np.minimum(one.trust, part.carried(trust[:, None])[:, 0] * 1.5) * (mask > 0)
-    return Observed(place=one.place, ratio=one.ratio - part.carried(light), trust=kept)
+    shown = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1)
+    return np.asarray(shown, np.float32)

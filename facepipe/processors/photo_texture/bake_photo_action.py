@@ -5,8 +5,8 @@ skin's colours is looked up in the photos that see it, and divided by the light 
 clothes and what is behind stay off, as do the insides of mouth and eyes; highlights and shadows are evened. What no
 photo shows is taken from the other side of the face, else from the texture that the face had, without a seam.
 
-OUT is an override layer over STAGE, with PNGs beside it for the materials of the skin. Cards of brows that lie over the
-photo's brows are made transparent (--brows keeps them).
+OUT is an override layer over STAGE, with PNGs beside it for the materials of the skin. The light of the photos on it is
+that which the colours were found with, as bright and as white as photos are exposed.
 
 examples:
   facepipe bake-photo person.usda portrait.jpg -o textured.usda
@@ -17,35 +17,23 @@ examples:
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, table
 from facepipe.declare import option, source
 from facepipe.kinds import Job, StageAction, action
 
 if TYPE_CHECKING:
     from facepipe.parts import PhotoView
-    from facepipe.processors.photo_fit import Photo
+    from facepipe.processors.photo_texture.report import BakePhotoReport
     from facepipe.stage import Face
-
-
-@dataclass(frozen=True, kw_only=True)
-class BakePhotoReport(Report):
-    """What was baked."""
-
-    textures: Mapping[str, tuple[str, ...]]  # file -> the materials that show it
-    photos: Mapping[str, float]  # file name -> share of the skin that it shows
-    seen: float  # share of the skin that some photo shows
-    seconds: float = 0.0
 
 
 @action("bake-photo", "bake the colours of photos to a fitted face")
 @dataclass(frozen=True, kw_only=True)
-class BakePhoto(StageAction[BakePhotoReport]):
+class BakePhoto(StageAction["BakePhotoReport"]):
     """The action."""
 
     stage: Path = source("face stage that was fitted to the photos")
@@ -77,5 +65,6 @@ class BakePhoto(StageAction[BakePhotoReport]):
         return views[0]
 
     def text(self, report: BakePhotoReport, out: Path) -> str:
-        rows = [("photo", "skin that it shows"), *((name, f"{share:.0%}") for name, share in report.photos.items())]
-        return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}"
+        from facepipe.processors.photo_texture.report import as_text
+
+        return as_text(out, report)

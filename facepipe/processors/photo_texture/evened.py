@@ -6,13 +6,10 @@ widely from one side of the face to the other, is light; true colours hardly do.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import BoolArray, FloatArray
-from facepipe.geometry.factor import Factor, factorise
 from facepipe.geometry.harmonics import harmonics
 from facepipe.geometry.polygons import components
 from facepipe.processors.photo_texture.observed import GREY, Exposure
@@ -25,6 +22,7 @@ _WIDE = 0.25  # over which both sides of a face are made alike
 _LEVELS = ((0.15, 0.45), (0.05, 0.12), (0.05, 0.12))  # least and largest deviation of skin: brightness, two hues
 _STRANGE = (2.8, 7.0)  # deviations beyond which a colour is no skin, outside the face and inside
 _EDGE = (0.03, 0.10)  # off what is no skin: where confidence begins, where it is full
+_GRAIN = 0.03  # what is smaller is judged with what is around it
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
 _BRIGHTEST, _LEVEL_TRUST = 1.15, 0.7  # light of the brightest skin of a well exposed photo, and what that counts
@@ -68,7 +66,8 @@ def missed_light(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: 
     robust = weight
     solution = np.zeros((9, 3))
     for _ in range(5):
-        solution = np.linalg.solve(centred.T @ (centred * robust[:, None]) + ridge, centred.T @ (robust[:, None] * colors))
+        rows = centred * robust[:, None]
+        solution = np.linalg.solve(rows.T @ centred + ridge, rows.T @ colors)
         off = np.abs((colors - centred @ solution) @ GREY)
         robust = weight / (1 + (off / _OUTLIER) ** 2)
     return np.asarray(shape @ solution[1:])
@@ -87,11 +86,11 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
     levels = np.column_stack([colors @ GREY, colors[:, 0] - colors[:, 1], colors[:, 2] - colors[:, 1]])
     square = np.zeros(len(trust))
     for level, (least, most) in zip(levels.T, _LEVELS, strict=True):
-        off = np.abs(level - _quantile(level, weight, 0.5))
-        square += (off / np.clip(1.5 * _quantile(off, weight, 0.5), least, most)) ** 2
-    far = _smoothed(smoother(skin, 0.03), np.sqrt(square)[:, None], trust * skin.areas)[:, 0]
+        off = np.abs(level - quantile(level, weight, 0.5))
+        square += (off / np.clip(1.5 * quantile(off, weight, 0.5), least, most)) ** 2
+    far = skin.smooth(np.sqrt(square)[:, None], trust, _GRAIN)[:, 0]
     strange = (trust > 0) & (far > _STRANGE[0] + (_STRANGE[1] - _STRANGE[0]) * face)
-    certain = np.ones(len(trust))
+    certain: FloatArray = np.ones(len(trust))
     if strange.any():
         distance = cKDTree(skin.points[strange]).query(skin.points)[0]
         certain = step(distance / skin.eye_distance(skin.points), *_EDGE)
@@ -100,43 +99,22 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
 
 def _joined(skin: SkinSurface, certain: BoolArray, weight: FloatArray) -> FloatArray:
     """(n,) the connected part of certain points with the most weight (n,), and the uncertain ones."""
-    edges, _ = skin.edges
-    part = components(len(certain), edges[certain[edges].all(axis=1)])
+    inside = certain[skin.edges].all(axis=1)
+    part = components(len(certain), skin.edges[inside])
     main = np.bincount(part, weight * certain).argmax()
     return np.asarray(~certain | (part == main), np.float64)
 
 
 def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatArray:
     """(n, 3) what of colours (n, 3) differs widely from the other side of the face."""
-    mirror, known = np.maximum(skin.mirror, 0), skin.mirror >= 0
-    factor, weight = smoother(skin, _WIDE), trust * skin.areas
-    other = np.where(known, weight[mirror], 0.0)
-    own = _parts(factor, colors, weight)
-    both = own + _parts(factor, colors[mirror], other)
-    return _ratio(own) - _ratio(both)
+    other, known = skin.other_side(colors, trust)
+    total = trust + known
+    both = (trust[:, None] * colors + known[:, None] * other) / np.maximum(total[:, None], 1e-9)
+    return skin.smooth(colors, trust, _WIDE) - skin.smooth(both, total, _WIDE)
 
 
-def smoother(skin: SkinSurface, width: float) -> Factor:
-    """What spreads point values, times areas, over a width: ``(areas + width^2 Laplacian)^-1``."""
-    from scipy.sparse import diags_array
-
-    return factorise(diags_array(skin.areas) + width**2 * skin.laplacian)
-
-
-def _smoothed(factor: Factor, values: FloatArray, weight: FloatArray) -> FloatArray:
-    """(n, c) weighted means of values (n, c) around each point."""
-    return _ratio(_parts(factor, values, weight))
-
-
-def _parts(factor: Factor, values: FloatArray, weight: FloatArray) -> Any:
-    return np.maximum(factor.solve(np.column_stack([weight[:, None] * values, weight])), -np.inf)
-
-
-def _ratio(parts: FloatArray) -> FloatArray:
-    return np.asarray(parts[:, :-1] / np.maximum(parts[:, -1:], 1e-9))
-
-
-def _quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
+def quantile(values: FloatArray, weight: FloatArray, share: float) -> float:
+    """The quantile of values (n,) by weights (n,), 0 where all of these are."""
     order = np.argsort(values, kind="stable")
     sums = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(sums, share * sums[-1])])
+    return float(values[order][np.searchsorted(sums, share * sums[-1])]) if sums[-1] > 0 else 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from facepipe.core.arrays import Float32Array, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.parts import PhotoView
@@ -84,7 +84,12 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
     kept = np.flatnonzero(trust > 0)
     place, part, normals, towards_eye, pixels, trust = (
-        place[kept], part.taken(kept), normals[kept], towards_eye[kept], pixels[kept], trust[kept]
+        place[kept],
+        part.taken(kept),
+        normals[kept],
+        towards_eye[kept],
+        pixels[kept],
+        trust[kept],
     )
     shown = sampled(photo.pixels, pixels, _spacing(part.at, pixels))
     hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
@@ -98,11 +103,10 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
 
 
-def _beside(skin: SkinSurface, marked: FloatArray) -> FloatArray:
+def _beside(skin: SkinSurface, marked: BoolArray) -> BoolArray:
     """(n,) points next to marked ones (n,)."""
     beside = np.zeros(len(marked), bool)
-    edges, _ = skin.edges
-    for one, other in (edges.T, edges.T[::-1]):
+    for one, other in (skin.edges.T, skin.edges.T[::-1]):
         beside[one[marked[other]]] = True
     return beside
 

@@ -31,7 +31,7 @@ class PhotoLight:
         sky = visible_sky(points, normals, opaque, np.zeros(len(points), bool), _SKY_RESOLUTION)
         cosine = np.maximum(normals @ sky.directions.T, 0.0) * (1 - sky.seen)
         hidden = -(4 / len(sky.directions)) * cosine @ harmonics(sky.directions)
-        arriving = np.ones(len(points))
+        arriving: FloatArray = np.ones(len(points))
         if view.key is not None:
             lamp = depth_map(points, opaque, np.array(view.key.direction), _LAMP_RESOLUTION)
             arriving = lamp.lit(points, normals, _SOFT)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from facepipe.core.arrays import Float32Array, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.parts import PhotoView
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
@@ -36,7 +36,7 @@ class SeenSkin:
         :param facing: (m,) cosine between its normal and the direction to the viewer
         """
         height, width = self.depth.shape
-        column, row = (np.clip(each, 0, most - 1).astype(np.int64) for each, most in zip(pixels.T, (width, height), strict=True))
+        column, row = np.clip(pixels, 0, [width - 1, height - 1]).astype(np.int64).T
         seen = depth <= self.depth[row, column] + _SLACK * self.eye_distance
         border = np.minimum(pixels, np.array([width, height]) - pixels).min(axis=1)
         eyes = self.eye_distance * self.view.focal / np.maximum(depth, 1e-9)  # in pixels
@@ -88,14 +88,14 @@ def seen_skin(skin: SkinSurface, view: PhotoView, points: FloatArray) -> SeenSki
     )
 
 
-def _is_skin(skin: SkinSurface) -> IntArray:
+def _is_skin(skin: SkinSurface) -> BoolArray:
     """(o,) whether each opaque triangle is on the outside of the skin."""
     outside = np.zeros(int(skin.opaque.max(initial=0)) + len(skin.points) + 1, bool)
     outside[skin.span] = skin.outside
     return np.asarray(outside[skin.opaque].all(axis=1))
 
 
-def _outlines(depth: Float32Array, jump: float) -> FloatArray:
+def _outlines(depth: Float32Array, jump: float) -> BoolArray:
     """(h, w) where depth jumps to a neighbour's."""
     finite = np.where(np.isfinite(depth), depth, 1e9)
     edge = np.zeros(depth.shape, bool)
@@ -107,7 +107,7 @@ def _outlines(depth: Float32Array, jump: float) -> FloatArray:
     return edge
 
 
-def _distance(marked: FloatArray) -> Float32Array:
+def _distance(marked: BoolArray) -> Float32Array:
     """(h, w) pixels to the nearest one marked; large where none is."""
     if not marked.any():
         return np.full(marked.shape, 1e6, np.float32)

@@ -5,24 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.landmarks import eye_distance
-from facepipe.geometry.polygons import point_areas, triangulate
+from facepipe.geometry.polygons import edges, point_areas, point_normals, triangulate
 from facepipe.geometry.texels import Texels, texels_of
+from facepipe.geometry.texture_fill import membrane
 from facepipe.geometry.vectors import transformed
-from facepipe.geometry.visibility import seen_from_outside
 from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
+from facepipe.pictures.occlusion import visible_sky
 
 SCHEME = "multipie68"
 LEFT = (*range(17, 22), *range(36, 42), 31, 48, 3, 6)  # landmarks whose mirrors are known
 RIGHT = (*range(26, 21, -1), 45, 44, 43, 42, 47, 46, 35, 54, 13, 10)
+_SKY_RESOLUTION = 256  # map pixels
+_OPEN = 0.15  # share of the sky: insides of mouth, nostrils and eye sockets see less
 _SAME = 0.03  # of the eyes' distance: a mirrored point may lie so far from another
 
 
@@ -66,21 +67,22 @@ class SkinSurface:
     def areas(self) -> FloatArray:
         """(n,) of each point's share of the surface, in squares of the eyes' distance."""
         areas = point_areas(self.points, self.triangles) / self.eye_distance(self.points) ** 2
-        return np.maximum(areas, 1e-12)
+        return np.asarray(np.maximum(areas, 1e-12))
 
     @cached_property
-    def laplacian(self) -> Any:
-        """(n, n) sparse, the cotangent Laplacian, positive."""
-        from scipy.sparse import diags_array
+    def edges(self) -> IntArray:
+        """(e, 2) its edges."""
+        pairs, _ = edges(self.mesh.face_vertex_counts, self.mesh.face_vertex_indices)
+        return pairs
 
-        edges, weights = cotangent_weights(self.points, self.triangles)
-        differences = incidence(edges, len(self.points))
-        return (differences.T @ diags_array(weights) @ differences).tocsc()
+    def smooth(self, values: FloatArray, weights: FloatArray, reach: float) -> FloatArray:
+        """(n, c) `membrane` of values (n, c), over a reach in shares of the eyes' distance."""
+        return membrane(self.points / self.eye_distance(self.points), self.triangles, values, weights, reach)
 
-    @cached_property
-    def edges(self) -> tuple[IntArray, FloatArray]:
-        """(e, 2) edges and their cotangent weights (e,)."""
-        return cotangent_weights(self.points, self.triangles)
+    def other_side(self, values: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values (n, c) and weights (n,) of the other side of the face; weight 0 where there is none."""
+        mirror = np.maximum(self.mirror, 0)
+        return values[mirror], np.where(self.mirror >= 0, weights[mirror], 0.0)
 
 
 def skin_surface(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurface:
@@ -104,10 +106,17 @@ def skin_surface(parts: FaceParts, neutral: FloatArray, size: int | None) -> Ski
         triangles=triangles,
         opaque=opaque,
         points=neutral[span],
-        outside=seen_from_outside(neutral, opaque)[span],
+        outside=_open(neutral, opaque)[span],
         mirror=mirrored_points(transformed(mesh.points, mesh.transform), np.asarray(mesh.landmarks[SCHEME].indices)),
         textures=_textures(parts, mesh, triangles, corners, faces, size),
     )
+
+
+def _open(points: FloatArray, opaque: IntArray) -> BoolArray:
+    """(n,) points that see enough of the sky past triangles (o, 3)."""
+    normals = point_normals(points, opaque)
+    sky = visible_sky(points, normals, opaque, np.zeros(len(points), bool), _SKY_RESOLUTION)
+    return np.asarray(sky.share(normals) > _OPEN)
 
 
 def _opaque(parts: FaceParts) -> Iterator[IntArray]:

@@ -1,0 +1,150 @@
+"""Photos of heads with known skin in known light, baked to heads of the same shape with another skin."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from baked_face import SKIN, person, put_fitted, wearing
+from command_line import Capsys, content, done, failed
+from PIL import Image
+
+import facepipe
+from facepipe.parts import FaceParts, TextureInput
+from facepipe.stage import Face
+
+LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds
+SIZE = 256
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with fitted.usda, a light-skinned head, and photos of it with the skin of another person."""
+    folder = tmp_path_factory.mktemp("fitted")
+    dark = person(DARK_SKIN)
+    put_fitted(wearing(dark, person(LIGHT_SKIN)), dark, folder, front=0.0, side=0.5)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def baked(fitted: Path) -> Face:
+    """The same with the photo's skin."""
+    facepipe.bake_photo(fitted / "fitted.usda", photos=[fitted / "front.png"], out=fitted / "baked.usda")
+    return facepipe.open(fitted / "baked.usda")
+
+
+def skin(parts: FaceParts) -> Iterator[np.ndarray]:
+    """(size, size, 3) sRGB 0..1 of each texture of the skin."""
+    for material in parts.materials:
+        if material.name in SKIN:
+            assert isinstance(material.diffuse_color, TextureInput)
+            picture = Image.open(io.BytesIO(material.diffuse_color.texture.image())).convert("RGB")
+            yield np.asarray(picture, np.float64) / 255
+
+
+def face_of(parts: FaceParts) -> np.ndarray:
+    """(s, s, 3) the face's middle: from the forehead to the chin."""
+    texture = next(skin(parts))
+    return texture[30:160, 70:186]
+
+
+def test_baked_colours_are_those_of_the_skin_without_the_light_of_the_photo(baked: Face) -> None:
+    truth, template = face_of(person(DARK_SKIN)), face_of(person(LIGHT_SKIN))
+    off, before = (np.abs(found - truth).mean() for found in (face_of(baked.parts()), template))
+    assert off < 0.06
+    assert off < before / 3
+
+
+def test_both_sides_are_lit_alike(baked: Face) -> None:
+    """The lamp stands at one side."""
+    left, right = (face.mean(axis=(0, 1)) for face in np.split(face_of(baked.parts()), 2, axis=1))
+    assert np.abs(left - right).max() < 0.02
+
+
+def test_nothing_behind_the_head_is_on_it(baked: Face) -> None:
+    """What is behind is magenta."""
+    for texture in skin(baked.parts()):
+        assert (texture[..., [0, 2]].min(axis=2) - texture[..., 1] < 0.15).all()
+
+
+def test_no_step_shows_where_textures_meet(baked: Face, fitted: Path) -> None:
+    """Points that both materials of the skin share: their colours differ no more than in the textures before."""
+    before = np.quantile(steps(facepipe.open(fitted / "fitted.usda")), 0.95)
+    assert np.quantile(steps(baked), 0.95) < max(1.2 * before, 0.03)
+
+
+def steps(face: Face) -> list[float]:
+    """How much the two textures differ at points that both show."""
+    mesh = face.meshes[0]
+    uv_set, textures = mesh.uv_sets[0], list(skin(face.parts()))
+    assert uv_set.indices is not None
+    colors: list[dict[int, np.ndarray]] = [{}, {}]
+    for point, (u, v) in zip(mesh.face_vertex_indices, np.asarray(uv_set.values)[uv_set.indices], strict=True):
+        row, column = np.clip([(1 - v) * SIZE, u % 1 * SIZE], 0, SIZE - 1).astype(int)
+        colors[int(u)][int(point)] = textures[int(u)][row, column]
+    shared = sorted(colors[0].keys() & colors[1].keys())
+    assert len(shared) > 100
+    return [float(np.abs(colors[0][point] - colors[1][point]).max()) for point in shared]
+
+
+def test_several_photos_show_more_and_agree(fitted: Path, baked: Face) -> None:
+    photos = [fitted / f"{name}.png" for name in ("front", "side")]
+    facepipe.bake_photo(fitted / "fitted.usda", photos=photos, out=fitted / "both.usda")
+    both = facepipe.open(fitted / "both.usda")
+    truth = face_of(person(DARK_SKIN))
+    assert np.abs(face_of(both.parts()) - truth).mean() < 0.06
+    assert np.abs(face_of(both.parts()) - face_of(baked.parts())).mean() < 0.03
+
+
+def test_the_light_of_the_stage_goes_with_the_textures(baked: Face, fitted: Path) -> None:
+    """Light times colour is as before: what the face shows in its photo."""
+    before, after = facepipe.open(fitted / "fitted.usda").photos[0], baked.photos[0]
+    assert before.key is not None
+    assert after.key is not None
+    factor = after.light[0] / before.light[0]
+    np.testing.assert_allclose(after.light, before.light * factor, atol=1e-5)
+    np.testing.assert_allclose(after.key.color, np.array(before.key.color) * factor, rtol=1e-4)
+
+
+def test_the_command_writes_the_same_again_and_exports_it(fitted: Path, capsys: Capsys) -> None:
+    words = ("bake-photo", fitted / "fitted.usda", fitted / "front.png", "--size", 128)
+    assert "skin_face_photo.png, skin_back_photo.png" in done(capsys, *words, "-o", fitted / "again.usda")
+    before = content(fitted / "again_textures")
+    done(capsys, "cook", fitted / "again.usda", "--force")
+    assert content(fitted / "again_textures") == before
+    made = list(skin(facepipe.open(fitted / "again.usda").parts()))
+    for name in ("again.glb", "flat.usdz"):
+        if name.endswith("glb"):
+            done(capsys, "export", fitted / "again.usda", "-o", fitted / name)
+        else:
+            done(capsys, *words, "-o", fitted / name)
+        for found, expected in zip(skin(facepipe.read(fitted / name).parts()), made, strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("photo", "fault"),
+    [
+        ("other.png", "expected one of front.png, side.png"),
+        ("small/front.png", "is 100 x 100 pixels, expected 320 x 320"),
+    ],
+)
+def test_photos_that_the_face_was_not_fitted_to_are_refused(
+    fitted: Path, tmp_path: Path, capsys: Capsys, photo: str, fault: str
+) -> None:
+    (tmp_path / photo).parent.mkdir(exist_ok=True)
+    Image.new("RGB", (100, 100)).save(tmp_path / photo)
+    words = ("bake-photo", fitted / "fitted.usda", tmp_path / photo, "-o", tmp_path / "out.usda")
+    assert fault in failed(capsys, *words, folder=tmp_path)
+
+
+def test_textures_are_put_on_layers_that_are_being_made(fitted: Path, tmp_path: Path) -> None:
+    face = facepipe.open(fitted / "fitted.usda")
+    with pytest.raises(facepipe.InputError, match="no layer to put textures on"):
+        face.color_texture(["M_Face"], "a.png", b"")
+    with pytest.raises(facepipe.InputError, match="M_Fase"), face.deriving(tmp_path / "out.usda") as layer:
+        layer.color_texture(["M_Fase"], "a.png", b"")
+    assert not list(tmp_path.iterdir())
