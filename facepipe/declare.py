@@ -90,23 +90,14 @@ def source(
     return _declared(default, {"help": help, "role": "source", **way})
 
 
-def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "") -> Any:
+def beside(help: str, suffix: str, write: str, *, holds: str = "") -> Any:
     """A field of an action for a file, or folder (no suffix), that is written beside the result where it is asked for.
 
     :param write: the method that writes it: (face, report, path) -> its entry in the JSON, or None
     :param holds: pattern of the names in the folder, with "/" below it
     """
-    metavar = suffix.removeprefix(".").upper() or "DIR"
-    metadata = {
-        "help": help,
-        "role": "beside",
-        "suffix": suffix,
-        "write": write,
-        "flag": flag,
-        "holds": holds,
-        "kept": False,
-    }
-    return _declared(None, {**metadata, "metavar": metavar})
+    written = {"suffix": suffix, "write": write, "holds": holds, "metavar": suffix.removeprefix(".").upper() or "DIR"}
+    return _declared(None, {"help": help, "role": "beside", "kept": False, **written})
 
 
 def _declared(default: Any, said: dict[str, Any]) -> Any:
@@ -252,13 +243,9 @@ class Field:
         )
 
 
+@functools.cache
 def fields_of(options: Any) -> tuple[Field, ...]:
     """The fields of an option dataclass or an action."""
-    return _fields_of(options)
-
-
-@functools.cache
-def _fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
     hints = typing.get_type_hints(options)
     return tuple(_field(one, hints[one.name]) for one in dataclasses.fields(options))
 
@@ -285,7 +272,7 @@ def values_of(kind: type[DataclassInstance], holder: object) -> dict[str, Any]:
 
 def check_ranges(options: Any) -> None:
     """:raises InputError: an option is out of range, not finite or none of its choices"""
-    for one in fields_of(type(options)):
+    for one in fields_of(options.__class__):
         one.check(getattr(options, one.name))
 
 
