@@ -31,7 +31,7 @@ class ActionLine:
 
     def __init__(self, kind: type[Action[Any]]) -> None:
         self.kind = kind
-        self.__doc__ = sys.modules[kind.__module__].__doc__ or kind.summary
+        self.__doc__: str = sys.modules[kind.__module__].__doc__ or kind.summary
 
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the arguments."""
