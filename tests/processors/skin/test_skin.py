@@ -14,7 +14,7 @@ from command_line import done, failed, run
 from faces import grid_mesh, tiny_face
 from node import validate as khronos
 from oracle import bake, difference, random_coefficients
-from skin_joints import HELD, KINDS, head, landmark_joints, weights_of, without_joints
+from skin_joints import HELD, ICT_KIND, KINDS, head, landmark_joints, weights_of, without_joints
 
 import facepipe
 from facepipe.checks import validate_stage
@@ -51,7 +51,9 @@ def column(kind: str, joint: str) -> Array:
     return weights_of(face)[place, face.skeleton.joints.index(joint)]
 
 
-@pytest.mark.parametrize(("kind", "count"), [("sample", 2), *((kind, 4) for kind in KINDS)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("sample", 2), ("sample", 4), pytest.param("ict", 4, marks=pytest.mark.slow), ("makehuman", 4)]
+)
 def test_weights_are_shares_of_few_joints(kind: str, count: int) -> None:
     face, report = skinned(kind, count)
     weights = weights_of(face)
@@ -114,7 +116,7 @@ def test_eyeballs_and_teeth_are_rigid(kind: str) -> None:
         assert set(jaw[own]) == {float(whole.points[own, 1].mean() < middle)}
 
 
-@pytest.mark.parametrize("kind", ["whole sample", "ict", "makehuman"])
+@pytest.mark.parametrize("kind", ["whole sample", ICT_KIND, "makehuman"])
 def test_a_symmetric_face_has_symmetric_weights(kind: str) -> None:
     from scipy.spatial import cKDTree
 
@@ -141,8 +143,9 @@ def test_the_result_is_a_valid_face_that_deforms_as_usd_says(kind: str, tmp_path
     assert not validate_stage(tmp_path / "skinned.usdc")
 
 
-def test_the_skinned_ict_head_exports(tmp_path: Path) -> None:
-    face = skinned("ict")[0]
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
+def test_the_skinned_head_exports(kind: str, tmp_path: Path) -> None:
+    face = skinned(kind)[0]
     glb = exporter("head.glb")
     report = glb.export(face, tmp_path / "head.glb", glb.Options(shapes="jawOpen"))
     assert report.counts["joints"] == 19
@@ -150,14 +153,15 @@ def test_the_skinned_ict_head_exports(tmp_path: Path) -> None:
     assert issues["numErrors"] == issues["numWarnings"] == 0
 
 
-def test_the_jaw_opens_the_chin_and_lower_teeth_alone() -> None:
-    face = skinned("ict")[0]
-    marks = surface("ict").landmarks
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
+def test_the_jaw_opens_the_chin_and_lower_teeth_alone(kind: str) -> None:
+    face = skinned(kind)[0]
+    marks = surface(kind).landmarks
     assert marks is not None
     coefficients = rest_coefficients(19)
     coefficients[face.skeleton.joints.index("head/jaw"), 3] = 0.3
     moved = np.linalg.norm(face.evaluate(coefficients=coefficients) - face.evaluate(), axis=1) * face.mm_per_unit
-    first = np.unique(surface("ict").group, return_index=True)[1]
+    first = np.unique(surface(kind).group, return_index=True)[1]
     at = moved[first[marks]]
     assert at[8] > 15
     assert at[[27, 30, 33, 51, 62, 19, 24]].max() == 0
