@@ -383,7 +383,8 @@ def _words(kind: Any) -> str:
     if isinstance(kind, types.UnionType):
         return " or ".join(map(_words, typing.get_args(kind)))
     if typing.get_origin(kind) is tuple:
-        return f"a list of which each is {_words(typing.get_args(kind)[0])}"
+        kinds = typing.get_args(kind)
+        return f"a list{'' if ... in kinds else f' of {len(kinds)}'} of which each is {_words(kinds[0])}"
     if typing.get_origin(kind) is Mapping:
         return f"an object of which each value is {_words(typing.get_args(kind)[1])}"
     return _WORDS.get(kind, "an object" if dataclasses.is_dataclass(kind) else "another value")
@@ -400,7 +401,9 @@ def _loaded(value: Any, kind: Any, where: str) -> Any:
     if typing.get_origin(kind) is tuple:
         return tuple(_loaded(item, typing.get_args(kind)[0], f"{where} -> {i}") for i, item in enumerate(value))
     if typing.get_origin(kind) is Mapping:
-        return {key: _loaded(item, typing.get_args(kind)[1], f"{where} -> {key}") for key, item in value.items()}
+        return {key: _loaded(item, typing.get_args(kind)[1], f"{where} -> {key[:80]}") for key, item in value.items()}
+    if isinstance(kind, types.UnionType):
+        return _loaded(value, next(one for one in typing.get_args(kind) if _fits(value, one)), where)
     return Path(value) if kind is Path else value
 
 
@@ -410,7 +413,10 @@ def _fits(value: object, kind: Any) -> bool:
     if isinstance(kind, types.UnionType):
         return any(_fits(value, one) for one in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
-        return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
+        kinds = typing.get_args(kind)
+        if not isinstance(value, list) or not (... in kinds or len(value) == len(kinds)):
+            return False
+        return all(_fits(one, kinds[0]) for one in value)
     if typing.get_origin(kind) is Mapping:
         return isinstance(value, Mapping) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
     if kind is Path:
