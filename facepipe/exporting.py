@@ -48,17 +48,6 @@ class _EncodedFace(HeldFace):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Request:
-    """What is to be written of a face, and how."""
-
-    format: Any  # an instance of the exporter's Options
-    rename: Rename | None
-    neural: Path | None
-    attach: AttachOptions
-    distil: DistilOptions | None
-
-
-@dataclass(frozen=True, kw_only=True)
 class _Made:
     """What was made of a face."""
 
@@ -99,15 +88,17 @@ def export(
     source = None if not isinstance(face, str | os.PathLike) else Path(face)
     for one in outputs(target):
         check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
-    request = _request(module.Options, rename, rig, distil, lod, options)
+    form, attach, learned = _options(module.Options, options, neural=rig is not None, distil=distil, lod=lod)
+    naming = None if rename is None else _naming(rename)
     with watch("export", 3 if distil else 2) as bar:
         whole: Any = face if source is None else _opened(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, request)
+        made = _made(whole, form, rig, attach, learned)
+        made = made if naming is None else _renamed(made, whole, form, naming)
         if distil:
             bar.update()
-        report = module.export(made.face, target, request.format)
+        report = module.export(made.face, target, form)
         bar.update()
     return _reported(report, made, implausible(whole.parts()))
 
@@ -124,10 +115,13 @@ def _opened(path: Path) -> Face:
     return read_face(path)
 
 
-def _request(
-    kind: Any, rename: str | None, neural: Path | None, distil: bool, lod: int, options: Mapping[str, Any]
-) -> _Request:
-    """:raises InputError: options that are unknown, out of range, or don't go together"""
+def _options(
+    kind: Any, options: Mapping[str, Any], *, neural: bool, distil: bool, lod: int
+) -> tuple[Any, AttachOptions, DistilOptions | None]:
+    """The options of the format, an instance of `kind`, of a neural rig, and of learned sliders.
+
+    :raises InputError: options that are unknown, out of range, or don't go together
+    """
     known = {field.name for field in dataclasses.fields(kind)}
     attach = {field.name for field in dataclasses.fields(AttachOptions)}
     learned = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
@@ -135,62 +129,55 @@ def _request(
         if name not in known | attach | learned:
             near = did_you_mean(name, known | attach | learned)
             raise InputError(f"option {name[:60]}", f"is unknown{near or f', expected some of {chr(32).join(known)}'}")
-        if (name in attach and neural is None) or (name in learned and not distil):
+        if (name in attach and not neural) or (name in learned and not distil):
             needed = "--neural" if name in attach else "--distil"
             raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
-    if neural is not None and distil:
+    if neural and distil:
         raise InputError("--neural", "given with --distil, expected one of them")
     form = kind(**{name: value for name, value in options.items() if name in known})
-    if getattr(form, "lods", False) and (neural is not None or lod):
+    if getattr(form, "lods", False) and (neural or lod):
         raise InputError("--lods", f"given with {'--lod' if lod else '--neural'}, expected one of them")
     if distil and not getattr(form, "sliders", False):
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
-    if neural is not None and hasattr(form, "sliders") and not form.encoder:
+    if neural and hasattr(form, "sliders") and not form.encoder:
         form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
-    return _Request(
-        format=form,
-        rename=None if rename is None else _rename(rename),
-        neural=neural,
-        attach=AttachOptions(**{name: value for name, value in options.items() if name in attach}),
-        distil=_distil_options(options) if distil else None,
-    )
+    attached = AttachOptions(**{name: value for name, value in options.items() if name in attach})
+    distilled = {name.removeprefix(DISTIL): value for name, value in options.items() if name in learned}
+    return form, attached, DistilOptions(**distilled) if distil else None
 
 
-def _rename(given: str) -> Rename:
+def _naming(given: str) -> Rename:
     from facepipe.importers.rename_table import rename_of
 
     return rename_of(given)
 
 
-def _distil_options(options: Mapping[str, Any]) -> DistilOptions:
-    found = {name.removeprefix(DISTIL): value for name, value in options.items() if name.startswith(DISTIL)}
-    return DistilOptions(**found)
+def _made(face: Face, form: Any, rig: Path | None, attach: AttachOptions, learned: DistilOptions | None) -> _Made:
+    """The face with learned sliders, or the neural rig, if asked for.
 
-
-def _made(face: Face, request: _Request) -> _Made:
-    """The face with what was asked for.
-
-    :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
+    :raises InputError: as `DistilSliders`, or a damaged rig or one without an encoder
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
-    made = _Made(face=face)
-    if request.distil is not None:
+    if learned is not None:
         from facepipe.processors.sliders import DistilSliders
 
-        parts, report = DistilSliders(**vars(request.distil))(face.parts())
-        made = _Made(face=HeldFace(parts), distilled=report)
-    elif request.neural is not None and getattr(request.format, "encoder", False):
-        made = _Made(face=_encoded(face, request.neural))
-    elif request.neural is not None:
-        from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
+        parts, report = DistilSliders(**vars(learned))(face.parts())
+        return _Made(face=HeldFace(parts), distilled=report)
+    if rig is None:
+        return _Made(face=face)
+    if getattr(form, "encoder", False):
+        return _Made(face=_encoded(face, rig))
+    from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
 
-        attached = AttachNeuralRig(options=request.attach)(face.parts(), load_neural_rig(request.neural), face.where)
-        made = _Made(face=HeldFace(attached.parts), attached=attached)
-    if request.rename is None:
-        return made
-    renamed = request.rename(made.face.parts())
-    if getattr(request.format, "lods", False):
-        lower = tuple(request.rename(lower_level).parts for lower_level in face.lower_levels())
+    attached = AttachNeuralRig(options=attach)(face.parts(), load_neural_rig(rig), face.where)
+    return _Made(face=HeldFace(attached.parts), attached=attached)
+
+
+def _renamed(made: _Made, face: Face, form: Any, naming: Rename) -> _Made:
+    """:raises InputError: names that collide"""
+    renamed = naming(made.face.parts())
+    if getattr(form, "lods", False):
+        lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
         return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
     held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
     return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
@@ -206,16 +193,14 @@ def _encoded(face: Face, rig: Path) -> _EncodedFace:
 
 
 def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    values = {field.name: getattr(report, field.name) for field in dataclasses.fields(report)}
     others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    values["warnings"] = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
-    if made.renamed is not None:
-        values["renamed"] = made.renamed.names
+    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
     if made.attached is not None:
-        return NeuralExportReport(**values, dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
+        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
     if made.distilled is None:
-        return type(report)(**values)
+        return report
     points = made.distilled.points_mm
     packed = report.error_mm or 0.0  # of weights in fewer bytes
-    values["error_mm"] = None if points is None else points.max + packed
-    return DistilledExportReport(**values, distilled=made.distilled)
+    learned = replace(report, error_mm=None if points is None else points.max + packed)
+    return DistilledExportReport(**vars(learned), distilled=made.distilled)

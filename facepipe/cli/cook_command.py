@@ -66,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
             emit(_ended(done, error), "", as_json=True)
         raise
     result = {"good": report.good, **report.to_dict()}
-    emit(result, "\n".join([*_findings(report), _summary(report)]), as_json=arguments.json)
+    findings = [str(finding) for findings in report.findings.values() for finding in findings]
+    emit(result, "\n".join([*findings, _summary(report)]), as_json=arguments.json)
     return 0 if report.good else 1
 
 
@@ -85,14 +86,6 @@ def _line(node: NodeReport) -> str:
     seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""
     missed = ", a threshold is missed" if node.missed else ""
     return f"{shown(node.file)}: {node.verb}: {node.action}{seconds}{missed}{why}"
-
-
-def _findings(report: CookReport) -> list[str]:
-    return [
-        f"{finding.severity}: {finding.check}: {finding.where}: {finding.message}"
-        for findings in report.findings.values()
-        for finding in findings
-    ]
 
 
 def _summary(report: CookReport) -> str:

@@ -116,7 +116,7 @@ def _validated(paths: list[Path]) -> int:
         good = all(finding.severity == "info" for finding in findings)
         print(f"{path.name}: {'no errors, no warnings' if good else ''}")
         for one in findings:
-            print(f"  {one.severity}: {one.check}: {one.where}: {one.message}")
+            print(f"  {one}")
     return errors
 
 

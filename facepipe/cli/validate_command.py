@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         "errors": errors,
         "findings": [{"file": str(file), **dataclasses.asdict(finding)} for file, finding in findings],
     }
-    lines = [f"{finding.severity}: {finding.check}: {finding.where}: {finding.message}" for _, finding in findings]
+    lines = [str(finding) for _, finding in findings]
     verdict = f"{len(arguments.files)} file(s) checked: {errors} error(s), {len(findings) - errors} other finding(s)"
     emit(result, "\n".join([*lines, verdict]), as_json=arguments.json)
     return 1 if errors else 0

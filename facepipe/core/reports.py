@@ -67,6 +67,9 @@ class Finding:
     where: str  # the trail, outermost first: "head.usda -> </Face/Head>"
     message: str  # one line: what was found, what was expected
 
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.check}: {self.where}: {self.message}"
+
 
 def _plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

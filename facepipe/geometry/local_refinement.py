@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,21 +22,13 @@ from facepipe.geometry.change_smoothness import ChangeSmoothness
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
+from facepipe.geometry.registration.solve import Stage, in_stages
 from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.surface import means_around
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
 
-
-class _Stage(NamedTuple):
-    """Steps of one width."""
-
-    huber: float  # factor of the options'
-    most: int  # steps
-    still: float  # mm, the RMS movement that ends it
-
-
 _LEAST = 1e-6  # a point that follows less counts as this one
-_STAGES = (_Stage(2.0, 4, 0.1), _Stage(1.0, 12, 0.005))
+_STAGES = (Stage(1.0, 2.0, 4, 0.1), Stage(1.0, 1.0, 12, 0.005))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,24 +96,17 @@ class _State:
 
     def run(self, progress: Callable[[int], None]) -> Registered:
         """All stages."""
-        steps = 0
-        for stage in _STAGES:
-            for _ in range(stage.most):
-                steps += 1
-                change = self._advance(stage.huber)
-                progress(steps)
-                if change < stage.still:
-                    break
+        steps = in_stages(_STAGES, self._advance, progress)
         return replace(self._view.registered(self._surface, np.zeros(0), self._moves, steps), points=self.points)
 
-    def _advance(self, huber: float) -> float:
+    def _advance(self, stage: Stage) -> float:
         """One step; the RMS movement of the points that move."""
         from scipy.sparse import diags_array
 
         points, seen, free = self.points, self._surface.seen, self._smoothness.free
         demand = Demand(
-            reach=self._options.reach_mm,
-            huber=self._options.huber_mm * huber,
+            reach=self._options.reach_mm * stage.reach,
+            huber=self._options.huber_mm * stage.huber,
             areas=self._areas[seen],
             roughly=False,
         )

@@ -19,7 +19,7 @@ from facepipe.geometry.registration.view import Demand, Registered, View, ViewSt
 from facepipe.geometry.similarity import Similarity
 
 
-class _Stage(NamedTuple):
+class Stage(NamedTuple):
     """Steps of one width."""
 
     reach: float  # factor of the options'
@@ -29,7 +29,23 @@ class _Stage(NamedTuple):
     by_model: bool = False  # left to the modes where they can come near by themselves, on some of the points
 
 
-_STAGES = (_Stage(5.0, 4.0, 6, 0.3, by_model=True), _Stage(2.0, 2.0, 4, 0.5), _Stage(1.0, 1.0, 8, 0.05))
+def in_stages(stages: Sequence[Stage], advance: Callable[[Stage], float], progress: Callable[[int], None]) -> int:
+    """Take the steps of all stages; how many.
+
+    :param advance: takes one, and gives the RMS movement [mm]
+    """
+    steps = 0
+    for stage in stages:
+        for _ in range(stage.most):
+            steps += 1
+            change = advance(stage)
+            progress(steps)
+            if change < stage.still:
+                break
+    return steps
+
+
+_STAGES = (Stage(5.0, 4.0, 6, 0.3, by_model=True), Stage(2.0, 2.0, 4, 0.5), Stage(1.0, 1.0, 8, 0.05))
 _ENOUGH_MODES = 20
 _SOME_POINTS = 3000
 
@@ -96,26 +112,15 @@ class _State:
     def points(self) -> FloatArray:
         return self._surface.points(self.coefficients, self.residual)
 
-    def run(self, stages: Sequence[_Stage], progress: Callable[[int], None]) -> tuple[Registered, ...]:
+    def run(self, stages: Sequence[Stage], progress: Callable[[int], None]) -> tuple[Registered, ...]:
         """All stages; a result for each scan."""
         with one_thread():
-            steps = self._steps(stages, progress)
+            steps = in_stages(stages, self._advance, progress)
             return tuple(
                 view.registered(self._surface, self.coefficients, self.residual, steps) for view in self._views
             )
 
-    def _steps(self, stages: Sequence[_Stage], progress: Callable[[int], None]) -> int:
-        steps = 0
-        for stage in stages:
-            for _ in range(stage.most):
-                steps += 1
-                change = self._advance(stage)
-                progress(steps)
-                if change < stage.still:
-                    break
-        return steps
-
-    def _advance(self, stage: _Stage) -> float:
+    def _advance(self, stage: Stage) -> float:
         """One step; the RMS movement of seen points against the first scan, in millimetres."""
         before, all_seen = self.points, self._surface.seen
         by_model = stage.by_model and len(self.coefficients) >= _ENOUGH_MODES

@@ -12,6 +12,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.closest_points import SurfaceSearch, place_shares
 from facepipe.geometry.polygons import edges, point_normals
 from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.vectors import unit_vectors
 
 _SMOOTHINGS = 2  # noise of 0.1 mm turns the triangles of a scan by several degrees
 _ON_EDGE = 1e-9
@@ -100,7 +101,7 @@ class ScanTarget:
         nearest = self._search.closest(points)
         shares = place_shares(nearest, self.points, self.triangles)
         corners = self.triangles[nearest.triangles]
-        normals = _unit(np.einsum("mc,mci->mi", shares, self.normals[corners]))
+        normals = unit_vectors(np.einsum("mc,mci->mi", shares, self.normals[corners]))
         ended = np.asarray(((shares > _ON_EDGE) & self.border[corners]).any(axis=1))
         return nearest.places, normals, nearest.distances, ended
 
@@ -122,10 +123,5 @@ def _smoothed(normals: FloatArray, pairs: IntArray) -> FloatArray:
     both = np.concatenate([pairs, pairs[:, ::-1]])
     neighbours = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
     for _ in range(_SMOOTHINGS):
-        normals = _unit(normals + neighbours @ normals)
+        normals = unit_vectors(normals + neighbours @ normals)
     return normals
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, np.finfo(np.float64).tiny))
