@@ -6,7 +6,7 @@ Coordinates are those of the scan's own file: any rotation, any unit. Rebuild fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,28 @@ def no_triangles() -> IntArray:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ScanPicture:
+    """An image file on a scan: colours are ``linear texel * gain + bias``."""
+
+    data: bytes
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanTexture:
+    """Pictures on the triangles of a scan."""
+
+    uvs: FloatArray  # (t, 3, 2) of the corners, v up; pictures repeat
+    picture: IntArray  # (t,) into `pictures`, -1 where there is none
+    pictures: tuple[ScanPicture, ...]
+
+    def on_triangles(self, kept: npt.NDArray[np.bool_]) -> ScanTexture:
+        """That of the triangles marked in `kept` (t,)."""
+        return replace(self, uvs=self.uvs[kept], picture=self.picture[kept])
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scan:
     """One scanned surface, or a cloud of points."""
 
@@ -31,6 +53,7 @@ class Scan:
     triangles: IntArray = field(default_factory=no_triangles)  # (t, 3) int32, none in a point cloud
     normals: FloatArray | None = None  # (n, 3) unit vectors, outward
     colors: FloatArray | None = None  # (n, 3) linear 0..1
+    texture: ScanTexture | None = None  # on the file's triangles: what mends triangles drops it
     warnings: tuple[str, ...] = ()  # of the reader, one line each
 
     @property

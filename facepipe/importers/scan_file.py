@@ -16,7 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
-from facepipe.geometry.polygons import merge_points, point_triangles
+from facepipe.geometry.polygons import merge_points, point_triangles, triangulate
 from facepipe.geometry.vectors import transformed
 from facepipe.importers import load
 from facepipe.importers.materials_mtl import read_materials
@@ -25,7 +25,7 @@ from facepipe.importers.scan_ply import read_ply
 from facepipe.importers.scan_trimesh import read_off, read_stl
 from facepipe.importers.wavefront import Obj, read_obj
 from facepipe.parts import Material, Mesh, Texture, TextureInput, UvSet
-from facepipe.scans import Scan
+from facepipe.scans import Scan, ScanPicture, ScanTexture
 from facepipe.stage.imported import Imported
 
 LARGEST = 1e15  # of a coordinate: its cube stays finite in float64, and so do volumes
@@ -61,7 +61,8 @@ def _merged(scan: Scan) -> Scan:
         return scan
     triangles = of_point[scan.triangles]
     a, b, c = triangles.T
-    kept = triangles[(a != b) & (b != c) & (c != a)]
+    whole = (a != b) & (b != c) & (c != a)
+    kept = triangles[whole]
     if len(triangles) and not len(kept):
         raise InputError(scan.name, "all triangles are degenerate, expected a surface")
     return replace(
@@ -70,6 +71,7 @@ def _merged(scan: Scan) -> Scan:
         triangles=kept.astype(np.int32),
         normals=None if scan.normals is None else scan.normals[first],
         colors=None if scan.colors is None else scan.colors[first],
+        texture=None if scan.texture is None else scan.texture.on_triangles(whole),
     )
 
 
@@ -119,6 +121,7 @@ def _scan_of_imported(imported: Imported, name: str) -> Scan:
 def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> Scan:
     """All meshes in world space as one scan; points that no face uses are left out."""
     points, triangles, colors, start = [], [], [], 0
+    textured = _Textured()
     for mesh in meshes:
         corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64)
         used, corners = np.unique(corners, return_inverse=True)
@@ -127,6 +130,7 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         # a mirroring transform turns triangles round
         order = (0, 1, 2) if np.linalg.det(mesh.transform[:3, :3]) >= 0 else (0, 2, 1)
         triangles.append(corners.reshape(-1, 3)[:, order] + start)
+        textured.add(mesh, materials, order)
         own = _point_colors(mesh, materials)
         colors.append(None if own is None else own[used])
         start += len(used)
@@ -135,7 +139,52 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         points=np.concatenate(points),
         triangles=np.concatenate(triangles).astype(np.int32),
         colors=_joined_colors(colors, [len(point) for point in points]),
+        texture=textured.texture(),
     )
+
+
+class _Textured:
+    """The pictures on the triangles of meshes."""
+
+    def __init__(self) -> None:
+        self._uvs: list[FloatArray] = []
+        self._numbers: list[IntArray] = []
+        self._pictures: list[ScanPicture] = []
+
+    def add(self, mesh: Mesh, materials: dict[str, Material], order: tuple[int, int, int]) -> None:
+        """The next mesh, with the corners of its triangles in this order."""
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        uvs, numbers = np.zeros((len(corners), 3, 2)), np.full(len(corners), -1)
+        names = [mesh.material, *(bound.material for bound in mesh.material_faces)]
+        shown = np.zeros(len(mesh.face_vertex_counts), np.int64)  # which of these each face has
+        for number, bound in enumerate(mesh.material_faces, 1):
+            shown[bound.faces] = number
+        for number, name in enumerate(names):
+            color = materials[name].diffuse_color if name in materials else None
+            uv_set = None
+            if isinstance(color, TextureInput) and mesh.colors is None:
+                uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
+            chosen = shown[faces] == number
+            if uv_set is None or not isinstance(color, TextureInput) or not chosen.any():
+                continue
+            rows = np.asarray(mesh.face_vertex_indices if uv_set.indices is None else uv_set.indices)
+            uvs[chosen] = np.asarray(uv_set.values)[rows[corners[chosen]]]
+            numbers[chosen] = self._number(color)
+        self._uvs.append(uvs[:, order])
+        self._numbers.append(numbers)
+
+    def _number(self, color: TextureInput) -> int:
+        picture = ScanPicture(data=color.texture.data, gain=color.scale[:3], bias=color.bias[:3])
+        if picture not in self._pictures:
+            self._pictures.append(picture)
+        return self._pictures.index(picture)
+
+    def texture(self) -> ScanTexture | None:
+        """On all triangles; None where no mesh has a picture."""
+        if not self._pictures:
+            return None
+        uvs, numbers = np.concatenate(self._uvs), np.concatenate(self._numbers)
+        return ScanTexture(uvs=uvs, picture=numbers, pictures=tuple(self._pictures))
 
 
 def _joined_colors(colors: list[FloatArray | None], counts: list[int]) -> FloatArray | None:

@@ -67,6 +67,7 @@ class CleanScan:
             triangles=cleaned.triangles,
             normals=point_normals(cleaned.points, cleaned.triangles),
             colors=None if scan.colors is None else scan.colors[cleaned.source],
+            texture=None,
         )
         report = CleanScanReport(
             points=len(cleaned.points),

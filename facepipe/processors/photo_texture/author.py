@@ -18,7 +18,7 @@ from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
 from facepipe.processors.photo_texture.report import BakePhotoReport
-from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_surface
+from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 
@@ -32,7 +32,7 @@ def author_textures(
         textures or landmarks
     """
     with watch("bake", len(photos) + 2) as bar, one_thread():
-        skin = skin_surface(face.parts(), face.evaluate(pose="set"), size)
+        skin = skin_of(face.parts(), face.evaluate(pose="set"), size)
         bar.update()
         exposures = []
         for view, path in photos:

@@ -77,17 +77,17 @@ class Baker:
     def _layer(self, photo: Exposure) -> _Layer:
         skin, scale = self.skin, balance(photo)
         observed = [observe(skin, photo, number, flat, scale) for number, flat in enumerate(self.flats)]
-        colors, trust = self._at_points(observed)
-        light = missed_light(skin, photo, colors, trust)
+        colors, trust = self.at_points(observed)
+        light = missed_light(photo.normals, colors, trust * skin.areas * inner(skin))
         colors = colors - light
         mask = is_skin(skin, colors, trust)
         trust = trust * mask
         light = light + one_sided(skin, colors, trust)
-        observed = [self._evened(number, one, light, mask) for number, one in enumerate(observed)]
-        colors, trust = self._at_points(observed)
+        observed = [self.evened(number, one, light, mask) for number, one in enumerate(observed)]
+        colors, trust = self.at_points(observed)
         return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale)
 
-    def _at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
+    def at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
         """(n, 3) mean colours at points, and (n,) confidence."""
         sums = np.zeros((len(self.skin.points), 4))
         for texture, one in zip(self.skin.textures, observed, strict=True):
@@ -95,7 +95,7 @@ class Baker:
             sums += texture.texels.taken(one.place).summed(values, len(self.skin.points))
         return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(self.totals, 1e-9)
 
-    def _evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:
+    def evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:
         part = self.skin.textures[number].texels.taken(one.place)
         trust = one.trust * part.carried(mask[:, None])[:, 0]
         kept = np.flatnonzero(trust > 0)
@@ -120,8 +120,8 @@ class Baker:
 
     def _pictures(self, layers: Sequence[_Layer]) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
-        colors, trust = self._at_points(merged)
-        whole = self._completed(colors, trust)
+        colors, trust = self.at_points(merged)
+        whole = self.completed(colors, trust)
         limit = self._local(colors, trust)
         pictures = []
         for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
@@ -146,7 +146,7 @@ class Baker:
         place = np.flatnonzero(weights > 0)
         return Observed(place=place, ratio=sums[place] / weights[place, None], trust=most[place])
 
-    def _completed(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    def completed(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
         """(n, 3) colours of all points: those seen, and what continues them without a step where none is.
 
         Gradients there are those of the other side of the face where that is seen, else the template's own. Far off

@@ -54,10 +54,9 @@ def inner(skin: SkinSurface) -> FloatArray:
     return 1 - step(distance / skin.eye_distance(skin.points), *_INNER)
 
 
-def missed_light(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> FloatArray:
+def missed_light(normals: FloatArray, colors: FloatArray, weight: FloatArray) -> FloatArray:
     """(n, 3) of colours (n, 3): what follows the direction of the surface as light does, by robust least squares."""
-    shape = harmonics(photo.normals)[:, 1:]
-    weight = trust * skin.areas * inner(skin)
+    shape = harmonics(normals)[:, 1:]
     if not weight.any():
         return np.zeros_like(colors)
     shape = shape - np.average(shape, axis=0, weights=weight)

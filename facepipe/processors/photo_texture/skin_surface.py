@@ -85,7 +85,7 @@ class SkinSurface:
         return values[mirror], np.where(self.mirror >= 0, weights[mirror], 0.0)
 
 
-def skin_surface(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurface:
+def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurface:
     """The skin of a face.
 
     :param neutral: (n, 3) world points of all meshes

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from facepipe.core.reports import Report, not_in_json
@@ -35,6 +36,9 @@ class Judged(Report):
 @dataclass(frozen=True, kw_only=True)
 class FitNeutralReport(Judged, NeutralReport):
     """What `facepipe fit-neutral` did."""
+
+    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
+    colored: float = 0.0  # share of the skin's outside whose colours the scan shows
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,6 +31,7 @@ from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
 from facepipe.processors.rebuild.options import FitNeutralOptions
 from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
+from facepipe.processors.scan_texture import BakeScanOptions
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild.action_reports import FitNeutralReport
@@ -41,7 +42,7 @@ _STEPS = 18  # of a fit, at most
 
 @action("fit-neutral", "fit a face to the scan of a person")
 @dataclass(frozen=True, kw_only=True)
-class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
+class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
     """The action."""
 
     template: Path = source("face stage with multipie68 landmarks", flag="--template", metavar="FACE")
@@ -72,22 +73,26 @@ class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
         from facepipe.processors.rebuild.scan_fit import FaceOnScan
         from facepipe.processors.rebuild.scan_input import landmarks_of, named
         from facepipe.processors.rebuild.template import Template
+        from facepipe.processors.scan_texture import author_scan_textures
 
-        template = Template.of(face.parts(), str(self.template))
-        database, scan = load_database(self.database), read_scan(self.scan)
+        parts, database, scan = face.parts(), load_database(self.database), read_scan(self.scan)
+        template = Template.of(parts, str(self.template))
+        body = template.body(database.topology)
         landmarks, notes = landmarks_of(self.landmarks, scan)
         with named(self.scan), job.watch("fit", _STEPS) as bar:
-            fit = FitNeutral(options=self)(template, scan, landmarks, database, lambda step: bar.update(), self.weights)
-        report = fit.report
+            fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), self.weights)
+        report, points = fit.report, template.dressed(body, fit.points)
+        shown = template.dressed(body, fit.points + fit.expression)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
-        authored = AuthorNeutral()(face, fit.points, recipe=recipe)
-        neutral = fit.points if report.weights else None
-        picture = FaceOnScan(
-            template=template, points=fit.points + fit.expression, scan=scan, place=fit.place, neutral=neutral
-        )
+        authored = AuthorNeutral()(face, points, recipe=recipe)
+        with named(self.scan):
+            baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
+        neutral = points if report.weights else None
+        picture = FaceOnScan(template=template, points=shown, scan=scan, place=fit.place, neutral=neutral)
         missed = misses(report.quality, QualityLimits())
-        warnings = (*notes, *report.warnings, *authored.warnings)
-        return FitNeutralReport.from_report(report, warnings, missed, picture=picture)
+        warnings = (*notes, *report.warnings, *authored.warnings, *baked.warnings)
+        made = {"textures": baked.textures, "colored": baked.colored}
+        return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
         fit, quality = report.fit, report.quality
@@ -104,5 +109,6 @@ class FitNeutralAction(FitNeutralOptions, ScanAction["FitNeutralReport"]):
             ("flipped triangles", f"{quality.flipped_triangles}"),
             ("a unit of the scan", unit),
             ("steps", f"{fit.steps}"),
+            *([("skin in the scan's colours", f"{100 * report.colored:.1f} %")] if report.textures else []),
         ]
         return "\n".join([str(out), table(rows)])

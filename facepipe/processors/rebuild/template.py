@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import suggestion
 from facepipe.geometry.polygons import components
 from facepipe.geometry.similarity import fit_similarities
@@ -61,6 +61,29 @@ class Template:
             landmarks=row_of_sewn[surface.landmarks],
             labels=_labels(surface)[surface.inside],
         )
+
+    def body(self, topology: Topology) -> Template:
+        """The template without the meshes that faces of `topology` lack: hair and lashes, which go with the skin.
+
+        :raises TopologyError: other meshes or faces
+        """
+        if self.topology.digest == topology.digest:
+            return self
+        known = tuple(mesh for mesh in self.parts.meshes if mesh.name in topology.names)
+        if Topology.of(replace(self.parts, meshes=known)).digest != topology.digest:
+            raise TopologyError(self.where, "other meshes or faces than the database has, expected the same")
+        return Template.of(replace(self.parts, meshes=known), self.where)
+
+    def dressed(self, body: Template, points: FloatArray) -> FloatArray:
+        """(n, 3) whole points where those of the `body` are at `points`: other meshes go with the skin around them."""
+        if body is self:
+            return points
+        counts = [len(mesh.points) for mesh in self.parts.meshes]
+        known = np.repeat([mesh.name in body.topology.names for mesh in self.parts.meshes], counts)
+        result = np.array(self.points)
+        result[known] = points
+        carried = self.whole(self.points, result[self.rows])
+        return np.where(known[:, None], result, carried)
 
     @cached_property
     def seen(self) -> IntArray:

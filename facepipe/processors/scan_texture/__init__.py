@@ -1,0 +1,14 @@
+"""Textures from scans: their colours, without their light, on a face that was fitted to them."""
+
+from typing import TYPE_CHECKING
+
+from facepipe.core.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.processors.scan_texture.author_textures import BakeScanReport, author_scan_textures
+    from facepipe.processors.scan_texture.options import BakeScanOptions
+    from facepipe.processors.scan_texture.scan_baking import ScanTextures, bake_scan
+else:
+    __getattr__, __dir__ = lazy(__name__)
+
+__all__ = ["BakeScanOptions", "BakeScanReport", "ScanTextures", "author_scan_textures", "bake_scan"]

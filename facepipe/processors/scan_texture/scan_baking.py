@@ -1,0 +1,71 @@
+"""Textures of the skin from a scan's colours: the scan's light evened, and what it does not show completed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.texture_fill import spread
+from facepipe.processors.photo_texture import Baker, Observed, SkinSurface, inner, missed_light, one_sided
+from facepipe.processors.scan_texture.scan_colors import SkinOnScan, texel_width
+from facepipe.processors.scan_texture.scan_samples import scan_samples
+from facepipe.scans import Scan
+
+_ROOM_MM = 5.0  # around the skin
+_FINEST_MM = 0.1  # between samples
+_OFF_THE_FACE = 0.05  # what skin counts there when light is looked for: hair may be on it
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanTextures:
+    """Textures of a skin."""
+
+    pictures: tuple[Float32Array, ...]  # of each (size, size, 3) sRGB 0..1
+    coverage: float  # share of the skin's outside whose colours the scan shows
+    light: float  # what was evened, mean of the logarithm
+
+
+def bake_scan(skin: SkinSurface, scan: Scan, place: Similarity, even: float) -> ScanTextures:
+    """Textures from a scan that has colours.
+
+    :param skin: in the pose of the scan, millimetres
+    :param place: from the scan's coordinates to those of the skin
+    :param even: how much of the light in the colours is taken out, 0 to 1
+    :raises InputError: a picture of the scan that can't be read
+    """
+    low, high = skin.points.min(axis=0) - _ROOM_MM, skin.points.max(axis=0) + _ROOM_MM
+    samples = scan_samples(scan, place, low, high, max(0.8 * texel_width(skin), _FINEST_MM))
+    on_scan, baker = SkinOnScan(skin=skin, samples=samples), Baker(skin)
+    observed = [on_scan.observed(number, flat) for number, flat in enumerate(baker.flats)]
+    colors, trust = baker.at_points(observed)
+    light = even * _light(skin, on_scan.normals, colors, trust) if even > 0 else np.zeros_like(colors)
+    observed = [baker.evened(number, one, light, np.ones(len(trust))) for number, one in enumerate(observed)]
+    areas = skin.areas * skin.outside
+    return ScanTextures(
+        pictures=tuple(_pictures(baker, observed)),
+        coverage=float(trust @ areas / areas.sum()),
+        light=float(np.abs(light).mean(axis=1) @ (areas * trust) / max(areas @ trust, 1e-12)),
+    )
+
+
+def _light(skin: SkinSurface, normals: FloatArray, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    """(n, 3) what of colours (n, 3) is light: what goes with the direction of the surface, and from side to side."""
+    weight = trust * skin.areas * (_OFF_THE_FACE + (1 - _OFF_THE_FACE) * inner(skin))
+    light = missed_light(normals, colors, weight)
+    return light + one_sided(skin, colors - light, trust)
+
+
+def _pictures(baker: Baker, observed: Sequence[Observed]) -> list[Float32Array]:
+    colors, trust = baker.at_points(observed)
+    whole = baker.completed(colors, trust)
+    pictures = []
+    for texture, flat, one in zip(baker.skin.textures, baker.flats, observed, strict=True):
+        ratio = texture.texels.carried(whole)
+        ratio[one.place] += one.trust[:, None] * (one.ratio - ratio[one.place])
+        pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)).astype(np.float32))
+    return pictures

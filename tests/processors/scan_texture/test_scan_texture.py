@@ -1,0 +1,170 @@
+"""The colours of scans on the textures of a face: as scanned where the scan shows them, evened, and without a seam."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.geometry.colors import from_srgb, to_srgb
+from facepipe.geometry.polygons import point_normals
+from facepipe.geometry.similarity import Similarity
+from facepipe.heads.assembly import make
+from facepipe.heads.skin import jpeg, to_bytes
+from facepipe.importers.scan_file import read_scan
+from facepipe.parts import FaceParts
+from facepipe.processors.database import whole_points
+from facepipe.processors.photo_texture import Baker, SkinSurface, inner, skin_of
+from facepipe.processors.scan_texture import ScanTextures, bake_scan
+from facepipe.processors.scan_texture.scan_samples import scan_samples
+from facepipe.scans import Scan
+from facepipe.stage import save_parts
+
+SIZE = 256  # texels
+CENTIMETRES = Similarity(rotation=np.eye(3), translation=np.zeros(3), scale=10.0)
+AS_IT_IS = Similarity(rotation=np.eye(3), translation=np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A person of the head in the box, whose skin was scanned, and the template on that person's shape."""
+
+    folder: Path
+
+    @cached_property
+    def person(self) -> FaceParts:
+        made = make(21, textures=SIZE)
+        return replace(made, meshes=made.meshes[:1], sliders=(), animations=(), played=None)
+
+    @cached_property
+    def template(self) -> SkinSurface:
+        parts = make(0, textures=SIZE)
+        return skin_of(replace(parts, meshes=parts.meshes[:1]), whole_points(self.person), None)
+
+    @cached_property
+    def truth(self) -> SkinSurface:
+        return skin_of(self.person, whole_points(self.person), None)
+
+    @cached_property
+    def scan(self) -> Scan:
+        return self.scanned(self.person, "scan")
+
+    @cached_property
+    def lit(self) -> Scan:
+        """The same in the light of a lamp from one side and above."""
+        normals = point_normals(self.truth.points, self.truth.triangles)
+        light = 0.7 + 0.25 * normals @ (0.6, 0.5, 0.6)
+        materials = {material.name: material for material in self.person.materials}
+        for texture, colors in zip(self.truth.textures, true_colors(self.truth), strict=True):
+            picture = np.zeros((SIZE**2, 3))
+            picture[texture.texels.at] = to_srgb(colors * texture.texels.carried(light[:, None]))
+            image = jpeg("lit", to_bytes(picture.reshape(SIZE, SIZE, 3)))
+            for name in texture.materials:
+                source = replace(texture.source, texture=replace(image, name=f"{name}.jpg"))
+                materials[name] = replace(materials[name], diffuse_color=source)
+        return self.scanned(replace(self.person, materials=tuple(materials.values())), "lit")
+
+    def scanned(self, parts: FaceParts, name: str) -> Scan:
+        save_parts(parts, self.folder / f"{name}.usda")
+        return read_scan(self.folder / f"{name}.usda")
+
+
+@pytest.fixture(scope="module")
+def actor(tmp_path_factory: pytest.TempPathFactory) -> Actor:
+    return Actor(tmp_path_factory.mktemp("actor"))
+
+
+def true_colors(skin: SkinSurface) -> list[FloatArray]:
+    """(m, 3) linear colours of the texels of each texture."""
+    return [np.asarray(flat) for flat in Baker(skin).flats]
+
+
+def off(actor: Actor, baked: ScanTextures, chosen: BoolArray) -> FloatArray:
+    """(k, 3) sRGB differences from the truth, of texels at chosen points (n,)."""
+    rows = []
+    truth = zip(actor.truth.textures, true_colors(actor.truth), baked.pictures, strict=True)
+    for texture, colors, picture in truth:
+        here = chosen[texture.texels.corners].all(axis=1)
+        rows.append(picture.reshape(-1, 3)[texture.texels.at[here]] - to_srgb(colors[here]))
+    return np.concatenate(rows)
+
+
+def test_a_textured_scan_gives_the_skin_its_own_colours(actor: Actor) -> None:
+    baked = bake_scan(actor.template, actor.scan, CENTIMETRES, 0.0)
+    assert baked.coverage > 0.98
+    assert np.abs(off(actor, baked, actor.template.outside)).mean() < 0.006  # sRGB, 0..1
+    template = ScanTextures(pictures=tuple(pictures_of(actor.template)), coverage=0.0, light=0.0)
+    assert np.abs(off(actor, template, actor.template.outside)).mean() > 0.05  # it had another skin
+
+
+def pictures_of(skin: SkinSurface) -> list[FloatArray]:
+    return [np.asarray(to_srgb(template), np.float32) for template in Baker(skin).templates]
+
+
+def test_colours_at_points_do_where_there_is_no_texture(actor: Actor) -> None:
+    dense = scan_samples(actor.scan, AS_IT_IS, np.full(3, -1e3), np.full(3, 1e3), 0.12)
+    cloud = Scan(name="cloud", points=dense.points, normals=dense.normals, colors=dense.colors)
+    baked = bake_scan(actor.template, cloud, CENTIMETRES, 0.0)
+    assert np.abs(off(actor, baked, actor.template.outside)).mean() < 0.012
+
+
+def test_what_half_a_scan_shows_continues_without_a_seam(actor: Actor) -> None:
+    kept = actor.scan.points[actor.scan.triangles][..., 0].mean(axis=1) < 0.5
+    texture = actor.scan.texture
+    assert texture is not None
+    half = replace(actor.scan, triangles=actor.scan.triangles[kept], texture=texture.on_triangles(kept))
+    baked = bake_scan(actor.template, half, CENTIMETRES, 0.0)
+    assert 0.4 < baked.coverage < 0.65
+    skin = actor.template
+    shown, hidden = skin.points[:, 0] < -10, skin.points[:, 0] > 10  # mm; between, confidence fades
+    face = skin.outside & (inner(skin) > 0.5)
+    assert np.abs(off(actor, baked, skin.outside & shown)).mean() < 0.006
+    template = ScanTextures(pictures=tuple(pictures_of(skin)), coverage=0.0, light=0.0)
+    follows, was = (np.abs(off(actor, one, face & hidden)).mean() for one in (baked, template))
+    assert follows < 0.5 * was
+    front, picture = skin.textures[0], baked.pictures[0].reshape(-1, 3)
+    wrong = picture[front.texels.at] - to_srgb(true_colors(actor.truth)[0])
+    x, inside = (front.texels.carried(one[:, None])[:, 0] for one in (skin.points[:, 0], face * 1.0))
+    columns = [wrong[(inside > 0.99) & (np.abs(x - at) < 2)].mean(axis=0) for at in range(-20, 24, 4)]  # 4 mm wide
+    assert np.abs(np.diff(columns, axis=0)).max() < 0.02  # cut off, it would be 0.1
+
+
+def test_light_is_evened_but_not_the_persons_tone(actor: Actor) -> None:
+    chosen = actor.template.outside & (inner(actor.template) > 0.5)
+    raw, evened = (bake_scan(actor.template, actor.lit, CENTIMETRES, even) for even in (0.0, 1.0))
+    assert raw.light == 0.0 < evened.light
+
+    def spread_of(baked: ScanTextures) -> float:
+        """Standard deviation of the logarithm of what light is left."""
+        logs = []
+        for texture, colors, picture in zip(
+            actor.truth.textures, true_colors(actor.truth), baked.pictures, strict=True
+        ):
+            here = chosen[texture.texels.corners].all(axis=1)
+            shown = np.maximum(from_srgb(picture.reshape(-1, 3)[texture.texels.at[here]]), 0.004)
+            logs.append(np.log(shown / colors[here]).mean(axis=1))
+        return float(np.concatenate(logs).std())
+
+    assert spread_of(evened) < 0.5 * spread_of(raw)
+    flat = bake_scan(actor.template, actor.scan, CENTIMETRES, 1.0)  # no light to even: hardly anything changes
+    assert np.abs(off(actor, flat, chosen)).mean() < 0.02
+
+
+def test_samples_lie_densely_on_the_surface_and_have_its_colours() -> None:
+    corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 2, 0], [3, 2, 1]])
+    scan = Scan(name="two", points=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]]), colors=corners / 4)
+    samples = scan_samples(scan, AS_IT_IS, np.full(3, -9.0), np.full(3, 9.0), 0.1)
+    np.testing.assert_allclose(samples.colors, samples.points / 4, atol=1e-6)
+    from scipy.spatial import cKDTree
+
+    distances = cKDTree(samples.points).query(samples.points, k=2)[0][:, 1]
+    assert distances.min() > 0
+    assert distances.max() < 0.1
+    whole = np.linalg.norm(np.cross([3, 0, 0], [0, 2, 0])) / 2
+    first = samples.points[:, 2] == 0
+    np.testing.assert_allclose(samples.points[first].mean(axis=0), corners[:3].mean(axis=0), atol=1e-9)
+    assert first.sum() == pytest.approx(2 * whole / 0.1**2, rel=2)
