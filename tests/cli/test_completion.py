@@ -97,12 +97,15 @@ def test_bash_offers_every_command_and_flag(scripts: dict[str, Path]) -> None:
 def test_a_tab_in_bash_completes_flags_and_files(scripts: dict[str, Path], tmp_path: Path) -> None:
     """A real terminal: what is typed, and what the tab adds to it."""
     (tmp_path / "my head.usda").write_text("")
-    assert "facepipe blend --region-width-mm" in typed("facepipe blend --regi\t", scripts["bash"], tmp_path)
-    assert "facepipe inspect my\\ head.usda" in typed("facepipe inspect my\t", scripts["bash"], tmp_path)
+    for keys, wanted in {
+        "facepipe blend --regi\t": "facepipe blend --region-width-mm",
+        "facepipe inspect my\t": "facepipe inspect my\\ head.usda",
+    }.items():
+        assert wanted in typed(keys, wanted, scripts["bash"], tmp_path)
 
 
-def typed(keys: str, script: Path, folder: Path) -> str:
-    """What a terminal with bash in `folder` shows after `keys`."""
+def typed(keys: str, wanted: str, script: Path, folder: Path) -> str:
+    """What a terminal with bash in `folder` shows after `keys`, at the latest when it has what is wanted."""
     import pty
 
     child, terminal = pty.fork()
@@ -120,18 +123,18 @@ def typed(keys: str, script: Path, folder: Path) -> str:
         os.write(terminal, f"source {script}; stty cols 200; echo ready\n".encode())
         assert "ready\r\n" in _shown(terminal, "ready\r\n")
         os.write(terminal, keys.encode())
-        return _shown(terminal, keys.split()[-1], quiet=1.0)
+        return _shown(terminal, wanted)
     finally:
         os.write(terminal, b"\x03exit\n")
         os.close(terminal)
         os.waitpid(child, 0)
 
 
-def _shown(terminal: int, awaited: str, quiet: float = 0.1) -> str:
-    """What is shown until `awaited` is there and nothing more comes for so many seconds."""
+def _shown(terminal: int, awaited: str) -> str:
+    """What is shown until `awaited` is there and nothing more comes, or for half a minute."""
     text, until = "", time.monotonic() + 30
     while time.monotonic() < until:
-        if select.select([terminal], [], [], quiet)[0]:
+        if select.select([terminal], [], [], 0.1)[0]:
             text += os.read(terminal, 4096).decode()
         elif awaited in text:
             break

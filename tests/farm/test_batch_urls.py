@@ -53,6 +53,7 @@ def s3(server: S3Server, show: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: 
     settings |= {"AWS_DEFAULT_REGION": "us-east-1", "AWS_MAX_ATTEMPTS": "1", "XDG_CACHE_HOME": str(tmp_path)}
     for name, value in settings.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr("s3fs.core.S3FileSystem.retries", 1)  # each of five would wait longer than the one before
     urllib.request.urlopen(urllib.request.Request(f"{server.address}/moto-api/reset", method="POST"))
     files = fsspec.filesystem("s3", use_listings_cache=False)
     for bucket in ("show", "other"):
