@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from facepipe.pictures.scene import build_scene
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+Samples = TypeVar("Samples", ByteArray, FloatArray)
 
 FINE = 3  # samples per pixel and direction: lines are three samples, one pixel, wide
 SLACK = 2e-4  # of the depth: a point is hidden by what is nearer by more than that
@@ -28,7 +29,7 @@ def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Im
 
     :param screen: (n, 3) pixel x, pixel y (down) and depth of the points of all meshes, in mesh order
     """
-    from PIL import Image, ImageFilter
+    from PIL import Image
 
     width, height = size[0] * FINE, size[1] * FINE
     scene = build_scene(parts, None)
@@ -39,9 +40,10 @@ def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Im
     if len(pairs):
         depth = np.maximum(points[:, 2:], NEAR / 2)
         homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
-        farthest = _farthest_nearby(rasterise(screen_triangles(homogeneous, solid), width, height).nearness)
+        nearness = rasterise(screen_triangles(homogeneous, solid), width, height).nearness
+        farthest = _nearby(np.minimum, nearness)  # steep surfaces must not hide their own edges
         _draw(cover, farthest, points[pairs])
-    return Image.fromarray(cover).filter(ImageFilter.MaxFilter(3)).reduce(FINE)
+    return Image.fromarray(_nearby(np.maximum, cover)).reduce(FINE)
 
 
 def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntArray:
@@ -60,11 +62,11 @@ def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntAr
     return np.asarray(pairs[seen[pairs].all(axis=1)])
 
 
-def _farthest_nearby(nearness: FloatArray) -> FloatArray:
-    """The least nearness of each sample and its neighbours: steep surfaces must not hide their own edges."""
-    padded = np.pad(nearness, 1)
-    rows = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
-    return np.asarray(np.minimum(np.minimum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
+def _nearby(extreme: np.ufunc, samples: Samples) -> Samples:
+    """The extreme of each sample (h, w) and its neighbours, with 0 around all of them."""
+    padded = np.pad(samples, 1)
+    rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
+    return np.asarray(extreme(extreme(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
 
 
 def _draw(cover: ByteArray, farthest: FloatArray, ends: FloatArray) -> None:
