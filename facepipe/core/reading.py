@@ -1,8 +1,10 @@
-"""Bytes, JSON, TOML and digests of files, up to a limit on their size."""
+"""Bytes, JSON, TOML, CSV and digests of files, up to a limit on their size."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import re
 import stat
@@ -122,6 +124,26 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
         return tomllib.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # bad UTF-8 too
         raise InputError(path, f"is not TOML ({str(error)[:120]})") from None
+
+
+def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
+    """The delimiter (comma, semicolon or tab) of a file of at most `most` bytes; line and stripped cells of each row.
+
+    :raises InputError: not readable, no UTF-8 or UTF-16, or not CSV
+    """
+    data = read_bytes(path, most)
+    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")  # what spreadsheets call Unicode text
+    try:
+        text = data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"is not UTF-8 (byte {error.start}), expected CSV saved as UTF-8") from None
+    delimiter = max(",;\t", key=text.lstrip().partition("\n")[0].count)
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except csv.Error as error:
+        raise InputError(path, f"is not CSV ({str(error)[:120]})") from None
+    return delimiter, [(line, cells) for line, cells in rows if any(cells)]
 
 
 class _TwiceError(Exception):

@@ -12,8 +12,6 @@ frame itself. Seconds are "time", "timestamp" or "seconds", a timecode "timecode
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,7 +22,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names
-from facepipe.core.reading import read_bytes, read_json
+from facepipe.core.reading import read_csv, read_json
 from facepipe.processors.animate.performance import (
     ANGLES,
     FPS,
@@ -92,17 +90,7 @@ def _read_csv(path: Path, fps: float | None, *, degrees: bool) -> Performance:
 
 
 def _table(path: Path) -> _Table:
-    try:
-        text = read_bytes(path, _MOST_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"is not UTF-8 (byte {error.start}), expected CSV") from None
-    first = text.lstrip().partition("\n")[0]
-    delimiter = max(",;\t", key=first.count)
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if any(cells)]
-    except csv.Error as error:
-        raise InputError(path, f"is not CSV ({str(error)[:120]})") from None
+    _, lines = read_csv(path, _MOST_BYTES)
     if len(lines) < 2:
         raise InputError(path, f"{len(lines)} lines, expected a header and frames")
     header = lines[0][1]

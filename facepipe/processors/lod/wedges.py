@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import triangulate
-from facepipe.parts import Blendshape, Inbetween, Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.parts import Blendshape, Landmarks, MaterialFaces, Mesh, Skin, UvSet
 
 _NORMAL_STEPS = 64  # of -1 to 1: corners whose normals differ less are no crease
 
@@ -92,26 +92,8 @@ def _skin(skin: Skin, kept: IntArray) -> Skin:
 def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
     points = place[shape.point_indices]
     kept = points >= 0
-
-    def rows(values: FloatArray | None) -> FloatArray | None:
-        return None if values is None else values[kept]
-
-    inbetweens = tuple(
-        Inbetween(
-            name=inbetween.name,
-            weight=inbetween.weight,
-            offsets=inbetween.offsets[kept],
-            normal_offsets=rows(inbetween.normal_offsets),
-        )
-        for inbetween in shape.inbetweens
-    )
-    return replace(
-        shape,
-        point_indices=points[kept].astype(np.int32),
-        offsets=shape.offsets[kept],
-        normal_offsets=rows(shape.normal_offsets),
-        inbetweens=inbetweens,
-    )
+    shape = shape.changed(lambda offsets: offsets[kept], lambda offsets: offsets[kept])
+    return replace(shape, point_indices=points[kept].astype(np.int32))
 
 
 def _subsets(subsets: Mapping[str, IntArray], place: IntArray) -> dict[str, IntArray]:

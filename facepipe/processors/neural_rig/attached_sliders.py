@@ -123,23 +123,10 @@ def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
     """
     turns = matrices[shape.point_indices]
 
-    def turned(offsets: FloatArray | None) -> FloatArray | None:
-        return None if offsets is None else np.einsum("kij,kj->ki", turns, offsets)
+    def turned(offsets: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("kij,kj->ki", turns, offsets))
 
-    inbetweens = tuple(
-        replace(
-            inbetween,
-            offsets=np.einsum("kij,kj->ki", turns, inbetween.offsets),
-            normal_offsets=turned(inbetween.normal_offsets),
-        )
-        for inbetween in shape.inbetweens
-    )
-    return replace(
-        shape,
-        offsets=np.einsum("kij,kj->ki", turns, shape.offsets),
-        normal_offsets=turned(shape.normal_offsets),
-        inbetweens=inbetweens,
-    )
+    return shape.changed(turned, turned)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,9 +67,8 @@ class AuthorSliders:
             check_property_name(rule.where, "slider", rule.name, tokens.SLIDER_API)
         parts = face.parts()
         new = self.table.resolve(parts.skeleton.joints, face.shapes, parts.meters_per_unit)
-        known = {slider.name: slider for slider in parts.sliders}
         names = {slider.name for slider in new}
-        valued, unset = _with_values(new, known)
+        valued, unset = with_values(new, parts.sliders)
         others = () if self.drop else tuple(slider for slider in parts.sliders if slider.name not in names)
         merged = _mutual((*others, *valued))
         self._check_mirrors(merged)
@@ -79,8 +78,8 @@ class AuthorSliders:
         authored = author_changes(face, changed)
         return AuthorSlidersReport(
             sliders=tuple(slider.name for slider in new),
-            replaced=tuple(name for name in known if name in names),
-            dropped=tuple(name for name in known if name not in names and self.drop),
+            replaced=tuple(slider.name for slider in parts.sliders if slider.name in names),
+            dropped=tuple(slider.name for slider in parts.sliders if slider.name not in names and self.drop),
             channels=len({entry[:2] for slider in new for entry in slider.channels}),
             shapes=len({entry[0] for slider in new for entry in slider.shapes}),
             beyond_limits=beyond,
@@ -122,12 +121,12 @@ def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: Bon
     return tuple(reaching)
 
 
-def _with_values(new: Sequence[Slider], known: Mapping[str, Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
+def with_values(new: Sequence[Slider], known: Sequence[Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
     """Sliders with the values that the face gave them, and a line for each that is out of the new range."""
     lines, valued = [], []
+    values = {slider.name: slider.value for slider in known}
     for slider in new:
-        before = known.get(slider.name)
-        value = None if before is None else before.value
+        value = values.get(slider.name)
         if value is not None and not slider.minimum <= value <= slider.maximum:
             lines.append(f"slider {slider.name}: value {value:g} is out of its new range, now the default")
             value = None

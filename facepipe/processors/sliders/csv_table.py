@@ -14,14 +14,12 @@ a comma may stand for the decimal point) or tabs.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes
+from facepipe.core.reading import read_csv
 from facepipe.parts import Curve
 from facepipe.processors.sliders.slider_table import MOST_BYTES, Bias, Drive, SliderRule, SliderTable, check_number
 
@@ -113,11 +111,9 @@ def _merge(where: str, settings: dict[str, str], row: Mapping[str, str]) -> None
 
 
 def _rows(path: Path) -> tuple[list[str], list[Row]]:
-    text = _text(path)
-    try:
-        lines = [(number, cells) for number, cells in _parsed(text) if any(cells)]
-    except csv.Error as error:
-        raise InputError(path, f"is not CSV ({str(error)[:120]})") from None
+    delimiter, lines = read_csv(path, MOST_BYTES)
+    if delimiter == ";":
+        lines = [(number, [_with_points(cell) for cell in cells]) for number, cells in lines]
     if len(lines) < 2:
         raise InputError(path, f"{len(lines)} rows, expected a header and sliders")
     header = lines[0][1]
@@ -134,25 +130,9 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
     return header, rows
 
 
-def _parsed(text: str) -> list[tuple[int, list[str]]]:
-    first = text.lstrip().partition("\n")[0]
-    delimiter = max(",;\t", key=first.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    return [(reader.line_num, [_cell(cell, delimiter) for cell in cells]) for cells in reader]
-
-
-def _cell(cell: str, delimiter: str) -> str:
-    text = cell.strip()
-    return text.replace(",", ".") if delimiter == ";" and set(text) <= _NUMERIC else text
-
-
-def _text(path: Path) -> str:
-    data = read_bytes(path, MOST_BYTES)
-    wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")  # what spreadsheets call Unicode text
-    try:
-        return data.decode("utf-16" if wide else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"is not UTF-8 (byte {error.start}), expected a table saved as UTF-8") from None
+def _with_points(cell: str) -> str:
+    """A number with a point for its decimal comma; other texts as they are."""
+    return cell.replace(",", ".") if set(cell) <= _NUMERIC else cell
 
 
 def _needed(where: str, row: Mapping[str, str], column: str) -> str:

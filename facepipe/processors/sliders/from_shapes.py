@@ -17,7 +17,7 @@ from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.processors.fit_bones.limits import LimitRules
 from facepipe.processors.fit_bones.options import STRICTER
 from facepipe.processors.fit_bones.residual import Residual, corrective
-from facepipe.processors.sliders.author_sliders import beyond_lines, fitting_network, sliders_beyond
+from facepipe.processors.sliders.author_sliders import beyond_lines, fitting_network, sliders_beyond, with_values
 from facepipe.processors.sliders.options import ShapeSliderOptions
 from facepipe.processors.sliders.shape_fits import ShapeFits, ShapePose, fit_poses
 from facepipe.processors.sliders.shape_names import ShapeSlider, parse_pairs, shape_sliders
@@ -44,32 +44,16 @@ class Made:
     report: MadeSlider
 
 
+@dataclass(frozen=True, kw_only=True)
 class SliderMaker:
-    """Makes the sliders of one face.
+    """Makes the sliders of one face."""
 
-    :param parts: what the rig of `fits` was built from
-    :param poses: shape -> pose
-    :param targets: shape -> (n, 3) points
-    :param mm: millimetres in a stage unit
-    """
-
-    def __init__(
-        self,
-        parts: FaceParts,
-        fits: ShapeFits,
-        options: ShapeSliderOptions,
-        poses: Mapping[str, ShapePose],
-        targets: Mapping[str, FloatArray],
-        mm: float,
-    ) -> None:
-        self.parts, self.fits, self.options, self.poses, self.targets, self.mm = (
-            parts,
-            fits,
-            options,
-            poses,
-            targets,
-            mm,
-        )
+    parts: FaceParts  # what the rig of `fits` was built from
+    fits: ShapeFits
+    options: ShapeSliderOptions
+    poses: Mapping[str, ShapePose]  # by shape
+    targets: Mapping[str, FloatArray]  # shape -> (n, 3) points
+    mm: float  # millimetres in a stage unit
 
     def make(self, wanted: ShapeSlider, twin: ShapeSlider | None) -> Made:
         """The slider, by what it and its mirror reach together: bones, with a residual or not, shapes, or nothing."""
@@ -218,22 +202,18 @@ class SlidersFromShapes(ShapeSliderOptions):
         """The sliders of shapes that move points."""
         wanted = shape_sliders(tuple(targets), parse_pairs(self.pairs))
         poses = fit_poses(fits, wanted, targets, done)
-        maker = SliderMaker(parts, fits, self, poses, targets, parts.meters_per_unit * 1000.0)
+        mm = parts.meters_per_unit * 1000.0
+        maker = SliderMaker(parts=parts, fits=fits, options=self, poses=poses, targets=targets, mm=mm)
         by_name = {slider.name: slider for slider in wanted}
         return [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
 
 
 def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts:
     """The face with new sliders, which keep the values of those that they replace, beside the others."""
-    values = {slider.name: slider.value for slider in parts.sliders}
-    valued = [replace(slider, value=_within(slider, values.get(slider.name))) for slider in new]
+    valued, _ = with_values(new, parts.sliders)
     names = {slider.name for slider in new}
     others = () if drop else tuple(slider for slider in parts.sliders if slider.name not in names)
     return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
-
-
-def _within(slider: Slider, value: float | None) -> float | None:
-    return value if value is not None and slider.minimum <= value <= slider.maximum else None
 
 
 def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
