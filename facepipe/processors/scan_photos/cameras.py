@@ -14,6 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -21,11 +22,11 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json
 
 _STEPS, _EXACT = 30, 1e-12  # of the lens undone
-UNITS = ("mm", "cm", "m")
 _LARGEST_FILE = 16_000_000  # bytes
-_KEYS = ("width", "height", "focal", "center", "distortion", "rotation", "translation")
+_SIZES, _NUMBERS = {"low": 1, "high": 100_000}, {"low": -1e12, "high": 1e12}
 _TURNED = 1e-3  # how far a rotation may be from one
 
 
@@ -117,19 +118,55 @@ class Cameras:
     unit: str | None = None  # mm, cm or m; None: unknown
 
 
+_Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CameraEntry:
+    width: int = field(metadata=_SIZES)
+    height: int = field(metadata=_SIZES)
+    focal: float | tuple[float, float] = field(metadata=_NUMBERS)
+    center: tuple[float, float] | None = field(default=None, metadata=_NUMBERS)
+    distortion: tuple[float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0), metadata=_NUMBERS)
+    rotation: tuple[_Triple, _Triple, _Triple]
+    translation: _Triple = field(metadata=_NUMBERS)
+
+    def camera(self, where: str) -> PhotoCamera:
+        """:raises InputError: a focal length that is not above 0, or no rotation"""
+        focal_x, focal_y = self.focal if isinstance(self.focal, tuple) else (self.focal, self.focal)
+        if min(focal_x, focal_y) <= 0:
+            raise InputError(f"{where} -> focal", f"{self.focal}, expected pixels above 0")
+        x, y = self.center or (self.width / 2, self.height / 2)
+        k1, k2, p1, p2 = self.distortion
+        return PhotoCamera(
+            width=self.width,
+            height=self.height,
+            focal=(float(focal_x), float(focal_y)),
+            center=(float(x), float(y)),
+            distortion=(float(k1), float(k2), float(p1), float(p2)),
+            rotation=_rotation(self.rotation, f"{where} -> rotation"),
+            translation=np.array(self.translation, dtype=np.float64),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _CamerasFile:
+    cameras: Mapping[str, _CameraEntry]
+    unit: Literal["mm", "cm", "m"] | None = None
+
+
 def read_cameras(path: Path) -> Cameras:
     """The cameras in a file.
 
     :raises InputError: not readable, or values that are no camera
     """
     content = read_json_object(path, _LARGEST_FILE)
-    unit = content.get("unit")
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"{path} -> unit", f"{str(unit)[:40]!r}, expected one of {', '.join(UNITS)}")
-    listed = content.get("cameras")
-    if not isinstance(listed, dict) or not listed:
-        raise InputError(f"{path} -> cameras", "expected an object of cameras by the names of their photos")
-    return Cameras(cameras={name: _camera(one, f"{path} -> {name[:80]}") for name, one in listed.items()}, unit=unit)
+    known = {key: content[key] for key in ("cameras", "unit") if key in content}
+    file = from_json(_CamerasFile, known, str(path))
+    if not file.cameras:
+        raise InputError(f"{path} -> cameras", "none, expected some by the names of their photos")
+    cameras = {name: entry.camera(f"{path} -> cameras -> {name[:80]}") for name, entry in file.cameras.items()}
+    return Cameras(cameras=cameras, unit=file.unit)
 
 
 def write_cameras(path: Path, cameras: Cameras) -> None:
@@ -137,66 +174,14 @@ def write_cameras(path: Path, cameras: Cameras) -> None:
 
     :raises InputError: the folder does not exist or can't be written
     """
-    listed = {name: _plain(camera) for name, camera in sorted(cameras.cameras.items())}
-    content = {"cameras": listed} | ({"unit": cameras.unit} if cameras.unit else {})
-    write_bytes(path, f"{json.dumps(content, indent=1, sort_keys=True)}\n".encode())
+    content: dict[str, object] = {"cameras": {name: vars(camera) for name, camera in cameras.cameras.items()}}
+    content |= {"unit": cameras.unit} if cameras.unit else {}
+    text = json.dumps(content, indent=1, sort_keys=True, default=np.ndarray.tolist)
+    write_bytes(path, f"{text}\n".encode())
 
 
-def _plain(camera: PhotoCamera) -> dict[str, object]:
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "focal": list(camera.focal),
-        "center": list(camera.center),
-        "distortion": list(camera.distortion),
-        "rotation": camera.rotation.tolist(),
-        "translation": camera.translation.tolist(),
-    }
-
-
-def _camera(value: object, where: str) -> PhotoCamera:
-    if not isinstance(value, dict):
-        raise InputError(where, f"{str(value)[:40]}, expected an object")
-    unknown = sorted(set(value) - set(_KEYS))
-    if unknown:
-        raise InputError(where, f"'{unknown[0][:60]}' is unknown, expected some of {', '.join(_KEYS)}")
-    width, height = (_size(value.get(key), f"{where} -> {key}") for key in ("width", "height"))
-    focal = value.get("focal")
-    focals = _numbers([focal, focal] if isinstance(focal, int | float) else focal, (2,), f"{where} -> focal")
-    if not (focals > 0).all():
-        raise InputError(f"{where} -> focal", f"{focals.tolist()}, expected pixels above 0")
-    center = _numbers(value.get("center", [width / 2, height / 2]), (2,), f"{where} -> center")
-    bent = _numbers(value.get("distortion", [0, 0, 0, 0]), (4,), f"{where} -> distortion")
-    return PhotoCamera(
-        width=width,
-        height=height,
-        focal=(float(focals[0]), float(focals[1])),
-        center=(float(center[0]), float(center[1])),
-        distortion=(float(bent[0]), float(bent[1]), float(bent[2]), float(bent[3])),
-        rotation=_rotation(value.get("rotation"), f"{where} -> rotation"),
-        translation=_numbers(value.get("translation"), (3,), f"{where} -> translation"),
-    )
-
-
-def _size(value: object, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 100_000:
-        raise InputError(where, f"{str(value)[:40]}, expected pixels, a whole number from 1 to 100000")
-    return value
-
-
-def _numbers(value: object, shape: tuple[int, ...], where: str) -> FloatArray:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.zeros(0)
-    if array.shape != shape or not np.isfinite(array).all() or np.abs(array).max() > 1e12:
-        expected = " x ".join(map(str, shape))
-        raise InputError(where, f"{str(value)[:60]}, expected {expected} finite numbers")
-    return array
-
-
-def _rotation(value: object, where: str) -> FloatArray:
-    matrix = _numbers(value, (3, 3), where)
+def _rotation(rows: tuple[_Triple, ...], where: str) -> FloatArray:
+    matrix = np.array(rows, dtype=np.float64)
     U, _, Vt = np.linalg.svd(matrix)
     nearest = U @ Vt
     if np.abs(matrix - nearest).max() > _TURNED or not math.isclose(np.linalg.det(nearest), 1.0, abs_tol=0.5):
