@@ -90,23 +90,14 @@ def source(
     return _declared(default, {"help": help, "role": "source", **way})
 
 
-def beside(help: str, suffix: str, write: str, *, flag: str = "", holds: str = "") -> Any:
+def beside(help: str, suffix: str, write: str, *, holds: str = "") -> Any:
     """A field of an action for a file, or folder (no suffix), that is written beside the result where it is asked for.
 
     :param write: the method that writes it: (face, report, path) -> its entry in the JSON, or None
     :param holds: pattern of the names in the folder, with "/" below it
     """
-    metavar = suffix.removeprefix(".").upper() or "DIR"
-    metadata = {
-        "help": help,
-        "role": "beside",
-        "suffix": suffix,
-        "write": write,
-        "flag": flag,
-        "holds": holds,
-        "kept": False,
-    }
-    return _declared(None, {**metadata, "metavar": metavar})
+    written = {"suffix": suffix, "write": write, "holds": holds, "metavar": suffix.removeprefix(".").upper() or "DIR"}
+    return _declared(None, {"help": help, "role": "beside", "kept": False, **written})
 
 
 def _declared(default: Any, said: dict[str, Any]) -> Any:
@@ -230,10 +221,7 @@ class Field:
         where = f"{where} -> {self.name}"
         if self.value is not None:
             return self.value.load(value, where)
-        kind = next((kind for kind in self.kinds if _fits(value, kind)), None)
-        if kind is None:
-            raise InputError(where, f"{repr(value)[:40]}, expected {self.expected}")
-        return _loaded(value, kind, where)
+        return _loaded(value, self.kinds, where)
 
     def dump(self, value: Any) -> Any:
         """The value as JSON holds it."""
@@ -244,21 +232,10 @@ class Field:
         """Its help, with the unit."""
         return f"{self.help} [{self.unit}]" if self.unit else self.help
 
-    @property
-    def expected(self) -> str:
-        """Its type in words."""
-        return " or ".join(
-            ", ".join(map(str, typing.get_args(kind))) if _is_literal(kind) else _words(kind) for kind in self.kinds
-        )
-
-
-def fields_of(options: Any) -> tuple[Field, ...]:
-    """The fields of an option dataclass or an action."""
-    return _fields_of(options)
-
 
 @functools.cache
-def _fields_of(options: type[DataclassInstance]) -> tuple[Field, ...]:
+def fields_of(options: Any) -> tuple[Field, ...]:
+    """The fields of an option dataclass or an action."""
     hints = typing.get_type_hints(options)
     return tuple(_field(one, hints[one.name]) for one in dataclasses.fields(options))
 
@@ -285,7 +262,7 @@ def values_of(kind: type[DataclassInstance], holder: object) -> dict[str, Any]:
 
 def check_ranges(options: Any) -> None:
     """:raises InputError: an option is out of range, not finite or none of its choices"""
-    for one in fields_of(type(options)):
+    for one in fields_of(options.__class__):
         one.check(getattr(options, one.name))
 
 
@@ -324,7 +301,7 @@ def from_json(kind: type[Options], values: object, where: str) -> Options:
     """
     fields = {one.name: one for one in fields_of(kind)}
     if not isinstance(values, Mapping):
-        raise InputError(where, f"{str(values)[:40]}, expected an object of options")
+        raise InputError(where, f"{_shown(values)}, expected an object of options")
     for name in values:
         if name not in fields:
             near = did_you_mean(str(name), fields) or f", expected some of {', '.join(fields)}"
@@ -392,40 +369,73 @@ _WORDS = {
 }
 
 
+def _expected(kinds: Sequence[Any]) -> str:
+    return " or ".join(", ".join(map(str, typing.get_args(one))) if _is_literal(one) else _words(one) for one in kinds)
+
+
 def _words(kind: Any) -> str:
+    arguments = typing.get_args(kind)
     if isinstance(kind, types.UnionType):
-        return " or ".join(map(_words, typing.get_args(kind)))
+        return _expected(arguments)
     if typing.get_origin(kind) is tuple:
-        return f"a list of which each is {_words(typing.get_args(kind)[0])}"
+        count = "" if ... in arguments else f" of {len(arguments)}"
+        return f"a list{count} of which each is {_words(arguments[0])}"
     if typing.get_origin(kind) is Mapping:
-        return f"an object of which each value is {_words(typing.get_args(kind)[1])}"
+        return f"an object of which each value is {_words(arguments[1])}"
     return _WORDS.get(kind, "an object" if dataclasses.is_dataclass(kind) else "another value")
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)[:40]
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number beyond reason"
 
 
 def _is_literal(kind: Any) -> bool:
     return typing.get_origin(kind) is typing.Literal
 
 
-def _loaded(value: Any, kind: Any, where: str) -> Any:
-    """A value that fits, with dataclasses of the objects in it."""
+def _loaded(value: Any, kinds: Sequence[Any], where: str) -> Any:
+    """A value as the first of `kinds` that it fits.
+
+    :raises InputError: it fits none; of a list or an object, what in it does not
+    """
+    kind = next((one for one in kinds if _fits(value, one)), None) or next((k for k in kinds if _holds(value, k)), None)
+    if kind is None:
+        raise InputError(where, f"{_shown(value)}, expected {_expected(kinds)}")
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         return from_json(kind, value, where)
     if typing.get_origin(kind) is tuple:
-        return tuple(_loaded(item, typing.get_args(kind)[0], f"{where} -> {i}") for i, item in enumerate(value))
+        items = zip(value, _item_kinds(value, kind), strict=True)
+        return tuple(_loaded(item, _flat(one), f"{where} -> {i}") for i, (item, one) in enumerate(items))
     if typing.get_origin(kind) is Mapping:
-        return {key: _loaded(item, typing.get_args(kind)[1], f"{where} -> {key}") for key, item in value.items()}
+        inner = _flat(typing.get_args(kind)[1])
+        return {key: _loaded(item, inner, f"{where} -> {key[:80]}") for key, item in value.items()}
     return Path(value) if kind is Path else value
 
 
-def _fits(value: object, kind: Any) -> bool:
+def _holds(value: object, kind: Any) -> bool:
+    """Whether a list, of the right length, or an object is what `kind` asks for, whatever is in it."""
+    if typing.get_origin(kind) is tuple:
+        return isinstance(value, list) and len(_item_kinds(value, kind)) == len(value)
+    return (typing.get_origin(kind) is Mapping or dataclasses.is_dataclass(kind)) and isinstance(value, Mapping)
+
+
+def _item_kinds(value: list[Any], kind: Any) -> tuple[Any, ...]:
+    arguments = typing.get_args(kind)
+    return arguments[:1] * len(value) if ... in arguments else arguments
+
+
+def _fits(value: Any, kind: Any) -> bool:
     if _is_literal(kind):
         return any(type(value) is type(get_arg) and value == get_arg for get_arg in typing.get_args(kind))
     if isinstance(kind, types.UnionType):
         return any(_fits(value, one) for one in typing.get_args(kind))
     if typing.get_origin(kind) is tuple:
-        return isinstance(value, list) and all(_fits(one, typing.get_args(kind)[0]) for one in value)
+        return _holds(value, kind) and all(map(_fits, value, _item_kinds(value, kind)))
     if typing.get_origin(kind) is Mapping:
-        return isinstance(value, Mapping) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
+        return _holds(value, kind) and all(_fits(one, typing.get_args(kind)[1]) for one in value.values())
     if kind is Path:
         return isinstance(value, str)
     if dataclasses.is_dataclass(kind):

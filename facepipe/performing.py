@@ -55,7 +55,10 @@ def perform(
     action.check()
     alone = isinstance(action, FileAction) and action.alone
     with locked(out, waiting=waiting) if alone else nullcontext(), together(out), ExitStack() as files:
-        temporary = {one: files.enter_context(_passing(one, path)) for one, path in _beside(action)}
+        temporary = {
+            one: (path, files.enter_context((replacing if one.suffix else replacing_folder)(path)))
+            for one, path in _beside(action)
+        }
         if isinstance(action, StageAction):
             return _staged(action, out, files, temporary, flatten=flatten, watch=watch)
         assert isinstance(action, FileAction)
@@ -172,13 +175,6 @@ def _beside(action: Action[Any]) -> Iterator[tuple[Field, Path]]:
     for field in fields_of(type(action)):
         if field.role == "beside" and getattr(action, field.name) is not None:
             yield field, Path(getattr(action, field.name))
-
-
-@contextmanager
-def _passing(one: Field, path: Path) -> Iterator[tuple[Path, Path]]:
-    """The path, and where it is written first."""
-    with (replacing if one.suffix else replacing_folder)(path) as place:
-        yield path, place
 
 
 @contextmanager

@@ -31,15 +31,57 @@ class ActionLine:
 
     def __init__(self, kind: type[Action[Any]]) -> None:
         self.kind = kind
-        self.__doc__ = sys.modules[kind.__module__].__doc__ or kind.summary
+        self.__doc__: str = sys.modules[kind.__module__].__doc__ or kind.summary
 
     def configure(self, parser: Parser, words: Sequence[str] = ()) -> None:
         """Add the arguments."""
-        configure(parser, self.kind)
+        kind, parser.intermixed = self.kind, True
+        add, fields = parser.add_argument, fields_of(kind)
+        for field in fields:
+            if field.role == "source" and field.name not in kind.own_flags:
+                add_field(parser, field)
+        staged = issubclass(kind, StageAction)
+        parser.set_defaults(edit=None, flatten=False)
+        if not issubclass(kind, Inspector):
+            _add_result(parser, kind)
+        if staged and any(field.several and field.stands_alone for field in fields):
+            text = "with --edit: another file for source N of the recipe"
+            add("--replace", action="append", default=[], metavar="N=FILE", help=text)
+        for field in fields:
+            if field.role == "beside":
+                add_field(parser, field)
+        add("--json", action="store_true", help="print the report as JSON")
+        kept = " (kept in the recipe; --edit changes them)" if staged else ""
+        group = parser.add_argument_group(f"settings{kept}")
+        kind.add_flags(group)
+        for field in fields:
+            if field.role == "option" and field.name not in kind.own_flags:
+                add_field(group, field)
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Do the action, print its report; the exit code."""
-        return run(arguments, self.kind)
+        from facepipe.performing import check_result, perform
+
+        kept, action = action_of(arguments, self.kind)
+        if isinstance(action, Inspector):
+            return _inspected(action, arguments)
+        warn(kept.warnings if kept else ())
+        inputs = inputs_of(arguments, action)
+        arguments.output = arguments.output or getattr(arguments, "out", None)
+        in_place = isinstance(action, InPlaceAction) and arguments.output is None
+        out = action.base if in_place else output_or_edited(arguments, inputs)
+        check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
+        flatten = arguments.flatten or (kept is not None and kept.standalone)
+        waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
+        done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
+        warn(done.report.warnings)
+        result = {"path": str(out), **done.report.to_dict(), **done.beside}
+        if isinstance(action, FileAction):
+            result["bytes"] = out.stat().st_size
+        result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
+        text = [action.text(done.report, out), *map(_line, done.beside.values())]
+        emit(result, "\n".join(text), as_json=arguments.json)
+        return 1 if action.missed(done.report) else 0
 
 
 class ActionGroup:
@@ -54,7 +96,7 @@ class ActionGroup:
         actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=Parser)
         for verb, summary in summaries(f"{self.name} ").items():
             name = verb.partition(" ")[2]
-            line = ActionLine(_kind(verb)) if name in words else None
+            line = self.line(name) if name in words else None
             help = summary.replace("%", "%%")
             own = actions.add_parser(name, help=help, description=line.__doc__ if line else None)
             if line:
@@ -62,39 +104,13 @@ class ActionGroup:
 
     def run(self, arguments: argparse.Namespace) -> int:
         """Do the action, print its report; the exit code."""
-        return run(arguments, _kind(f"{self.name} {arguments.action}"))
+        return self.line(arguments.action).run(arguments)
 
-
-def _kind(verb: str) -> type[Action[Any]]:
-    kind = find_action(verb)
-    assert kind is not None
-    return kind
-
-
-def configure(parser: Parser, kind: type[Action[Any]]) -> None:
-    """Add the arguments."""
-    parser.intermixed = True
-    add, fields = parser.add_argument, fields_of(kind)
-    for field in fields:
-        if field.role == "source" and field.name not in kind.own_flags:
-            add_field(parser, field)
-    staged = issubclass(kind, StageAction)
-    parser.set_defaults(edit=None, flatten=False)
-    if not issubclass(kind, Inspector):
-        _add_result(parser, kind)
-    if staged and any(field.several and field.stands_alone for field in fields):
-        text = "with --edit: another file for source N of the recipe"
-        add("--replace", action="append", default=[], metavar="N=FILE", help=text)
-    for field in fields:
-        if field.role == "beside":
-            add_field(parser, field)
-    add("--json", action="store_true", help="print the report as JSON")
-    kept = " (kept in the recipe; --edit changes them)" if staged else ""
-    group = parser.add_argument_group(f"settings{kept}")
-    kind.add_flags(group)
-    for field in fields:
-        if field.role == "option" and field.name not in kind.own_flags:
-            add_field(group, field)
+    def line(self, action: str) -> ActionLine:
+        """That of an action."""
+        kind = find_action(f"{self.name} {action}")
+        assert kind is not None
+        return ActionLine(kind)
 
 
 def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
@@ -110,31 +126,12 @@ def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
         add("--flatten", action="store_true", help="write a standalone file")
 
 
-def run(arguments: argparse.Namespace, kind: type[Action[Any]]) -> int:
-    """Do the action, print its report; the exit code."""
-    from facepipe.performing import check_result, files_of, perform
+def inputs_of(arguments: argparse.Namespace, action: Action[Any]) -> list[Path]:
+    """The files that an action reads, and those that the line gives for values of its fields."""
+    from facepipe.performing import files_of
 
-    kept, action = action_of(arguments, kind)
-    if isinstance(action, Inspector):
-        return _inspected(action, arguments)
-    warn(kept.warnings if kept else ())
-    read = [getattr(arguments, field.name, None) for field in fields_of(kind) if field.is_read]
-    inputs = [*files_of(action), *(path for path in read if path is not None)]
-    arguments.output = arguments.output or getattr(arguments, "out", None)
-    in_place = isinstance(action, InPlaceAction) and arguments.output is None
-    out = action.base if in_place else output_or_edited(arguments, inputs)
-    check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
-    flatten = arguments.flatten or (kept is not None and kept.standalone)
-    waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
-    done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
-    warn(done.report.warnings)
-    result = {"path": str(out), **done.report.to_dict(), **done.beside}
-    if isinstance(action, FileAction):
-        result["bytes"] = out.stat().st_size
-    result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
-    text = [action.text(done.report, out), *map(_line, done.beside.values())]
-    emit(result, "\n".join(text), as_json=arguments.json)
-    return 1 if action.missed(done.report) else 0
+    read = [getattr(arguments, field.name, None) for field in fields_of(type(action)) if field.is_read]
+    return [*files_of(action), *(path for path in read if path is not None)]
 
 
 def _inspected(action: Inspector[Any], arguments: argparse.Namespace) -> int:

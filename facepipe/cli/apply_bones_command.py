@@ -7,23 +7,23 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli import action_line
+from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
-from facepipe.processors import apply_bones_action
 from facepipe.processors.apply_bones_action import ApplyCoefficients
 
 if TYPE_CHECKING:
     from facepipe.payload import Header, PayloadContent
     from facepipe.stage import Face
 
-__doc__ = apply_bones_action.__doc__  # of --help
+_LINE = ActionLine(ApplyCoefficients)
+__doc__ = _LINE.__doc__  # of --help
 
 
 def configure(parser: Parser, words: list[str]) -> None:
     """Add the arguments."""
-    action_line.configure(parser, ApplyCoefficients)
+    _LINE.configure(parser)
     parser.add_argument("--info", action="store_true", help="print what COEFFICIENTS holds, and whether it fits FACE")
 
 
@@ -32,13 +32,13 @@ def run(arguments: argparse.Namespace) -> int:
     out: Path | None = arguments.output
     points = out is not None and out.suffix.lower() == ".npz"
     if not arguments.info and not points:
-        return action_line.run(arguments, ApplyCoefficients)
+        return _LINE.run(arguments)
     refused = ("output", "name", "clamp", "edit") if arguments.info else ("name", "flatten", "edit")
     for name in refused:
         if getattr(arguments, name, None):
             beside = "--info" if arguments.info else f"-o {arguments.output.name}"
             raise InputError(f"--{name}", f"given with {beside}, expected only one of them")
-    _, action = action_line.action_of(arguments, ApplyCoefficients)
+    _, action = action_of(arguments, ApplyCoefficients)
     return _info(action, as_json=arguments.json) if arguments.info else _points(action, arguments)
 
 

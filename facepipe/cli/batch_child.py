@@ -21,9 +21,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from facepipe.actions import find_action
 from facepipe.cli import command_module, paths_in
-from facepipe.cli.action_line import ActionGroup, ActionLine, action_of
+from facepipe.cli.action_line import ActionGroup, ActionLine, action_of, inputs_of
 from facepipe.cli.parser import Parser
 from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
@@ -125,10 +124,10 @@ def read_line(words: list[str]) -> Line:
         parsed = _parsed(parser, words[1:], errors)
     parsed.json = parsed.force = True
     writes = [path for path in (getattr(parsed, "output", None), getattr(parsed, "out", None)) if path is not None]
-    if isinstance(module, ActionLine | ActionGroup):
-        if isinstance(module, ActionGroup):
-            verb = f"{module.name} {parsed.action}"
-        reads, more = _of_action(verb, parsed, writes)
+    line = module.line(parsed.action) if isinstance(module, ActionGroup) else module
+    if isinstance(line, ActionLine):
+        verb = line.kind.verb
+        reads, more = _of_action(line.kind, parsed, writes)
         writes += more
     else:
         reads = [path for path in paths_in(list(vars(parsed).values())) if path not in writes]
@@ -137,19 +136,16 @@ def read_line(words: list[str]) -> Line:
     return Line(verb=verb, reads=reads, writes=writes, run=lambda: _run(module, parsed))
 
 
-def _of_action(verb: str, parsed: argparse.Namespace, writes: list[Path]) -> tuple[list[Path], list[Path]]:
+def _of_action(
+    kind: type[Action[Any]], parsed: argparse.Namespace, writes: list[Path]
+) -> tuple[list[Path], list[Path]]:
     """What an action reads, and what it writes beside its result."""
-    from facepipe.performing import files_of
-
-    kind: type[Action[Any]] | None = find_action(verb)
-    assert kind is not None
     if parsed.edit is not None or (issubclass(kind, InPlaceAction) and not writes):
-        raise InputError(verb, "would change its input, which a step can't, expected another result")
+        raise InputError(kind.verb, "would change its input, which a step can't, expected another result")
     action = action_of(parsed, kind)[1]
-    read = [getattr(parsed, field.name, None) for field in fields_of(kind) if field.is_read]
     beside = [getattr(action, field.name) for field in fields_of(kind) if field.role == "beside"]
     more = [path for path in beside if path is not None] + _companions(writes, kind)
-    return [*files_of(action), *(path for path in read if path is not None)], more
+    return inputs_of(parsed, action), more
 
 
 def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> list[Path]:

@@ -132,10 +132,7 @@ def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:
 
 
 def _lines(run: Run) -> Callable[..., object]:
-    last = time.monotonic()
-    total = len(run.plan.rows) * sum(not step.once for step in run.plan.steps) + sum(
-        step.once for step in run.plan.steps
-    )
+    last, total = time.monotonic(), run.left  # none has ended
 
     def on_task(task: Any, record: dict[str, Any]) -> None:
         nonlocal last

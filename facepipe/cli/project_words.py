@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from facepipe.actions import find_action, groups, summaries
 from facepipe.cli.parser import Parser, add_field
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
+from facepipe.core.placing import relative
 from facepipe.core.project import Project
 from facepipe.declare import fields_of
 
@@ -90,14 +90,7 @@ def _named(project: Project, words: list[str], folder: Path) -> list[str]:
         after = number > 0 and words[number - 1] == "--rename"
         name = value if flag == "--rename" and equals else word if after else ""
         if name in project.names:
-            file = _from(folder, project.names[name])
+            file = relative(project.names[name], folder)
             word = f"--rename={file}" if equals and not after else file
         named.append(word)
     return named
-
-
-def _from(folder: Path, file: Path) -> str:
-    try:
-        return Path(os.path.relpath(file, folder)).as_posix()
-    except ValueError:  # another drive
-        return file.as_posix()

@@ -7,28 +7,24 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli import action_line
-from facepipe.cli.parser import Parser, output_of
+from facepipe.cli.action_line import ActionLine
+from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
-from facepipe.processors import regions_action
 from facepipe.processors.regions_action import AuthorRegions
 
 if TYPE_CHECKING:
     from facepipe.processors.regions import RegionCount
 
-__doc__ = regions_action.__doc__  # of --help
-
-
-def configure(parser: Parser, words: list[str]) -> None:
-    """Add the arguments."""
-    action_line.configure(parser, AuthorRegions)
+_LINE = ActionLine(AuthorRegions)
+__doc__ = _LINE.__doc__  # of --help
+configure = _LINE.configure
 
 
 def run(arguments: argparse.Namespace) -> int:
     """List, or author the layer."""
     if arguments.edit is not None or hasattr(arguments, "map"):
-        return action_line.run(arguments, AuthorRegions)
+        return _LINE.run(arguments)
     for name in ("legend", "output", "mesh", "uv_set"):
         if getattr(arguments, name, None) is not None:
             raise InputError(f"--{name.replace('_', '-')}", "given without --map, expected both or neither")

@@ -5,32 +5,27 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli import action_line
-from facepipe.cli.parser import Parser
+from facepipe.cli.action_line import ActionLine
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
 from facepipe.core.reports import table
-from facepipe.processors.sliders import sliders_action
 from facepipe.processors.sliders.sliders_action import SlidersOfFace
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Slider, SliderNetwork
 
-__doc__ = sliders_action.__doc__  # of --help
+_LINE = ActionLine(SlidersOfFace)
+__doc__ = _LINE.__doc__  # of --help
+configure = _LINE.configure
 
 _SHOWN = 4  # of what a slider drives
 _WAYS = ("table", "network", "shapes", "values", "reset")
 
 
-def configure(parser: Parser, words: list[str]) -> None:
-    """Add the arguments."""
-    action_line.configure(parser, SlidersOfFace)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """List, or author, make or set."""
     if arguments.edit is not None or any(hasattr(arguments, way) for way in _WAYS):
-        return action_line.run(arguments, SlidersOfFace)
+        return _LINE.run(arguments)
     for flag, given in {
         "--replace": hasattr(arguments, "drop"),
         "--mirror": hasattr(arguments, "mirror"),

@@ -140,6 +140,14 @@ def suggestion(name: str, known: Collection[str], otherwise: str = "") -> str:
     return did_you_mean(name, known) or (f", expected one of {some}" if some else "; there are none")
 
 
+def check_keys(where: object, keys: Iterable[str], known: Collection[str]) -> None:
+    """:raises InputError: a key that is not known, with the nearest that is, or all of these"""
+    for key in keys:
+        if key not in known:
+            near = did_you_mean(key, known) or f", expected some of {', '.join(known)}"
+            raise InputError(where, f"'{key[:40]}' is unknown{near}")
+
+
 def unmatched(pattern: str, known: Sequence[str], what: str) -> str:
     """A message about a pattern that fits nothing, with the nearest name that is there, or a few of those."""
     some = f"some of {', '.join(known[:4])} ..." if known else "a face that has some"

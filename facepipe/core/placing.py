@@ -140,9 +140,9 @@ def write_journal(moves: Sequence[Move], folders: Sequence[Path]) -> None:
     """
     first = folders[0]
     for other in folders[1:]:
-        _write(other / _JOINED, _relative(first.parent, other.parent))
+        _write(other / _JOINED, relative(first.parent, other.parent))
     steps = [(folders.index(move.hidden), move.name, move.former, move.role) for move in moves]
-    parents = [_relative(folder.parent, first.parent) for folder in folders]
+    parents = [relative(folder.parent, first.parent) for folder in folders]
     _write(first / JOURNAL, json.dumps({"folders": parents, "moves": steps}))
 
 
@@ -234,11 +234,12 @@ def _text(path: Path) -> str | None:
         return None
 
 
-def _relative(path: Path, start: Path) -> str:
+def relative(path: str | Path, start: Path) -> str:
+    """A path as seen from a folder, with slashes; as it is where it is on another drive of Windows."""
     try:
         return Path(os.path.relpath(path, start)).as_posix()
-    except ValueError:  # another drive on Windows
-        return str(path)
+    except ValueError:
+        return Path(path).as_posix()
 
 
 def _write(path: Path, text: str) -> None:

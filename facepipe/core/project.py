@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean
+from facepipe.core.names import check_keys
 from facepipe.core.reading import read_toml
 from facepipe.core.trust import PROJECT
 
@@ -65,9 +65,7 @@ def project_around(folder: Path) -> Project | None:
 
 def _read(file: Path) -> Project:
     content = read_toml(file, _MOST_BYTES)
-    for key in content:
-        if key not in _KEYS:
-            raise InputError(file, f"'{key[:40]}' is unknown{did_you_mean(key, _KEYS) or f', expected {_KEYS}'}")
+    check_keys(file, content, _KEYS)
     roots, names, defaults = (content.get(key, kind()) for key, kind in zip(_KEYS, (list, dict, dict), strict=True))
     if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         raise InputError(f"{file} -> roots", 'expected a list of folders, like ["../library"]')

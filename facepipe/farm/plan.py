@@ -18,7 +18,6 @@ A name in braces is a column of the table, an earlier step (its result of the sa
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -28,7 +27,8 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean
+from facepipe.core.names import check_keys, did_you_mean
+from facepipe.core.placing import relative
 from facepipe.core.reading import read_toml
 from facepipe.farm.remote import is_url, placed
 from facepipe.farm.table import Row, read_table
@@ -36,7 +36,7 @@ from facepipe.farm.table import Row, read_table
 _MOST_BYTES = 1 << 20
 _BRACES = re.compile(r"\{([^{}]*)\}")
 _STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
-_KEYS = {"run", "out", "once", "priority", "seconds", "memory_mb"}
+_KEYS = ("memory_mb", "once", "out", "priority", "run", "seconds")
 OUT = "out"
 
 
@@ -69,7 +69,7 @@ class Plan:
 def read_plan(path: Path) -> Plan:
     """:raises InputError: no plan, a table that can't be read, or no step"""
     content = read_toml(path, _MOST_BYTES)
-    _check_keys(path, content, {"out", "faces", "steps"})
+    check_keys(path, content, ("faces", "out", "steps"))
     folder = path.absolute().parent
     out = content.get("out", "out")
     faces, steps = content.get("faces"), content.get("steps")
@@ -99,7 +99,7 @@ def _step(path: Path, name: str, table: Any) -> Step:
         raise InputError(where, "expected a name of letters, digits, - and _")
     if not isinstance(table, dict):
         raise InputError(where, f'{str(table)[:40]}, expected a table with run = "ACTION ..."')
-    _check_keys(where, table, _KEYS)
+    check_keys(where, table, _KEYS)
     run = table.get("run")
     if not isinstance(run, str | list) or not all(isinstance(one, str) for one in run):
         raise InputError(where, 'no line to run, expected run = "ACTION ..."')
@@ -146,13 +146,6 @@ def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = Non
     return plan_of(
         f"--each {pattern}", folder, str(folder), read_table("--each", folder, {"glob": pattern}), {step.name: step}
     )
-
-
-def _check_keys(where: object, said: Mapping[str, Any], known: Collection[str]) -> None:
-    for key in said:
-        if key not in known:
-            near = did_you_mean(key, known) or f", expected some of {', '.join(sorted(known))}"
-            raise InputError(where, f"'{key[:40]}' is unknown{near}")
 
 
 def braces(step: Step) -> Iterator[str]:
@@ -209,7 +202,6 @@ def filled(pattern: str, values: Mapping[str, str]) -> str:
 
 
 _NUMBER = re.compile(r"-\d*\.?\d*(e-?\d+)?")
-_WHOLE = re.compile(r"\{([^{}]*)\}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +251,7 @@ def result_of(plan: Plan, task: Task) -> str:
     if not task.step.out:
         return ""
     values = {} if task.row is None else task.row.values
-    for name in _WHOLE.findall(task.step.out):
+    for name in _BRACES.findall(task.step.out):
         value = values.get(name, "")
         if Path(value).is_absolute() or is_url(value) or ".." in re.split(r"[/\\]", value) or "\0" in value:
             raise InputError(task.name, f"{{{name}}} is {value[:80]}, which leads out of the folder of results")
@@ -277,7 +269,7 @@ def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> lis
     values |= {name: " ".join(paths) for name, paths in results.items()}
     words: list[str] = []
     for word in task.step.words:
-        named = _WHOLE.fullmatch(word)
+        named = _BRACES.fullmatch(word)
         many = results.get(named[1], ()) if named else ()
         put = list(many) if len(many) > 1 else [filled(word, values)]
         for one in put:
@@ -290,7 +282,4 @@ def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> lis
 
 def _from(plan: Plan, path: str) -> str:
     """A path from the plan's folder, so that what is written is the same wherever that is; a URL as it is."""
-    try:
-        return path if is_url(path) else Path(os.path.relpath(path, plan.folder)).as_posix()
-    except ValueError:  # another drive
-        return Path(path).as_posix()
+    return path if is_url(path) else relative(path, plan.folder)

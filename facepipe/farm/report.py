@@ -91,10 +91,7 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
 def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
     ended = [one for name, one in records.items() if name.partition("/")[0] == step]
     made = [one for one in ended if one["status"] in _DONE]
-    counts: dict[str, int] = {}
-    for one in ended:
-        counts[one["status"]] = counts.get(one["status"], 0) + 1
-    facts: dict[str, Any] = {"counts": counts}
+    facts: dict[str, Any] = {"counts": dict(Counter(one["status"] for one in ended))}
     if made:
         facts["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
         facts["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)

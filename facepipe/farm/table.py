@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean, file_name
+from facepipe.core.names import check_keys, file_name
 from facepipe.core.reading import read_bytes
 from facepipe.core.trust import check_copied, trust
 from facepipe.farm.remote import Store, checked, is_url, placed
@@ -40,11 +40,7 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any]) -> tuple[Row,
     :raises InputError: none or two of these, one that can't be read, no row, or two rows of one name
     """
     kinds = [kind for kind in _KINDS if kind in table]
-    for key in table:
-        if key not in _KINDS:
-            raise InputError(
-                where, f"'{key[:40]}' is unknown{did_you_mean(key, _KINDS) or f', expected one of {_KINDS}'}"
-            )
+    check_keys(where, table, _KINDS)
     if len(kinds) != 1:
         raise InputError(where, f"expected one of {', '.join(_KINDS)}")
     read = {"glob": _of_glob, "csv": _of_csv, "rows": _of_rows, "range": _of_range}[kinds[0]]

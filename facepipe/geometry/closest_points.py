@@ -48,6 +48,8 @@ class SurfaceSearch:
     """
 
     def __init__(self, surface_points: FloatArray, triangles: IntArray) -> None:
+        from scipy.spatial import cKDTree
+
         surface_points, triangles = np.asarray(surface_points, np.float64), np.asarray(triangles)
         if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(surface_points):
             what = f"{len(triangles)} triangles, expected at least one, all at points 0 to {len(surface_points) - 1}"
@@ -55,7 +57,7 @@ class SurfaceSearch:
         self._corners = surface_points[triangles]
         centres = self._corners.mean(axis=1)
         sizes = np.sqrt(((self._corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
-        self._groups = [_Group.sorted_by_place(centres, sizes, members) for members in _by_size(sizes)]
+        self._groups = [_Group(members, sizes[members], cKDTree(centres[members])) for members in _by_size(sizes)]
 
     def closest(self, points: FloatArray) -> ClosestPlaces:
         """The nearest place to each of `points` (m, 3)."""
@@ -74,12 +76,6 @@ class _Group:
     members: IntArray  # (g,)
     sizes: FloatArray  # (g,) radii of their bounding spheres
     tree: Any  # of the spheres' centres
-
-    @classmethod
-    def sorted_by_place(cls, centres: FloatArray, sizes: FloatArray, members: IntArray) -> _Group:
-        from scipy.spatial import cKDTree
-
-        return cls(members, sizes[members], cKDTree(centres[members]))
 
 
 def closest_among(

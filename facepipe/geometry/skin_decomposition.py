@@ -40,22 +40,16 @@ class Decomposition:
     after: FloatArray  # (s, n) with `weights`
 
 
-@dataclass(frozen=True, kw_only=True)
-class DecompositionOptions:
-    """Options of a decomposition."""
-
-    most: int = 4  # weights above 0 a point
-    iterations: int = 10  # rounds of weights and transforms
-    evenness: float = 0.3  # pull towards the neighbours' mean, of the mean square motion of points over all examples
-
-
 def decompose(
     rest: FloatArray,
     shapes: FloatArray,
     edges: IntArray,
     candidates: IntArray,
     weights: FloatArray,
-    options: DecompositionOptions,
+    *,
+    most: int,
+    iterations: int,
+    evenness: float,
     step: Callable[[], object] = lambda: None,
 ) -> Decomposition:
     """Refine weights for example shapes; the best round counts.
@@ -65,15 +59,18 @@ def decompose(
     :param edges: (e, 2) neighbours
     :param candidates: (n, k) different joints that each point may have
     :param weights: (n, k) to begin with, rows in sum 1; a candidate with 0 is never used
+    :param most: weights above 0 a point
+    :param iterations: rounds of weights and transforms
+    :param evenness: pull towards the neighbours' mean, of the mean square motion of points over all examples
     :param step: called after every round
     """
-    solver = _Solver(rest, shapes, edges, candidates, weights, options.evenness)
-    current = _cut(weights, options.most)
+    solver = _Solver(rest, shapes, edges, candidates, weights, evenness)
+    current = _cut(weights, most)
     solver.settle(current)
     before = after = solver.residuals(current)
     best = current
-    for _ in range(options.iterations):
-        current = solver.fitted_weights(current, options.most)
+    for _ in range(iterations):
+        current = solver.fitted_weights(current, most)
         solver.fit_transforms(current)
         found = solver.residuals(current)
         if (found**2).sum() < (after**2).sum():

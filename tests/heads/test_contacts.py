@@ -50,6 +50,7 @@ def test_a_ball_beside_skin_shows_and_has_no_contact() -> None:
     assert measured.shown(points)[0] == pytest.approx(np.pi * RADIUS**2 / STEP**2, rel=0.05)
 
 
+@pytest.mark.slow
 def test_raw_shapes_of_ict_show_teeth_through_the_rolled_lip_alone() -> None:
     raw = Subject(load("ict", shared("ict_facekit/ict_facekit.npz"), ict.Options()).parts)
     mouth = mouth_sheet(raw)

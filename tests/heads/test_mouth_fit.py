@@ -25,9 +25,12 @@ def before_the_skin(points: FloatArray) -> int:
     """
     lips = points[asset().landmarks[60:], 1]
     triangles = point_triangles(asset().counts, asset().indices)
-    a, b, c = (points[triangles[(triangles < SKIN).all(axis=1)][:, corner]] for corner in range(3))
+    deep = points[INSIDE][asset().points[INSIDE, 2] < 11.0]
+    corners = points[triangles[(triangles < SKIN).all(axis=1)]]
+    near = (corners.min(axis=1) <= deep.max(axis=0)) & (corners.max(axis=1) >= deep.min(axis=0))
+    a, b, c = corners[near[:, :2].all(axis=1)].transpose(1, 0, 2)
     count = 0
-    for point in points[INSIDE][asset().points[INSIDE, 2] < 11.0]:
+    for point in deep:
         across = [
             u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
             for u, v in ((b - point, c - point), (c - point, a - point), (a - point, b - point))

@@ -9,9 +9,12 @@ from pathlib import Path
 
 import fresh_process
 import pytest
+from faces import tiny_face
 from jsonschema import Draft202012Validator
 from pages import blocks
 from places import REPOSITORY
+
+from facepipe.stage import save_parts
 
 PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ACTION, TEST = "facepipe/processors/scale_shapes_action.py", "tests/processors/test_scale_shapes.py"
@@ -73,16 +76,20 @@ def test_its_tests_pass_and_those_of_the_house(house: Path) -> None:
 
 
 def test_its_command_recipe_cook_function_and_schema_work(house: Path, tmp_path: Path) -> None:
-    lines = [line.removeprefix("facepipe ") for line in blocks(PAGE, "sh")[2].splitlines()]
+    """On a small face in the place of the sample, which is soon read; `sample` has tests of its own."""
+    made, *lines = (line.removeprefix("facepipe ") for line in blocks(PAGE, "sh")[2].splitlines())
+    assert made == "sample -o head.usda"
+    save_parts(tiny_face(), tmp_path / "head.usda")
+    *before, kept = fresh_process.commands(tmp_path, house, *lines)
+    save_parts(tiny_face(1), tmp_path / "head.usda")
     more = (
-        "sample -o head.usda --seed 1 --textures 0 --force",
         "cook soft.usda",
         "--help",
         "scale-shapes --help",
         "scale-shapes head.usda --shape jawOpen --factor 0.6 -o same.usda --json",
     )
-    *_, kept, _, cook, help, options, same = ends = fresh_process.commands(tmp_path, house, *lines, *more)
-    assert [(end.returncode, end.stderr) for end in ends] == [(0, "")] * len(ends)
+    cook, help, options, same = after = fresh_process.commands(tmp_path, house, *more)
+    assert {(end.returncode, end.stderr) for end in (*before, kept, *after)} == {(0, "")}
     assert "1 up to date" in kept.stdout
     assert "soft.usda: scale-shapes: cooked" in cook.stdout
     assert re.search(r"^  scale-shapes +make blendshapes stronger or weaker$", help.stdout, re.MULTILINE)

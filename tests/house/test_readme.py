@@ -16,7 +16,7 @@ from pages import blocks
 from places import REPOSITORY
 
 import facepipe
-from facepipe.cli import commands_of
+from facepipe.cli import commands_of, demo_command
 from facepipe.performing import read_kept
 from facepipe.processors.blend import BlendFaces
 
@@ -97,6 +97,7 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("one_sample_a_pixel")
 def test_the_demo_makes_everything(tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(demo_command, "_TEXTURES", 64)
     printed = done(capsys, "demo", "demo", quiet=False)
     assert {"head.usda", "head.glb", "head.onnx", "points.npz", "sheet.png"} <= {
         one.name for one in (tmp_path / "demo").iterdir()

@@ -135,6 +135,7 @@ def test_a_photo_on_its_side_shows_the_same_face(quarters: int) -> None:
     assert inner_error(found, np.stack(expected[quarters], axis=1)) < WORST_OF_RENDERS
 
 
+@pytest.mark.slow
 def test_a_flag_a_helmet_and_patches_are_no_faces() -> None:
     gray = np.repeat(photo()[215:].mean(axis=2, keepdims=True), 3, axis=2)  # all of the photo below the chin
     assert find_landmarks(gray) == []

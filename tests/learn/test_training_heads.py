@@ -51,11 +51,11 @@ def test_landmarks_lie_where_the_labels_have_their_parts() -> None:
 
 
 def test_people_are_drawn_alike_by_the_same_numbers_and_not_by_others() -> None:
-    again = heads.person(0, np.random.default_rng(2), poses=1, views=2)
-    for one, other in zip(pictures()[:2], again, strict=True):
-        assert one.keys() == other.keys()
-        assert all(np.array_equal(one[name], other[name]) for name in one)
-    assert not np.array_equal(again[0]["landmarks"], pictures()[2]["landmarks"])
+    (again,) = heads.person(0, np.random.default_rng(2), poses=1, views=1)  # the first of two views
+    first = pictures()[0]
+    assert first.keys() == again.keys()
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+    assert not np.array_equal(again["landmarks"], pictures()[2]["landmarks"])
 
 
 def test_a_person_who_changes_looks_keeps_the_shape() -> None:

@@ -350,6 +350,7 @@ def worst(path: Path, tmp_path: Path, counts: tuple[int, ...]) -> list[tuple[flo
     return [(max(one.mean_mm for one in each), max(one.p95_mm for one in each)) for each in shapes]
 
 
+@pytest.mark.slow
 def test_ict_facekit_moves_as_before(tmp_path: Path) -> None:
     assert exit_code("import", "ict", shared("ict_facekit/ict_facekit.npz"), tmp_path / "ict.usdc") == 0
     fine, (mean, p95) = worst(tmp_path / "ict.usdc", tmp_path, (20000, 8000))
@@ -436,6 +437,7 @@ def test_a_few_cards_are_simplified_as_other_meshes_are(tmp_path: Path) -> None:
     assert report.levels[0].errors.cards == {}
 
 
+@pytest.mark.slow
 def test_a_head_with_long_hair_moves_as_before(tmp_path: Path) -> None:
     facepipe.sample(tmp_path / "head.usdc", seed=8, textures=16)
     ((mean, p95),) = worst(tmp_path / "head.usdc", tmp_path, (8000,))

@@ -272,6 +272,7 @@ def authored(path: Path) -> list[str]:
     return paths
 
 
+@pytest.mark.slow
 def test_ict_tile_by_tile(tmp_path: Path) -> None:
     """The ICT head's UVs fill two tiles: a map of each, one after the other, gives all of its regions back."""
     from facepipe.importers import load

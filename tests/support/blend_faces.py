@@ -213,5 +213,9 @@ def same(found: np.ndarray, expected: np.ndarray, about: float) -> None:
 
 
 def kinds(*names: object) -> pytest.MarkDecorator:
-    """Runs a test on heads of every kind; those that need ../shared skip without it."""
-    return pytest.mark.parametrize("kind", names or KINDS)
+    """Runs a test on heads of every kind; those that need ../shared skip without it.
+
+    ICT-FaceKit as it is takes much longer than the sample, which is made of it, and is slow.
+    """
+    heads = [pytest.param(name, marks=pytest.mark.slow) if name == "ict" else name for name in names or KINDS]
+    return pytest.mark.parametrize("kind", heads)

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
 from faces import with_meshes
 from import_data import shared
 from small_head import make
@@ -24,7 +25,8 @@ from facepipe.stage import Face
 Array = np.ndarray[Any, Any]
 
 # joint -> landmarks of multipie68 whose middle it stands at
-KINDS = ("sample", "ict", "makehuman")
+ICT_KIND = pytest.param("ict", marks=pytest.mark.slow)  # the sample, which is made of it, is quicker
+KINDS = ("sample", ICT_KIND, "makehuman")
 _ICT = {"Teeth": ("head", "head/jaw"), "GumsAndTongue": ("head", "head/jaw")}
 HELD = {  # loose parts that joints hold whole
     "sample": _ICT,

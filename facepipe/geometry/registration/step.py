@@ -60,8 +60,8 @@ def solve_step(surface: DeformableSurface, membrane: Membrane, pulls: Sequence[P
     rows = [_Rows.from_pull(surface, pull) for pull in pulls]
     system = _System.from_rows(surface, rows)
     right = np.zeros((3 * len(surface.base), 1 + system.count))
-    for pull, row, columns in zip(pulls, rows, system.columns, strict=True):
-        right[:, columns] += row.right(len(surface.base), pull)
+    for row, columns in zip(rows, system.columns, strict=True):
+        right[:, columns] += row.right(len(surface.base))
     solved = membrane.factor(pulls).solve(right)
     unknown = system.solve(right.T @ solved)
     residual = solved[:, 0] - solved[:, 1:] @ unknown
@@ -78,36 +78,28 @@ def solve_model_step(surface: DeformableSurface, pulls: Sequence[Pull]) -> Step:
 class _Rows:
     """Equations of one scan: columns are the offset, coefficients, own weights, and the scan's place."""
 
+    pull: Pull
     planes: FloatArray  # (m, 1 + k + q)
     fixed: FloatArray  # (l, 3, 1 + k + q) of the anchors
-    weights: FloatArray  # (m,)
-    anchor_weights: FloatArray  # (l,)
     centre: FloatArray  # (3,) the scan turns and grows about
-    shown: Shown
 
     @classmethod
     def from_pull(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
         centre = pull.matches.places.mean(axis=0)
-        return cls(
-            planes=_plane_columns(surface, pull, centre),
-            fixed=_anchor_columns(surface, pull, centre),
-            weights=pull.weights,
-            anchor_weights=pull.anchor_weights,
-            centre=centre,
-            shown=pull.shown,
-        )
+        planes, fixed = _plane_columns(surface, pull, centre), _anchor_columns(surface, pull, centre)
+        return cls(pull=pull, planes=planes, fixed=fixed, centre=centre)
 
     def normal(self) -> FloatArray:
         """(1 + k + q, 1 + k + q)."""
-        found = self.planes.T @ (self.weights[:, None] * self.planes)
-        return np.asarray(found + np.einsum("lip,l,liq->pq", self.fixed, self.anchor_weights, self.fixed))
+        found = self.planes.T @ (self.pull.weights[:, None] * self.planes)
+        return np.asarray(found + np.einsum("lip,l,liq->pq", self.fixed, self.pull.anchor_weights, self.fixed))
 
-    def right(self, count: int, pull: Pull) -> FloatArray:
+    def right(self, count: int) -> FloatArray:
         """(3n, 1 + k + q) of the residual's equations."""
-        sides = np.zeros((count, 3, self.planes.shape[1]))
-        weighted = self.weights[:, None] * self.planes
+        pull, sides = self.pull, np.zeros((count, 3, self.planes.shape[1]))
+        weighted = pull.weights[:, None] * self.planes
         sides[pull.seen] = pull.matches.normals[:, :, None] * weighted[:, None, :]
-        anchored = self.anchor_weights[:, None, None] * self.fixed
+        anchored = pull.anchor_weights[:, None, None] * self.fixed
         sides += (pull.spread.T @ anchored.reshape(len(anchored), -1)).reshape(sides.shape)
         return sides.reshape(3 * count, -1)
 
@@ -130,9 +122,10 @@ class _System:
         for row in rows:
             unknowns = row.planes.shape[1] - 1 - modes
             columns.append(np.concatenate([np.arange(1 + modes), np.arange(after, after + unknowns)]))
-            place = np.zeros(unknowns - len(row.shown.expected))
-            precision += [row.shown.precision, place]
-            expected += [row.shown.expected, place]
+            shown = row.pull.shown
+            place = np.zeros(unknowns - len(shown.expected))
+            precision += [shown.precision, place]
+            expected += [shown.expected, place]
             after += unknowns
         prior, mean = np.concatenate(precision), np.concatenate(expected)
         return cls(rows=rows, columns=columns, modes=modes, precision=prior, expected=mean)
@@ -158,8 +151,9 @@ class _System:
         moves, weights = [], []
         for row, columns in zip(self.rows, self.columns, strict=True):
             of_scan = unknown[columns[1 + self.modes :] - 1]
-            weights.append(of_scan[: len(row.shown.expected)])
-            moves.append(_similarity(of_scan[len(row.shown.expected) :], row.centre))
+            count = len(row.pull.shown.expected)
+            weights.append(of_scan[:count])
+            moves.append(_similarity(of_scan[count:], row.centre))
         return Step(coefficients=unknown[: self.modes], residual=residual, moves=tuple(moves), weights=tuple(weights))
 
 

@@ -11,11 +11,6 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.differences import cotangent_weights
 
 
-def no_labels() -> IntArray:
-    """No label."""
-    return np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DeformableSurface:
     """``points = base + sum_k coefficient_k mode_k + residual``, in millimetres, n points.
@@ -31,7 +26,8 @@ class DeformableSurface:
     triangles: IntArray  # (t, 3)
     seen: IntArray  # (m,) points that a scan shows: those look for their places
     held: FloatArray  # (n,) 0 or more: how much the residual is drawn to 0 where it should stay, per mm^2 of area
-    labels: IntArray = field(default_factory=no_labels)  # (n,) or none: points of +a and -a never correspond
+    # (n,) or none: points of +a and -a never correspond
+    labels: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def points(self, coefficients: FloatArray, residual: FloatArray | float = 0.0) -> FloatArray:
         """(n, 3)."""
@@ -64,11 +60,6 @@ def means_around(base: FloatArray, triangles: IntArray) -> Any:
     return (mean @ mean).tocsr()
 
 
-def no_sigmas() -> FloatArray:
-    """All have the sigma of the options."""
-    return np.zeros(0)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Anchors:
     """l places, each on a triangle (or a point, with share 1), with where the scan has them."""
@@ -77,7 +68,7 @@ class Anchors:
     shares: FloatArray  # (l, 3) in sum 1
     targets: FloatArray  # (l, 3) on the scan
     names: tuple[str, ...] = field(default=())  # one each, for reports
-    sigmas: FloatArray = field(default_factory=no_sigmas)  # (l,) mm or none; NaN: that of the options
+    sigmas: FloatArray = field(default_factory=lambda: np.zeros(0))  # (l,) mm or none; NaN: that of the options
 
     @classmethod
     def at_points(
@@ -88,7 +79,7 @@ class Anchors:
         shares = np.tile([1.0, 0.0, 0.0], (len(known), 1))
         corners = np.repeat(np.asarray(points)[known, None], 3, axis=1)
         kept = tuple(names[i] for i in known) if names else ()
-        known_sigmas = no_sigmas() if sigmas is None else np.asarray(sigmas, np.float64)[known]
+        known_sigmas = np.zeros(0) if sigmas is None else np.asarray(sigmas, np.float64)[known]
         targets = np.asarray(targets, np.float64)[known]
         return cls(corners=corners, shares=shares, targets=targets, names=kept, sigmas=known_sigmas)
 

@@ -20,6 +20,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
 from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json
 
 _NO_REGIONS = "none: the first source has no regions"
 _MOST_BYTES = 1 << 20
@@ -100,6 +101,14 @@ def _one_hot(name: str, number: int, sources: int) -> FloatArray:
     return np.asarray(np.eye(sources)[number - 1])
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Kept:
+    regions: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    default: tuple[float, ...] | None = None
+    gains: tuple[float, ...] | None = None
+    locked: Mapping[str, int] | None = None
+
+
 def read_weights(path: Path) -> Weights:
     """The weights of a JSON file; names and counts are checked against the faces later.
 
@@ -123,42 +132,11 @@ def weights_from_json(content: object, where: str) -> Weights:
 
     :raises InputError: another structure, or values of other types
     """
-    content = _mapping(content, where)
-    nested = isinstance(content.get("regions"), Mapping)
-    others = {key: value for key, value in content.items() if key not in (_KEYS if nested else _KEYS[1:])}
-    if nested and others:
-        raise InputError(f"{where} -> {next(iter(others))[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
-    regions = _mapping(content["regions"], f"{where} -> regions") if nested else others
-    locked = _mapping(content.get("locked") or {}, f"{where} -> locked")
-    return Weights(
-        regions={name: _numbers(row, f"{where} -> {name[:60]}") for name, row in regions.items()},
-        default=_optional(content.get("default"), f"{where} -> default"),
-        gains=_optional(content.get("gains"), f"{where} -> gains"),
-        locked={name: _source(number, f"{where} -> locked -> {name[:60]}") for name, number in locked.items()},
-    )
-
-
-def _mapping(value: object, where: str) -> Mapping[str, object]:
-    if not isinstance(value, Mapping):
-        raise InputError(where, f"{str(value)[:40]}, expected a JSON object")
-    return value
-
-
-def _optional(value: object, where: str) -> tuple[float, ...] | None:
-    return None if value is None else _numbers(value, where)
-
-
-def _numbers(value: object, where: str) -> tuple[float, ...]:
-    good = isinstance(value, list | tuple) and value
-    if not good or any(type(one) not in (int, float) or abs(one) > 1e300 for one in value):  # type: ignore[attr-defined]
-        raise InputError(where, f"{str(value)[:40]}, expected a list of numbers, one per source")
-    return tuple(float(one) for one in value)  # type: ignore[attr-defined]
-
-
-def _source(value: object, where: str) -> int:
-    if type(value) is not int or not 1 <= value <= 1_000_000:
-        raise InputError(where, f"{str(value)[:40]}, expected the number of a source, from 1")
-    return value
+    if isinstance(content, Mapping) and not isinstance(content.get("regions"), Mapping):
+        regions = {key: value for key, value in content.items() if key not in _KEYS[1:]}
+        content = {"regions": regions, **{key: content[key] for key in _KEYS[1:] if key in content}}
+    kept = from_json(_Kept, content, where)
+    return Weights(regions=kept.regions, default=kept.default, gains=kept.gains, locked=kept.locked or {})
 
 
 def weights_of(arguments: argparse.Namespace, kept: Weights) -> Weights:

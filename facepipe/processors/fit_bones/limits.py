@@ -17,7 +17,7 @@ keeps channels, or ``*`` all of them, at rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import fits_joint, unmatched
 from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json
 from facepipe.parts import BoneLimits
 from facepipe.processors.apply_bones import check_limits
 from facepipe.processors.fit_bones.checks import LEAST_SCALE
@@ -36,7 +37,6 @@ from facepipe.rig import CHANNELS, rest_coefficients
 Range = tuple[float | None, float | None]
 
 _MOST_BYTES = 1 << 24
-_KEYS = ("joints", "lock", "units")
 _UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
 _LARGEST = 1e9  # of a limit: in any unit it stays finite in float32
 
@@ -101,19 +101,27 @@ class LimitRules:
         return {"joints": joints, "lock": list(self.lock), "units": self.units}
 
 
+@dataclass(frozen=True, kw_only=True)
+class _KeptRules:
+    joints: tuple[tuple[str, Mapping[str, Range]], ...]
+    lock: tuple[str, ...]
+    units: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LimitsFile:
+    joints: Mapping[str, Mapping[str, Range]] = field(default_factory=dict)
+    lock: tuple[str, ...] = ()
+    units: str = "stage"
+
+
 def read_limits(path: Path) -> LimitRules:
     """The rules of a JSON file; its joints are checked against the rig later.
 
     :raises InputError: not such JSON
     """
-    content, where = read_json_object(path, _MOST_BYTES), str(path)
-    for key in content:
-        if key not in _KEYS:
-            raise InputError(f"{where} -> {key[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
-    joints = content.get("joints", {})
-    if not isinstance(joints, dict):
-        raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected an object of joints")
-    return _rules(joints.items(), content.get("lock", []), content.get("units", "stage"), where)
+    file = from_json(_LimitsFile, read_json_object(path, _MOST_BYTES), str(path))
+    return LimitRules(joints=tuple(file.joints.items()), lock=file.lock, units=file.units, where=str(path))
 
 
 def limits_from_json(content: object, where: str) -> LimitRules:
@@ -122,34 +130,8 @@ def limits_from_json(content: object, where: str) -> LimitRules:
     :param where: for messages
     :raises InputError: another structure, or no limits
     """
-    if not isinstance(content, dict) or set(content) != set(_KEYS):
-        raise InputError(where, f"{str(content)[:40]}, expected an object of {', '.join(_KEYS)}")
-    joints = content["joints"]
-    pairs = isinstance(joints, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in joints)
-    if not pairs or not all(isinstance(pattern, str) for pattern, _ in joints):
-        raise InputError(f"{where} -> joints", f"{str(joints)[:40]}, expected a list of [joint, channels]")
-    return _rules(joints, content["lock"], content["units"], where)
-
-
-def _rules(joints: Iterable[tuple[str, object]], lock: object, units: object, where: str) -> LimitRules:
-    if not isinstance(lock, list) or not all(isinstance(word, str) for word in lock):
-        raise InputError(f"{where} -> lock", f"{str(lock)[:40]}, expected a list of JOINT:CHANNEL")
-    if not isinstance(units, str):
-        raise InputError(f"{where} -> units", f"{str(units)[:40]}, expected one of {', '.join(_UNITS)}")
-    rules = []
-    for pattern, channels in joints:
-        trail = f"{where} -> joints -> {pattern}"
-        if not isinstance(channels, dict):
-            raise InputError(trail, f"{str(channels)[:40]}, expected an object of channels")
-        rules.append((pattern, {channel: _pair(f"{trail} -> {channel}", pair) for channel, pair in channels.items()}))
-    return LimitRules(joints=tuple(rules), lock=tuple(lock), units=units, where=where)
-
-
-def _pair(where: str, value: object) -> Range:
-    numbers = isinstance(value, list) and all(number is None or type(number) in (int, float) for number in value)
-    if not isinstance(value, list) or len(value) != 2 or not numbers:
-        raise InputError(where, f"{str(value)[:40]}, expected [lower, upper], null for no limit")
-    return value[0], value[1]
+    kept = from_json(_KeptRules, content, where)
+    return LimitRules(joints=kept.joints, lock=kept.lock, units=kept.units, where=where)
 
 
 def _check_pair(where: str, pair: Range) -> None:

@@ -25,15 +25,14 @@ detail_mm = 8
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.reading import is_file, read_toml
 from facepipe.core.trust import check_writable
-from facepipe.declare import from_json
+from facepipe.declare import from_json, values_of
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.options import (
     FitNeutralOptions,
@@ -44,8 +43,6 @@ from facepipe.processors.rebuild.options import (
 )
 
 _MOST_BYTES = 1 << 22
-_KEYS = ("template", "database", "work", "joint", "neutral", "expressions", "options")
-_OPTIONS = ("neutral", "refinement", "template", "expressions", "split")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,39 +81,72 @@ class Project:
     split_options: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _ScanTable:
+    scan: str
+    landmarks: str | None = None
+    weights: Mapping[str, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.weights is not None and not self.weights:
+            raise InputError("weights", "{}, expected a weight for each shape that it shows")
+        for shape, weight in (self.weights or {}).items():
+            if not 0.0 < weight <= 2.0:
+                raise InputError(f"weights -> {shape[:60]}", f"{weight}, expected a number above 0, up to 2")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RefinementTable(RefineNeutralOptions):
+    regions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OptionsTable:
+    neutral: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+    refinement: _RefinementTable | None = None
+    template: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
+    expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
+    split: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ProjectTable:
+    template: str
+    database: str
+    work: str = ""
+    joint: bool = False
+    neutral: _ScanTable
+    expressions: Mapping[str, _ScanTable] = field(default_factory=dict)
+    options: _OptionsTable = field(default_factory=_OptionsTable)
+
+
 def read_project(path: Path) -> Project:
     """A project's text, checked.
 
     :raises InputError: not readable, no TOML, not such a project, a file that it names and that is not there, or a work
         folder outside the roots
     """
-    content = read_toml(path, _MOST_BYTES)
-    where = str(path)
-    _check_keys(where, content, _KEYS)
-    options = _table(where, content, "options")
-    _check_keys(f"{where} -> options", options, _OPTIONS)
-    if "neutral" not in content:
-        raise InputError(where, "has no neutral, expected a table [neutral] with its scan")
-    expressions = _table(where, content, "expressions")
+    where, folder = str(path), path.parent
+    table = from_json(_ProjectTable, read_toml(path, _MOST_BYTES), where)
+    work = folder / (table.work or path.stem)
+    check_writable(f"{where} -> work", work, path)
+    refinement = table.options.refinement
     return Project(
         path=path,
-        template=_file(where, content, "template", path.parent),
-        database=_file(where, content, "database", path.parent),
-        work=_work(where, content, path),
-        joint=_flag(where, content, "joint"),
-        neutral=_scan(where, "neutral", _table(where, content, "neutral"), path.parent),
+        template=_file(f"{where} -> template", folder / table.template),
+        database=_file(f"{where} -> database", folder / table.database),
+        work=work,
+        joint=table.joint,
+        neutral=_scan(where, "neutral", table.neutral, folder, {}),
         expressions=tuple(
-            _expression(f"{where} -> expressions", name, own, path.parent) for name, own in expressions.items()
+            _scan(f"{where} -> expressions", name, scan, folder, DEFAULT_COMPOSITES.get(name))
+            for name, scan in table.expressions.items()
         ),
-        neutral_options=from_json(FitNeutralOptions, options.get("neutral", {}), f"{where} -> options.neutral"),
-        refinement=_refinement(where, options),
-        template_options=from_json(
-            PersonalTemplateOptions, options.get("template", {}), f"{where} -> options.template"
-        ),
-        expression_options=from_json(
-            RegisterScansOptions, options.get("expressions", {}), f"{where} -> options.expressions"
-        ),
-        split_options=from_json(SplitExpressionsOptions, options.get("split", {}), f"{where} -> options.split"),
+        neutral_options=table.options.neutral,
+        refinement=None if refinement is None else _refinement(refinement),
+        template_options=table.options.template,
+        expression_options=table.options.expressions,
+        split_options=table.options.split,
     )
 
 
@@ -128,94 +158,30 @@ def expression_weights(project: Project, scan: ProjectScan, shapes: tuple[str, .
     return resolved(scan.weights, shapes, f"{project.path} -> expressions -> {scan.name} -> weights")
 
 
-def _refinement(where: str, options: Mapping[str, Any]) -> Refinement | None:
-    if "refinement" not in options:
-        return None
-    where = f"{where} -> options.refinement"
-    values = options["refinement"]
-    regions = values.get("regions", []) if isinstance(values, dict) else []
-    if not (isinstance(regions, list) and all(isinstance(name, str) for name in regions)):
-        raise InputError(f"{where} -> regions", f"{str(regions)[:40]}, expected a list of names")
-    numbers = {key: value for key, value in values.items() if key != "regions"} if isinstance(values, dict) else values
-    return Refinement(regions=tuple(regions), options=from_json(RefineNeutralOptions, numbers, where))
+def _refinement(table: _RefinementTable) -> Refinement:
+    options = RefineNeutralOptions(**values_of(RefineNeutralOptions, table))
+    return Refinement(regions=table.regions, options=options)
 
 
-def _scan(where: str, name: str, content: object, folder: Path) -> ProjectScan:
+def _scan(where: str, name: str, table: _ScanTable, folder: Path, usual: Mapping[str, float] | None) -> ProjectScan:
+    """:param usual: its weights where the table has none; None: it needs some"""
     where = f"{where} -> {name[:60]}"
     if not (name.isascii() and name.isidentifier()) or file_name(name) != name:
         raise InputError(where, "expected a name of letters, digits and underscores that files can have")
-    if not isinstance(content, dict):
-        raise InputError(where, f"{str(content)[:40]}, expected a table with a scan")
-    _check_keys(where, content, ("scan", "landmarks", "weights"))
-    scan = _file(where, content, "scan", folder)
+    scan = _file(f"{where} -> scan", folder / table.scan)
     beside = scan.with_name(f"{scan.stem}.landmarks.json")
-    landmarks = _file(where, content, "landmarks", folder) if "landmarks" in content else None
-    return ProjectScan(
-        name=name,
-        scan=scan,
-        landmarks=landmarks or (beside if beside.is_file() else None),
-        weights=_weights(where, content["weights"]) if "weights" in content else {},
-    )
-
-
-def _expression(where: str, name: str, content: object, folder: Path) -> ProjectScan:
-    scan = _scan(where, name, content, folder)
-    if scan.weights:
-        return scan
-    if name not in DEFAULT_COMPOSITES:
+    landmarks = beside if beside.is_file() else None
+    if table.landmarks is not None:
+        landmarks = _file(f"{where} -> landmarks", folder / table.landmarks)
+    weights = table.weights or usual
+    if weights is None:
         known = ", ".join(DEFAULT_COMPOSITES)
-        raise InputError(
-            f"{where} -> {name[:60]}", f"no weights, expected some, or one of the names that have them: {known}"
-        )
-    return replace(scan, weights=dict(DEFAULT_COMPOSITES[name]))
+        raise InputError(where, f"no weights, expected some, or one of the names that have them: {known}")
+    weights = {shape: float(weight) for shape, weight in weights.items()}
+    return ProjectScan(name=name, scan=scan, landmarks=landmarks, weights=weights)
 
 
-def _weights(where: str, weights: object) -> dict[str, float]:
-    if not isinstance(weights, dict) or not weights:
-        raise InputError(f"{where} -> weights", f"{str(weights)[:40]}, expected a weight for each shape that it shows")
-    for shape, weight in weights.items():
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0.0 < weight <= 2.0:
-            raise InputError(f"{where} -> weights -> {shape[:60]}", f"{weight}, expected a number above 0, up to 2")
-    return {shape: float(weight) for shape, weight in weights.items()}
-
-
-def _check_keys(where: str, content: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    for key in content:
-        if key not in known:
-            raise InputError(where, f"'{key[:60]}' is unknown, expected some of {', '.join(known)}")
-
-
-def _table(where: str, content: Mapping[str, Any], key: str) -> dict[str, Any]:
-    table = content.get(key, {})
-    if not isinstance(table, dict):
-        raise InputError(f"{where} -> {key}", f"{str(table)[:40]}, expected a table")
-    return table
-
-
-def _text(where: str, content: Mapping[str, Any], key: str, default: str | None = None) -> str:
-    text = content.get(key, default)
-    if text is None:
-        raise InputError(where, f"has no {key}, expected a file's name")
-    if not isinstance(text, str) or not text:
-        raise InputError(f"{where} -> {key}", f"{str(text)[:40]}, expected a file's name")
-    return text
-
-
-def _work(where: str, content: Mapping[str, Any], path: Path) -> Path:
-    folder = path.parent / _text(where, content, "work", path.stem)
-    check_writable(f"{where} -> work", folder, path)
-    return folder
-
-
-def _flag(where: str, content: Mapping[str, Any], key: str) -> bool:
-    flag = content.get(key, False)
-    if not isinstance(flag, bool):
-        raise InputError(f"{where} -> {key}", f"{str(flag)[:40]}, expected true or false")
-    return flag
-
-
-def _file(where: str, content: Mapping[str, Any], key: str, folder: Path) -> Path:
-    path = folder / _text(where, content, key)
+def _file(where: str, path: Path) -> Path:
     if not is_file(path):
-        raise InputError(f"{where} -> {key}", f"{path}: no such file")
+        raise InputError(where, f"{path}: no such file")
     return path

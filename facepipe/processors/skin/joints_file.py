@@ -32,30 +32,58 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, identifier
 from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json
 
 MOST_JOINTS = 1024
 _MOST_BYTES = 1 << 24
 _UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
-_FIELDS = ("position", "rotation", "radius", "regions", "surface")
-_LARGEST = 1e9
+_LENGTHS = {"low": -1e9, "high": 1e9}
 _LONGEST_PATH = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointSpec:
-    """One joint to be made; what its fields mean is above."""
+class PlacedJoint:
+    """A joint but for its path; what its fields mean is above.
 
-    path: str
-    position: tuple[float, float, float]
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    radius: float | None = None
+    :raises InputError: a rotation of length 0, or a radius that is not above 0
+    """
+
+    position: tuple[float, float, float] = field(metadata=_LENGTHS)
+    rotation: tuple[float, float, float, float] = field(default=(0.0, 0.0, 0.0, 1.0), metadata=_LENGTHS)
+    radius: float | None = field(default=None, metadata=_LENGTHS)
     regions: tuple[str, ...] = ()
     surface: bool | None = None
+
+    def __post_init__(self) -> None:
+        if math.hypot(*self.rotation) < 1e-6:
+            raise InputError("rotation", "of length 0, expected a unit quaternion x y z w")
+        if self.radius is not None and self.radius <= 0:
+            raise InputError("radius", f"{self.radius}, expected a length above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSpec(PlacedJoint):
+    """One joint to be made."""
+
+    path: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Halves:
+    upper: str
+    lower: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _JointsFile:
+    joints: Mapping[str, PlacedJoint]
+    parts: Mapping[str, str | _Halves] = field(default_factory=dict)
+    unit: Literal["stage", "mm", "cm", "m"] = "stage"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,17 +137,15 @@ def read_joints(path: Path) -> JointSet:
 
     :raises InputError: not such JSON
     """
-    content = read_json_object(path, _MOST_BYTES)
-    unknown = [key for key in content if key not in ("unit", "joints", "parts")]
-    if unknown:
-        raise InputError(path, f"'{ascii(unknown[0])[1:-1][:60]}' is unknown, expected unit, joints, parts")
-    joints, unit = content.get("joints"), content.get("unit", "stage")
-    if not isinstance(joints, dict):
-        raise InputError(path, 'expected an object {"joints": {"name": {"position": [x, y, z]}}}')
+    file = from_json(_JointsFile, read_json_object(path, _MOST_BYTES), str(path))
+    parts = {
+        glob: part if isinstance(part, _Halves) else _Halves(upper=part, lower=part)
+        for glob, part in file.parts.items()
+    }
     return JointSet(
-        joints=tuple(_joint(f"{path} -> {_shown(name)}", name, one) for name, one in joints.items()),
-        parts=_parts(f"{path} -> parts", content.get("parts", {})),
-        unit=unit if isinstance(unit, str) else str(unit)[:40],
+        joints=tuple(JointSpec(path=name, **vars(joint)) for name, joint in file.joints.items()),
+        parts={glob: (part.upper, part.lower) for glob, part in parts.items()},
+        unit=file.unit,
         where=str(path),
     )
 
@@ -127,53 +153,3 @@ def read_joints(path: Path) -> JointSet:
 def _shown(name: str) -> str:
     """A name as messages show it, whatever is in it."""
     return ascii(name)[1:-1][:80]
-
-
-def _joint(where: str, path: str, content: object) -> JointSpec:
-    if not isinstance(content, dict) or "position" not in content:
-        raise InputError(where, 'expected an object {"position": [x, y, z]}')
-    unknown = [key for key in content if key not in _FIELDS]
-    if unknown:
-        raise InputError(where, f"'{ascii(unknown[0])[1:-1][:60]}' is unknown, expected some of {', '.join(_FIELDS)}")
-    position = _numbers(f"{where} -> position", content["position"], 3)
-    rotation = _numbers(f"{where} -> rotation", content.get("rotation", [0, 0, 0, 1]), 4)
-    if math.hypot(*rotation) < 1e-6:
-        raise InputError(f"{where} -> rotation", "of length 0, expected a unit quaternion x y z w")
-    radius = content.get("radius")
-    if radius is not None and _numbers(f"{where} -> radius", [radius], 1)[0] <= 0:
-        raise InputError(f"{where} -> radius", f"{radius}, expected a length above 0")
-    regions = content.get("regions", [])
-    if not isinstance(regions, list) or not all(isinstance(region, str) for region in regions):
-        raise InputError(f"{where} -> regions", "expected a list of region names")
-    surface = content.get("surface")
-    if surface is not None and not isinstance(surface, bool):
-        raise InputError(f"{where} -> surface", f"{str(surface)[:40]}, expected true or false")
-    return JointSpec(
-        path=path,
-        position=(position[0], position[1], position[2]),
-        rotation=(rotation[0], rotation[1], rotation[2], rotation[3]),
-        radius=None if radius is None else float(radius),
-        regions=tuple(regions),
-        surface=surface,
-    )
-
-
-def _numbers(where: str, values: Any, count: int) -> tuple[float, ...]:
-    good = isinstance(values, list) and len(values) == count
-    if not good or not all(type(value) in (int, float) and abs(value) <= _LARGEST for value in values):
-        raise InputError(where, f"{str(values)[:60]}, expected {count} finite numbers")  # NaN fails the comparison
-    return tuple(float(value) for value in values)
-
-
-def _parts(where: str, content: object) -> dict[str, tuple[str, str]]:
-    if not isinstance(content, dict):
-        raise InputError(where, "expected an object of mesh names and joints")
-    parts: dict[str, tuple[str, str]] = {}
-    for glob, value in content.items():
-        if isinstance(value, str):
-            parts[glob] = (value, value)
-        elif isinstance(value, dict) and sorted(value) == ["lower", "upper"]:
-            parts[glob] = (str(value["upper"]), str(value["lower"]))
-        else:
-            raise InputError(f"{where} -> {_shown(glob)}", 'expected a joint, or {"upper": joint, "lower": joint}')
-    return parts

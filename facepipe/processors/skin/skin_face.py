@@ -11,7 +11,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.heat_weights import fewest, normalised
-from facepipe.geometry.skin_decomposition import DecompositionOptions, decompose
+from facepipe.geometry.skin_decomposition import decompose
 from facepipe.parts import FaceParts, Recipe
 from facepipe.processors.skin.from_face import from_face
 from facepipe.processors.skin.from_joints import from_joints
@@ -50,8 +50,17 @@ def _optimised(
     candidates = np.argsort(-weights, axis=1, kind="stable")[:, :width]
     start = np.take_along_axis(weights, candidates, axis=1)
     start = normalised(np.where(start >= _FAINT, start, 0.0))
-    settings = DecompositionOptions(most=options.influences, iterations=options.iterations, evenness=options.evenness)
-    fitted = decompose(surface.points, shapes, surface.edges, candidates, start, settings, step)
+    fitted = decompose(
+        surface.points,
+        shapes,
+        surface.edges,
+        candidates,
+        start,
+        most=options.influences,
+        iterations=options.iterations,
+        evenness=options.evenness,
+        step=step,
+    )
     refined = np.zeros_like(weights)
     np.put_along_axis(refined, candidates, fitted.weights, axis=1)
     before, after = fitted.before[:, moved], fitted.after[:, moved]

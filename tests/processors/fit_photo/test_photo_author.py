@@ -22,7 +22,7 @@ from with_torch import tensor
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.cli.action_line import action_of, configure
+from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser
 from facepipe.core import tokens
 from facepipe.core.errors import FitError, InputError
@@ -468,7 +468,7 @@ def test_changed_and_lost_sources_of_a_recipe(folder: Path) -> None:
 def edited(*words: str) -> FitPhoto:
     """The action that a line asks for."""
     parser = Parser(common=False)
-    configure(parser, FitPhoto)
+    ActionLine(FitPhoto).configure(parser)
     return action_of(parser.parse_args([*words, "--edit", "out/person.usda"]), FitPhoto)[1]
 
 

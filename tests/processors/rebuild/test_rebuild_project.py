@@ -54,33 +54,34 @@ def test_a_table_of_refinement_asks_for_it(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (HEAD + "[options]\nrefinement = 3\n", "anna.toml -> options.refinement: 3, expected an object of options"),
+        (HEAD + "[options]\nrefinement = 3\n", "anna.toml -> options -> refinement: 3, expected an object or null"),
         (
             HEAD + "[options.refinement]\nregions = 'nose'\n",
-            "anna.toml -> options.refinement -> regions: nose, expected a list of names",
+            "anna.toml -> options -> refinement -> regions: 'nose', expected a list of which each is a text",
         ),
         (
             HEAD + "[options.refinement]\nregion = ['nose']\n",
-            "anna.toml -> options.refinement: option 'region' is unknown, expected some of detail_mm",
+            "anna.toml -> options -> refinement: option 'region' is unknown, did you mean 'regions'?",
         ),
-        ("template = 1\n", "anna.toml: has no neutral, expected a table [neutral] with its scan"),
+        ("template = 1\n", "anna.toml -> template: 1, expected a text"),
+        (HEAD.partition("[neutral]")[0], "anna.toml: no 'neutral', expected one"),
         (HEAD.replace("head", "tail"), "anna.toml -> template: {folder}/tail.usda: no such file"),
-        (HEAD + "landmark = 1\n", "anna.toml -> neutral: 'landmark' is unknown, expected some of scan, landmarks"),
+        (HEAD + "landmark = 1\n", "anna.toml -> neutral: option 'landmark' is unknown, did you mean 'landmarks'?"),
         (HEAD + "weights = { blink = 0 }\n", "anna.toml -> neutral -> weights -> blink: 0, expected a number above 0"),
         (HEAD + "weights = {}\n", "anna.toml -> neutral -> weights: {{}}, expected a weight for each shape"),
-        (HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected a table with a scan"),
+        (HEAD + "[expressions]\nsmile = 3\n", "anna.toml -> expressions -> smile: 3, expected an object"),
         (
             HEAD + "[expressions.wink]\nscan = 'wink.ply'\n",
             "anna.toml -> expressions -> wink: no weights, expected some, or one of the names that have them: jaw_open",
         ),
         (
             HEAD + "[expressions.wink]\nscan = 'wink.ply'\nweights = { eyeBlink_L = nan }\n",
-            "anna.toml -> expressions -> wink -> weights -> eyeBlink_L: nan, expected a number above 0, up to 2",
+            "anna.toml -> expressions -> wink -> weights -> eyeBlink_L: nan, expected a finite number",
         ),
-        (HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options.neutral -> option prior: is -1, expected"),
+        (HEAD + "[options.neutral]\nprior = -1\n", "anna.toml -> options -> neutral -> option prior: is -1, expected"),
         (
             HEAD + "[options.all]\n",
-            "anna.toml -> options: 'all' is unknown, expected some of neutral, refinement,",
+            "anna.toml -> options: option 'all' is unknown, expected some of neutral, refinement,",
         ),
         ("[[[", "anna.toml: is not TOML ("),
     ],

@@ -12,7 +12,7 @@ from skin_joints import HELD, head, landmark_joints, weights_of, without_joints
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import edges
-from facepipe.geometry.skin_decomposition import DecompositionOptions, _Solver, decompose
+from facepipe.geometry.skin_decomposition import _Solver, decompose
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions
 from facepipe.processors.skin.from_joints import from_joints
@@ -45,8 +45,7 @@ def test_weights_of_rigid_joints_are_found_again(seed: int) -> None:
     start = weights + np.random.default_rng(seed).uniform(0.05, 0.6, weights.shape)
     start /= start.sum(axis=1, keepdims=True)
     candidates = np.tile(np.arange(3), (len(rest), 1))
-    options = DecompositionOptions(most=3, iterations=80, evenness=1e-6)
-    found = decompose(rest, shapes, pairs, candidates, start, options)
+    found = decompose(rest, shapes, pairs, candidates, start, most=3, iterations=80, evenness=1e-6)
     rms = [float(np.sqrt((one**2).mean())) for one in (found.before, found.after)]
     assert rms[1] < 0.1 * rms[0]
     assert np.abs(found.weights.sum(axis=1) - 1).max() < 1e-9
@@ -56,7 +55,7 @@ def test_weights_of_rigid_joints_are_found_again(seed: int) -> None:
 def test_what_fits_already_stays() -> None:
     rest, pairs, weights, shapes = examples()
     candidates = np.tile(np.arange(3), (len(rest), 1))
-    found = decompose(rest, shapes, pairs, candidates, weights, DecompositionOptions(most=3, iterations=5))
+    found = decompose(rest, shapes, pairs, candidates, weights, most=3, iterations=5, evenness=0.3)
     assert found.after.max() <= found.before.max() + 1e-9
     assert np.sqrt((found.after**2).mean()) <= np.sqrt((found.before**2).mean())
 
@@ -67,7 +66,7 @@ def test_no_more_weights_than_wanted_and_none_that_was_forbidden(most: int) -> N
     start = np.where(np.arange(5) == np.arange(len(rest))[:, None] % 5, 0.0, weights)
     start /= start.sum(axis=1, keepdims=True)
     candidates = np.tile(np.arange(5), (len(rest), 1))
-    found = decompose(rest, shapes, pairs, candidates, start, DecompositionOptions(most=most, iterations=4)).weights
+    found = decompose(rest, shapes, pairs, candidates, start, most=most, iterations=4, evenness=0.3).weights
     assert (found > 0).sum(axis=1).max() <= most
     assert not found[start == 0].any()
     np.testing.assert_allclose(found.sum(axis=1), 1)
@@ -79,8 +78,7 @@ def test_more_evenness_is_smoother() -> None:
     candidates = np.tile(np.arange(3), (len(rest), 1))
     rough = []
     for evenness in (1e-4, 1.0):
-        options = DecompositionOptions(most=3, iterations=5, evenness=evenness)
-        found = decompose(rest, shapes, pairs, candidates, weights, options).weights
+        found = decompose(rest, shapes, pairs, candidates, weights, most=3, iterations=5, evenness=evenness).weights
         away = found[pairs[:, 0]] - found[pairs[:, 1]] - weights[pairs[:, 0]] + weights[pairs[:, 1]]
         rough.append(np.abs(away).mean())
     assert rough[1] < 0.8 * rough[0]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from node import validate as khronos
 from oracle import bake, difference, random_coefficients
 from scipy.spatial.transform import Rotation
-from skin_joints import head, retopologised, weights_of, without_joints
+from skin_joints import ICT_KIND, head, retopologised, weights_of, without_joints
 
 from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError
@@ -144,7 +144,7 @@ def test_onto_itself_a_face_gets_its_own_weights_and_joints() -> None:
     assert report.transfer.surface_mm["max"] < 1e-9
 
 
-@pytest.mark.parametrize("kind", ["sample", "ict"])
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
 def test_transferred_weights_are_smooth_shares_of_few_joints(kind: str) -> None:
     face, report = transferred(kind)
     weights = weights_of(face)
@@ -154,7 +154,7 @@ def test_transferred_weights_are_smooth_shares_of_few_joints(kind: str) -> None:
     assert report.largest_step_per_mm < 0.45
 
 
-@pytest.mark.parametrize("kind", ["sample", "ict"])
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
 def test_joints_lie_where_the_anatomy_has_them(kind: str) -> None:
     face, report = transferred(kind)
     at = face.skeleton.bind_transforms[:, :3, 3] * face.mm_per_unit
@@ -176,7 +176,7 @@ def test_joints_lie_where_the_anatomy_has_them(kind: str) -> None:
     assert report.transfer.landmarks_mm < 2
 
 
-@pytest.mark.parametrize("kind", ["sample", "ict"])
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
 def test_lips_and_lids_never_swap(kind: str) -> None:
     marks = surface(kind).landmarks
     assert marks is not None
@@ -195,9 +195,10 @@ def test_lips_and_lids_never_swap(kind: str) -> None:
         assert other[marks[over]].max() < 1e-3
 
 
-def test_the_jaw_bone_opens_the_mouth() -> None:
-    face = transferred("ict")[0]
-    whole, moved = surface("ict"), opened(transferred("ict")[0])
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
+def test_the_jaw_bone_opens_the_mouth(kind: str) -> None:
+    face = transferred(kind)[0]
+    whole, moved = surface(kind), opened(face)
     at = moved[np.unique(whole.group, return_index=True)[1]]
     marks = whole.landmarks
     assert marks is not None
@@ -212,8 +213,9 @@ def test_the_jaw_bone_opens_the_mouth() -> None:
     assert face.name
 
 
-def test_the_result_is_valid_and_deforms_as_usd_says(tmp_path: Path) -> None:
-    face = transferred("ict")[0]
+@pytest.mark.parametrize("kind", ["sample", ICT_KIND])
+def test_the_result_is_valid_and_deforms_as_usd_says(kind: str, tmp_path: Path) -> None:
+    face = transferred(kind)[0]
     face.save(tmp_path / "rigged.usdc")
     assert not validate_stage(tmp_path / "rigged.usdc")
     pose = face.rig().local_transforms(random_coefficients(np.random.default_rng(1), 77, 0.2, 0.2))
