@@ -92,13 +92,9 @@ class ExpressionModel:
         person here from the others: a neutral that predicts little of its owner's smile counts little.
 
         :param start: (e, n, 3) deltas in the place of the mean person's, as for `shapes`
-        :raises InputError: no expression of that name, or another number of points
+        :raises InputError: no expression of that name
         """
         rows = [0, *(1 + self._number(name) for name in shapes)]
-        for name, points in {"neutral": neutral, **shapes}.items():
-            expected = self.identity.mean.shape
-            if np.shape(points) != expected:
-                raise InputError(f"expression model -> {name}", f"points {np.shape(points)}, expected {expected}")
         coordinates = np.zeros((len(rows), self.mean.shape[1]))
         size = len(self.identity.deviations)
         coordinates[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations

@@ -43,11 +43,7 @@ class IdentityModel:
         What is known of its own faces is their mean and spread, which is all that components depend on:
         ``S = S_1 + S_2 + n_1 n_2 / n (m_2 - m_1) (m_2 - m_1)^T`` of two sets' sums of squares about their means (Chan,
         Golub and LeVeque, "Updating Formulae and a Pairwise Algorithm for Computing Sample Variances", COMPSTAT 1982).
-
-        :raises InputError: faces of another number of points
         """
-        if faces.shape[1:] != self.mean.shape:
-            raise InputError("identity model", f"{faces.shape[1:]} coordinates, expected {self.mean.shape}")
         if not len(faces):
             return self
         rows = np.asarray(faces, dtype=np.float64).reshape(len(faces), -1)

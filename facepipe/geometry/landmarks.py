@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import fit_similarity
 
 OUTER_CORNERS = (36, 45)  # of the eyes, in the Multi-PIE scheme
-_FEWEST = 4  # fewer points lie in a plane, which has no mirror image of its own
 
 
 def eye_distance(landmarks: FloatArray) -> float:
@@ -30,8 +28,7 @@ def mirrored(points: FloatArray, reference: FloatArray) -> bool:
     pass.
 
     :param points: (l, 3) landmarks in any unit and place, rows of NaN where unknown
-    :param reference: (l, 3) the same landmarks of some face
-    :raises InputError: fewer than 4 known ones
+    :param reference: (l, 3) the same landmarks of some face; of both 4 at least are known: fewer lie in a plane
     """
     return mirror_ratio(points, reference) > 1.5
 
@@ -40,12 +37,8 @@ def mirror_ratio(points: FloatArray, reference: FloatArray) -> float:
     """RMS distance after the best similarity, over that of the best one with a reflection (Umeyama 1991, eq. 43).
 
     1 where all lie in a plane.
-
-    :raises InputError: as `mirrored`
     """
     known = np.isfinite(points).all(axis=1) & np.isfinite(reference).all(axis=1)
-    if known.sum() < _FEWEST:
-        raise InputError("landmarks", f"{int(known.sum())} known on both faces, expected at least {_FEWEST}")
     plain = _distance(np.asarray(points)[known], np.asarray(reference)[known])
     turned = _distance(np.asarray(points)[known] * [-1.0, 1.0, 1.0], np.asarray(reference)[known])
     least = 1e-9 * float(np.ptp(np.asarray(reference)[known], axis=0).max())

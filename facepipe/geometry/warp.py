@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
 from facepipe.geometry.similarity import Similarity, fit_similarity
 
 _PAIRS = 1 << 22  # point-landmark pairs at a time: a bound on memory
@@ -61,20 +60,16 @@ def _parts(points: int, centres: int) -> list[slice]:
 
 
 def fit_warp(source: FloatArray, target: FloatArray, smoothing: float = 0.0) -> Warp:
-    """The warp of least bending that takes `source` (l, 3) to `target` (l, 3).
+    """The warp of least bending that takes `source` (l, 3) to `target` (l, 3), l at least 4.
 
-    :param smoothing: a length, 0 or more: landmarks are missed by about as much where that saves bending
-    :raises InputError: fewer than 4 landmarks, all at one place, or two without smoothing; shapes that don't fit
+    :param smoothing: a length, 0 or more: landmarks are missed by about as much where that saves bending; it keeps
+        those apart that lie on one another, such as closed lips'
+    :raises InputError: NaN or infinity
     """
     similarity = fit_similarity(source, target)
     centres = similarity.apply(source)
     count = len(centres)
-    if count < 4:
-        raise InputError("landmarks", f"{count}, expected at least 4")
     away = np.linalg.norm(centres[:, None] - centres, axis=2)
-    least = 1e-9 * float(away.max())  # smoothing keeps landmarks apart that lie on one another, such as closed lips'
-    if smoothing <= least and np.where(np.eye(count) > 0, np.inf, away).min() <= least:
-        raise InputError("landmarks", "two at one place, expected different ones")
     system = np.zeros((count + 1, count + 1))
     system[:count, :count] = away - smoothing * np.eye(count)  # the distance is negative definite where sums are 0
     system[:count, count] = system[count, :count] = 1.0

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError
 from facepipe.geometry.coarse_surface import disc_look
 from facepipe.parts import FaceParts, Mesh
 from facepipe.pictures import overlay
@@ -58,8 +57,6 @@ def fit_sheet(fit: FitPicture) -> Image:
     """Scan, face and distances, from the front and from between front and side; then the neutral, where it differs.
 
     Faces are without their clear parts (tears, lashes), which no scan shows.
-
-    :raises InputError: points or distances that don't fit, or a size out of range
     """
     scan = _scan_parts(fit.scan)
     known = fit.distances[np.isfinite(fit.distances)]
@@ -82,10 +79,7 @@ def fit_sheet(fit: FitPicture) -> Image:
 
 
 def _opaque(parts: FaceParts, values: FloatArray) -> tuple[FaceParts, FloatArray]:
-    """A face without meshes that are nearly clear, and the values of its points (n,) that are left.
-
-    :raises InputError: another number of values
-    """
+    """A face without meshes that are nearly clear, and the values of its points (n,) that are left."""
     clear = {
         material.name
         for material in parts.materials
@@ -96,8 +90,6 @@ def _opaque(parts: FaceParts, values: FloatArray) -> tuple[FaceParts, FloatArray
         for mesh in parts.meshes
     ]
     kept = np.repeat(seen, [len(mesh.points) for mesh in parts.meshes])
-    if len(values) != len(kept):
-        raise InputError("heat map", f"{len(values)} values, expected one for each of {len(kept)} points")
     meshes = tuple(mesh for mesh, there in zip(parts.meshes, seen, strict=True) if there)
     return replace(parts, meshes=meshes, sliders=()), values[kept]
 
@@ -150,8 +142,6 @@ class Turntable:
 def turntable(shown: Turntable) -> dict[str, Image]:
     """Scan, registered face and distances, each from the left, the front and the right; the face without its clear
     parts, which no scan shows.
-
-    :raises InputError: points or distances that don't fit, or a size out of range
     """
     face, distances = _opaque(shown.parts, shown.distances)
     heat = HeatMap(values=distances, range=(0.0, shown.largest_mm))

@@ -82,5 +82,3 @@ def test_what_gives_no_model_is_refused() -> None:
         IdentityModel.from_faces(faces(1))
     with pytest.raises(InputError, match="all faces are the same"):
         IdentityModel.from_faces(np.ones((3, 5, 3)))
-    with pytest.raises(InputError, match="coordinates, expected"):
-        IdentityModel.from_faces(faces(3)).with_faces(faces(2, points=49))

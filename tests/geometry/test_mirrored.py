@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scan_actors import ict
 
-from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import mirror_ratio, mirrored
 
 SOLID = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3], [1, 1, 5]])
@@ -51,8 +50,3 @@ def test_the_ratio_is_that_of_exact_fits() -> None:
     assert mirror_ratio(SOLID * [1, -1, 1], SOLID) > 1e6
     flat = SOLID * [1, 1, 0]
     assert mirror_ratio(flat * [-1, 1, 1], flat) == pytest.approx(1.0, abs=1e-3)  # a half-turn does what a mirror does
-
-
-def test_three_points_decide_nothing() -> None:
-    with pytest.raises(InputError, match="3 known"):
-        mirror_ratio(SOLID[:3], SOLID[:3])

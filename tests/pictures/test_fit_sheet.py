@@ -88,11 +88,3 @@ def test_a_neutral_that_differs_is_drawn_last() -> None:
     gap = max(2, SIZE // 40)
     assert wide.shape[1] == narrow.shape[1] + SIZE + gap
     assert np.array_equal(wide[gap : gap + SIZE, -gap - SIZE : -gap], cells(fit)[1])
-
-
-@pytest.mark.parametrize("count", [3, 0])
-def test_distances_of_other_points_are_refused(count: int) -> None:
-    from facepipe.core.errors import InputError
-
-    with pytest.raises(InputError, match="heat map"):
-        fit_sheet(replace(shown(), distances=np.zeros(count)))
