@@ -135,8 +135,7 @@ def unknown(name: str, known: Collection[str], kind: str) -> str:
 
 def suggestion(name: str, known: Collection[str], otherwise: str = "") -> str:
     """The end of a message about a name that is not there: the nearest that is, else a few, or `otherwise`."""
-    few = list(known)[:_FEW]
-    some = ", ".join(few) + (" ..." if len(known) > len(few) else "") or otherwise
+    some = first_names(list(known), _FEW) or otherwise
     return did_you_mean(name, known) or (f", expected one of {some}" if some else "; there are none")
 
 

@@ -36,7 +36,14 @@ from facepipe.farm.table import Row, read_table
 _MOST_BYTES = 1 << 20
 _BRACES = re.compile(r"\{([^{}]*)\}")
 _STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
-_KEYS = ("memory_mb", "once", "out", "priority", "run", "seconds")
+# key of a step beside its line -> type of its value
+_KINDS: Mapping[str, Any] = {
+    "memory_mb": (int, float),
+    "once": bool,
+    "out": str,
+    "priority": int,
+    "seconds": (int, float),
+}
 OUT = "out"
 
 
@@ -99,21 +106,14 @@ def _step(path: Path, name: str, table: Any) -> Step:
         raise InputError(where, "expected a name of letters, digits, - and _")
     if not isinstance(table, dict):
         raise InputError(where, f'{str(table)[:40]}, expected a table with run = "ACTION ..."')
-    check_keys(where, table, _KEYS)
+    check_keys(where, table, sorted(("run", *_KINDS)))
     run = table.get("run")
     if not isinstance(run, str | list) or not all(isinstance(one, str) for one in run):
         raise InputError(where, 'no line to run, expected run = "ACTION ..."')
-    kinds: dict[str, Any] = {
-        "out": str,
-        "once": bool,
-        "priority": int,
-        "seconds": (int, float),
-        "memory_mb": (int, float),
-    }
-    for key, kind in kinds.items():
+    for key, kind in _KINDS.items():
         if key in table and (not isinstance(table[key], kind) or (kind is not bool and isinstance(table[key], bool))):
             raise InputError(f"{where} -> {key}", f"{str(table[key])[:40]}, expected another kind of value")
-    return Step(name=name, words=words_of(where, run), **{key: table[key] for key in kinds if key in table})
+    return Step(name=name, words=words_of(where, run), **{key: table[key] for key in _KINDS if key in table})
 
 
 def words_of(where: object, run: str | Sequence[str]) -> tuple[str, ...]:

@@ -61,16 +61,8 @@ def color_scale(limits: tuple[float, float], text: str, none: str = "") -> Marku
         for number, (red, green, blue) in enumerate(stations)
     ]
     name = "heat"  # the same gradient wherever it stands
-    marks = [
-        tag(
-            "text",
-            figures,
-            x=f"{(value - low) / (high - low) * 560:.1f}",
-            y=34,
-            text_anchor=_anchor((value - low) / (high - low)),
-        )
-        for value, figures in ticks(low, high)
-    ]
+    placed = [((value - low) / (high - low), figures) for value, figures in ticks(low, high)]
+    marks = [tag("text", text, x=f"{at * 560:.1f}", y=34, text_anchor=_anchor(at)) for at, text in placed]
     gradient = tag("defs", tag("linearGradient", *stops, id=name))
     strip = tag("rect", width=560, height=14, rx=2, fill=f"url(#{name})")
     drawn = tag("svg", gradient, strip, *marks, viewBox="0 0 560 40", font_size=12, fill="currentColor")

@@ -33,13 +33,8 @@ def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
         row, column = divmod(number, columns)
         left, top = gap + column * (width + gap), gap + row * (height + strip + gap)
         sheet.paste(image.convert("RGB"), (left + (width - image.width) // 2, top + (height - image.height) // 2))
-        pen.text(
-            (left + width / 2, top + height + strip / 2),
-            caption,
-            fill=INK,
-            font=fitting_font(caption, letters, width),
-            anchor="mm",
-        )
+        middle = left + width / 2, top + height + strip / 2
+        pen.text(middle, caption, fill=INK, font=fitting_font(caption, letters, width), anchor="mm")
     return sheet
 
 

@@ -72,9 +72,8 @@ def fit_sheet(fit: FitPicture) -> Image:
             ("fitted", picture(fitted, None, options)),
             (f"distance from the scan{mean}", picture(fitted, None, beside)),
         ]
-        images += (
-            [] if fit.neutral is None else [("neutral", picture(_opaque(fit.neutral, fit.distances)[0], None, options))]
-        )
+        if fit.neutral is not None:
+            images.append(("neutral", picture(_opaque(fit.neutral, fit.distances)[0], None, options)))
     return contact_sheet(images, columns=len(images) // len(_FIT_VIEWS))
 
 
@@ -208,14 +207,10 @@ def changed_pictures(given: ChangedShapes, names: Sequence[str]) -> tuple[list[I
     known = np.concatenate([distances[name][given.counted] for name in names])
     limits = 0.0, round_above(known[known > 0.0])
     options = _framed(given.framing, "front", given.size)
-    images = [
-        picture(
-            given.parts,
-            given.neutral + given.shapes[name],
-            replace(options, heatmap=HeatMap(values=distances[name], range=limits)),
-        )
-        for name in names
-    ]
+    images = []
+    for name in names:
+        painted = replace(options, heatmap=HeatMap(values=distances[name], range=limits))
+        images.append(picture(given.parts, given.neutral + given.shapes[name], painted))
     return images, limits
 
 
