@@ -34,7 +34,7 @@ from facepipe.importers import load
 from facepipe.rig import coefficient_matrices
 
 
-@pytest.fixture(scope="module", params=["sample", "ict", "makehuman"])
+@pytest.fixture(scope="module", params=["sample", pytest.param("ict", marks=pytest.mark.slow), "makehuman"])
 def judged(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Judged:
     name = request.param
     if name in SOURCES and not SOURCES[name].exists():
