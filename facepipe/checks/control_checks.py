@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 from pxr import Usd
 
-from facepipe.checks.views import FaceView, Problem, array, at, some, value, words
+from facepipe.checks.views import FaceView, Problem, array, at, unlisted, value, words
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import digest
@@ -111,9 +111,7 @@ def slider_targets(face: FaceView) -> Iterator[Problem]:
     """Sliders drive joints, channels and blendshapes that the face has."""
     for name in slider_names(face.prim):
         for field, known in (("joints", set(face.joints)), ("channels", set(CHANNELS)), ("shapes", face.shape_names)):
-            unknown = sorted(set(words(_attribute(face.prim, name, field))) - known)
-            if unknown:
-                yield at(f"{_path(face.prim, name)}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
+            yield from unlisted(_path(face.prim, name), field, words(_attribute(face.prim, name, field)), known)
 
 
 def recipe_options(face: FaceView) -> Iterator[Problem]:
@@ -183,9 +181,7 @@ def slider_network(face: FaceView) -> Iterator[Problem]:
         ("channels", channels, set(CHANNELS)),
         ("shapes", network.shapes, face.shape_names),
     ):
-        unknown = sorted(set(names) - set(known))
-        if unknown:
-            yield at(f"{where}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
+        yield from unlisted(where, field, names, known)
 
 
 def neural_rig_file(face: FaceView) -> Iterator[Problem]:

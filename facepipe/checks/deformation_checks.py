@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.checks.views import FaceView, MeshView, Problem, array, at, numbers, outside, some, value, words
+from facepipe.checks.views import FaceView, MeshView, Problem, array, at, length, numbers, outside, some, value, words
 from facepipe.core.arrays import FloatArray
 from facepipe.stage.blendshapes import MOST_INBETWEENS
 
@@ -54,9 +54,7 @@ def influence_count(face: FaceView) -> Iterator[Problem]:
 def joint_indices(face: FaceView) -> Iterator[Problem]:
     """Joint indices are in range of the mesh's joints."""
     for mesh in _skinned(face):
-        wrong = None if mesh.joint_indices is None else outside(mesh.joint_indices, len(face.joints_of(mesh)))
-        if wrong:
-            yield at(f"{mesh.path}.{_INDICES}", wrong)
+        yield from outside(f"{mesh.path}.{_INDICES}", mesh.joint_indices, len(face.joints_of(mesh)))
 
 
 def weights_sum(face: FaceView) -> Iterator[Problem]:
@@ -157,9 +155,7 @@ def _shapes(face: FaceView) -> Iterator[tuple[MeshView, UsdSkel.BlendShape, Floa
 def point_indices(face: FaceView) -> Iterator[Problem]:
     """pointIndices are points of the mesh."""
     for mesh, shape, indices in _shapes(face):
-        wrong = None if indices is None else outside(indices, mesh.count)
-        if wrong:
-            yield at(shape.GetPointIndicesAttr(), wrong)
+        yield from outside(shape.GetPointIndicesAttr(), indices, mesh.count)
 
 
 def point_indices_twice(face: FaceView) -> Iterator[Problem]:
@@ -184,8 +180,7 @@ def offset_count(face: FaceView) -> Iterator[Problem]:
     for mesh, shape, indices in _shapes(face):
         expected = mesh.count if indices is None else len(indices)
         for attribute, required in _offsets(shape):
-            values = numbers(attribute, 3)
-            count = 0 if values is None else len(values)
+            count = length(numbers(attribute, 3))
             empty = indices is None and count == 0  # a shape that moves nothing
             if count != expected and not empty and (required or count):
                 yield at(attribute, f"{count} offsets, expected {expected}")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from facepipe.checks.views import FaceView, Problem, array, at, numbers, value, words
+from facepipe.checks.views import FaceView, Problem, array, at, length, numbers, value, words
 from facepipe.core import tokens
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.photos import LIGHT_ROWS, MOST_PIXELS, is_photo, key_fault, read_key_lamp
@@ -41,13 +41,12 @@ def photo_light(face: FaceView) -> Iterator[Problem]:
     """A photo has the light of nine spherical harmonics, and a tint of 0 or more for each material that it names."""
     for prim in _photos(face):
         light = numbers(prim.GetAttribute(tokens.PHOTO_LIGHT), 3)
-        if light is None or len(light) != LIGHT_ROWS:
-            found = 0 if light is None else len(light)
-            yield at(f"{prim.GetPath()}.{tokens.PHOTO_LIGHT}", f"{found} rows, expected {LIGHT_ROWS}")
+        if length(light) != LIGHT_ROWS:
+            yield at(f"{prim.GetPath()}.{tokens.PHOTO_LIGHT}", f"{length(light)} rows, expected {LIGHT_ROWS}")
         tints = numbers(prim.GetAttribute(tokens.PHOTO_TINTS), 3)
-        count, materials = 0 if tints is None else len(tints), words(prim.GetAttribute(tokens.PHOTO_TINTED_MATERIALS))
-        if count != len(materials):
-            yield at(f"{prim.GetPath()}.{tokens.PHOTO_TINTS}", f"{count} tints, expected {len(materials)}")
+        materials = words(prim.GetAttribute(tokens.PHOTO_TINTED_MATERIALS))
+        if length(tints) != len(materials):
+            yield at(f"{prim.GetPath()}.{tokens.PHOTO_TINTS}", f"{length(tints)} tints, expected {len(materials)}")
         elif tints is not None and (tints < 0).any():
             yield at(f"{prim.GetPath()}.{tokens.PHOTO_TINTS}", "below 0, expected factors of 0 or more")
 

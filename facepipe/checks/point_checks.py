@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom
 
-from facepipe.checks.views import FaceView, MeshView, Problem, array, at, numbers, outside, value, words
+from facepipe.checks.views import FaceView, MeshView, Problem, array, at, length, numbers, outside, value, words
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 
@@ -23,9 +23,7 @@ def topology(face: FaceView) -> Iterator[Problem]:
             yield at(mesh.prim, f"{mesh.corners} faceVertexIndices, expected {total:g} as the face counts ask for")
         if counts is not None and len(counts) and counts.min() < 3:
             yield at(mesh.mesh.GetFaceVertexCountsAttr(), f"a face of {counts.min():g} points, expected 3 or more")
-        wrong = None if indices is None else outside(indices, mesh.count)
-        if wrong:
-            yield at(mesh.mesh.GetFaceVertexIndicesAttr(), wrong)
+        yield from outside(mesh.mesh.GetFaceVertexIndicesAttr(), indices, mesh.count)
 
 
 def primvar_count(face: FaceView) -> Iterator[Problem]:
@@ -39,9 +37,7 @@ def primvar_count(face: FaceView) -> Iterator[Problem]:
             if not primvar.GetTypeName().isArray or not hasattr(values, "__len__"):
                 continue
             indices = array(value(primvar.GetIndicesAttr())) if primvar.IsIndexed() else None
-            wrong = None if indices is None else outside(indices, len(values))
-            if wrong:
-                yield at(primvar.GetIndicesAttr(), wrong)
+            yield from outside(primvar.GetIndicesAttr(), indices, len(values))
             expected = _expected(mesh, primvar.GetInterpolation())
             have = len(values) if indices is None else len(indices)
             if expected is not None and have != expected * max(primvar.GetElementSize(), 1):
@@ -58,10 +54,9 @@ def normal_count(face: FaceView) -> Iterator[Problem]:
 
 
 def _expected(mesh: MeshView, interpolation: str) -> int | None:
-    counts = numbers(mesh.mesh.GetFaceVertexCountsAttr())
     return {
         "constant": None,  # any length for arrays
-        "uniform": 0 if counts is None else len(counts),
+        "uniform": length(numbers(mesh.mesh.GetFaceVertexCountsAttr())),
         "varying": mesh.count,
         "vertex": mesh.count,
         "faceVarying": mesh.corners,
@@ -75,7 +70,7 @@ def _regions(mesh: MeshView) -> Iterator[tuple[UsdGeom.Primvar, FloatArray]]:
             values = array(value(primvar.GetAttr()))
             if values is not None:
                 indices = array(value(primvar.GetIndicesAttr())) if primvar.IsIndexed() else None
-                inside = indices is not None and outside(indices, len(values)) is None
+                inside = indices is not None and not any(outside("", indices, len(values)))
                 yield primvar, values[indices.astype(np.int64)] if inside and indices is not None else values
 
 
@@ -115,34 +110,26 @@ def region_sum(face: FaceView) -> Iterator[Problem]:
 def subset_indices(face: FaceView) -> Iterator[Problem]:
     """GeomSubsets name points or faces of their mesh."""
     for mesh in face.meshes:
-        counts = numbers(mesh.mesh.GetFaceVertexCountsAttr())
-        sizes = {"point": mesh.count, "face": 0 if counts is None else len(counts)}
+        sizes = {"point": mesh.count, "face": length(numbers(mesh.mesh.GetFaceVertexCountsAttr()))}
         for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(mesh.prim)):
             kind, indices = str(value(subset.GetElementTypeAttr())), numbers(subset.GetIndicesAttr())
-            wrong = outside(indices, sizes[kind]) if indices is not None and kind in sizes else None
-            if wrong:
-                yield at(subset.GetIndicesAttr(), wrong)
+            if kind in sizes:
+                yield from outside(subset.GetIndicesAttr(), indices, sizes[kind])
 
 
 def landmark_indices(face: FaceView) -> Iterator[Problem]:
     """Landmarks are points of their mesh."""
     for mesh, scheme in _schemes(face):
         attribute = mesh.prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:indices")
-        indices = numbers(attribute)
-        wrong = None if indices is None else outside(indices, mesh.count)
-        if wrong:
-            yield at(attribute, wrong)
+        yield from outside(attribute, numbers(attribute), mesh.count)
 
 
 def landmark_names(face: FaceView) -> Iterator[Problem]:
     """Landmark names are absent, or one per landmark and distinct."""
     for mesh, scheme in _schemes(face):
         prefix = f"{tokens.LANDMARKS_PREFIX}{scheme}"
-        names, indices = (
-            words(mesh.prim.GetAttribute(f"{prefix}:names")),
-            numbers(mesh.prim.GetAttribute(f"{prefix}:indices")),
-        )
-        count = 0 if indices is None else len(indices)
+        names = words(mesh.prim.GetAttribute(f"{prefix}:names"))
+        count = length(numbers(mesh.prim.GetAttribute(f"{prefix}:indices")))
         if names and len(names) != count:
             yield at(f"{mesh.path}.{prefix}:names", f"{len(names)} names, expected {count}")
         elif len(set(names)) != len(names):
@@ -165,6 +152,5 @@ def anchor_index(face: FaceView) -> Iterator[Problem]:
     for mesh in face.meshes:
         attribute = mesh.prim.GetAttribute(tokens.ANCHOR)
         found = array([value(attribute)]) if value(attribute) is not None else None
-        wrong = outside(found, mesh.count) if found is not None and (found != -1).all() else None
-        if wrong:
-            yield at(Sdf.Path(mesh.path).AppendProperty(tokens.ANCHOR).pathString, wrong)
+        if found is not None and (found != -1).all():
+            yield from outside(Sdf.Path(mesh.path).AppendProperty(tokens.ANCHOR).pathString, found, mesh.count)

@@ -6,11 +6,10 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
-from pxr import Sdf, Usd
+from pxr import Sdf
 
 from facepipe.checks.deformation_checks import is_singular
-from facepipe.checks.views import FaceView, Problem, SkeletonView, array, at, numbers, some, times, value, words
+from facepipe.checks.views import FaceView, Problem, SkeletonView, array, at, length, numbers, some, times, value, words
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 
@@ -25,9 +24,9 @@ def transform_count(face: FaceView) -> Iterator[Problem]:
     """As many bind and rest transforms as joints."""
     for skeleton in face.skeletons:
         for name, matrices in _transforms(skeleton):
-            found = 0 if matrices is None else len(matrices)
-            if found != len(skeleton.joints):
-                yield at(f"{skeleton.path}.{name}", f"{found} transforms, expected {len(skeleton.joints)}")
+            if length(matrices) != len(skeleton.joints):
+                found = f"{length(matrices)} transforms"
+                yield at(f"{skeleton.path}.{name}", f"{found}, expected {len(skeleton.joints)}")
 
 
 def joint_order(face: FaceView) -> Iterator[Problem]:
@@ -114,19 +113,16 @@ def limits(face: FaceView) -> Iterator[Problem]:
     for skeleton in face.skeletons:
         lower, upper = (numbers(skeleton.prim.GetAttribute(n)) for n in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER))
         expected = 9 * len(skeleton.joints)
-        given = [(tokens.LIMITS_LOWER, lower), (tokens.LIMITS_UPPER, upper)]
-        counts = {0 if values is None else len(values) for _, values in given}
-        if counts in ({0}, {expected}):
+        counts = {tokens.LIMITS_LOWER: length(lower), tokens.LIMITS_UPPER: length(upper)}
+        if set(counts.values()) in ({0}, {expected}):
             if lower is not None and upper is not None and (lower > upper).any():
                 worst = int(np.argmax(lower > upper))
                 found = f"value {worst}: lower limit {lower[worst]:g} above upper {upper[worst]:g}"
                 yield at(f"{skeleton.path}.{tokens.LIMITS_LOWER}", f"{found}, expected at most that")
             continue
-        for name, values in given:
-            if (0 if values is None else len(values)) != expected:
-                yield at(
-                    f"{skeleton.path}.{name}", f"{0 if values is None else len(values)} values, expected {expected}"
-                )
+        for name, count in counts.items():
+            if count != expected:
+                yield at(f"{skeleton.path}.{name}", f"{count} values, expected {expected}")
 
 
 def animation_count(face: FaceView) -> Iterator[Problem]:
@@ -181,13 +177,9 @@ def rotations_unit(face: FaceView) -> Iterator[Problem]:
     for animation in face.animations:
         attribute = animation.GetRotationsAttr()
         for time in times([attribute]):
-            length = _lengths(attribute, time)
-            if length is not None and (np.abs(length - 1) > 1e-3).any():
-                worst = float(length[np.argmax(np.abs(length - 1))])
+            values = array(value(attribute, time), 4)
+            sizes = np.linalg.norm(values, axis=1) if values is not None and np.isfinite(values).all() else np.ones(1)
+            if (np.abs(sizes - 1) > 1e-3).any():
+                worst = float(sizes[np.argmax(np.abs(sizes - 1))])
                 yield at(attribute, f"quaternion of length {worst:g}, expected 1")
                 break
-
-
-def _lengths(attribute: Usd.Attribute, time: Usd.TimeCode) -> npt.NDArray[np.floating] | None:
-    values = array(value(attribute, time), 4)
-    return None if values is None or not np.isfinite(values).all() else np.linalg.norm(values, axis=1)

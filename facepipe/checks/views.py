@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -35,13 +35,19 @@ def some(values: Iterable[Any], limit: int = 5) -> str:
     return ", ".join(listed[:limit]) + (f" ... ({len(listed)} in all)" if len(listed) > limit else "")
 
 
-def outside(values: Any, count: int) -> str | None:
-    """Says which indices are not in 0..count-1; None where all are."""
-    wrong = np.unique(values[(values < 0) | (values >= count) | (values != np.floor(values))])
-    if not len(wrong):
-        return None
-    expected = f"0 to {count - 1}" if count else "none, since there is nothing to index"
-    return f"index {some(f'{one:g}' for one in wrong)} out of range, expected {expected}"
+def outside(culprit: Usd.Prim | Usd.Property | str, values: FloatArray | None, count: int) -> Iterator[Problem]:
+    """The problem of indices, if there are any, that are not all in 0..count-1."""
+    wrong = () if values is None else values[(values < 0) | (values >= count) | (values != np.floor(values))]
+    if len(wrong):
+        expected = f"0 to {count - 1}" if count else "none, since there is nothing to index"
+        yield at(culprit, f"index {some(f'{one:g}' for one in np.unique(wrong))} out of range, expected {expected}")
+
+
+def unlisted(where: str, field: str, names: Iterable[str], known: Collection[str]) -> Iterator[Problem]:
+    """The problem of a field's names that the face does not have."""
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        yield at(f"{where}:{field}", f"{some(unknown)}: unknown, expected {field} of the face")
 
 
 def value(attribute: Usd.Attribute | None, time: Usd.TimeCode | None = None) -> Any:
@@ -70,6 +76,11 @@ def array(value: Any, *shape: int) -> FloatArray | None:
 def numbers(attribute: Usd.Attribute | None, *shape: int) -> FloatArray | None:
     """An attribute as (n, *shape) float64; None where it is missing or holds no such numbers."""
     return array(value(attribute), *shape)
+
+
+def length(values: FloatArray | None) -> int:
+    """How many values or rows there are; 0 where they are missing."""
+    return 0 if values is None else len(values)
 
 
 def words(attribute: Usd.Attribute | None) -> tuple[str, ...]:
@@ -102,14 +113,12 @@ class MeshView:
     @cached_property
     def count(self) -> int:
         """Number of points."""
-        points = numbers(self.mesh.GetPointsAttr(), 3)
-        return 0 if points is None else len(points)
+        return length(numbers(self.mesh.GetPointsAttr(), 3))
 
     @cached_property
     def corners(self) -> int:
         """Number of face-vertex indices."""
-        indices = numbers(self.mesh.GetFaceVertexIndicesAttr())
-        return 0 if indices is None else len(indices)
+        return length(numbers(self.mesh.GetFaceVertexIndicesAttr()))
 
     def inherited(self, name: str) -> Usd.Attribute | None:
         """An attribute with a value, of the mesh or the nearest prim above that has one."""
