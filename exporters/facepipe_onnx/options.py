@@ -6,11 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from facepipe.core.errors import InputError
-from facepipe.declare import POSE_HELP, option
-
-INPUTS = ("coefficients", "matrices")
-BATCHES = (1, 256)
-WEIGHTS = ("float32", "float16", "int8")
+from facepipe.declare import POSE_HELP, check_ranges, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,23 +29,16 @@ class Options:
     normals: bool = option(False, "also output area-weighted point normals (needs the operators Div and Sqrt)")
     parent: bool = option(False, "add an input: the world matrix of the body joint that the face hangs under")
     shapes: str = option("*", "blendshapes to export: globs, separated by commas")
-    batch: int = option(1, "poses per evaluation, fixed in the graph", *BATCHES, "poses")
+    batch: int = option(1, "poses per evaluation, fixed in the graph", 1, 256, "poses")
 
     def check(self) -> None:
         """Check the values.
 
         :raises InputError: a value outside its choices or range
         """
-        if self.inputs not in INPUTS:
-            raise InputError("option inputs", f"is {self.inputs!r}, expected one of {', '.join(INPUTS)}")
-        if self.weights not in WEIGHTS:
-            raise InputError("option weights", f"is {self.weights!r}, expected one of {', '.join(WEIGHTS)}")
-        self._check_sliders()
-        low, high = BATCHES
-        if isinstance(self.batch, bool) or not isinstance(self.batch, int) or not low <= self.batch <= high:
-            raise InputError("option batch", f"is {self.batch!r}, expected a whole number from {low} to {high}")
-
-    def _check_sliders(self) -> None:
+        check_ranges(self)
+        if not isinstance(self.batch, int):
+            raise InputError("option batch", f"is {self.batch!r}, expected a whole number")
         if self.sliders and self.encoder:
             raise InputError(
                 "option encoder", "given with the option sliders, which makes another graph, expected one of them"

@@ -109,7 +109,7 @@ def _weights_of_file(path: Path) -> dict[str, float]:
 
 
 def _unknown_materials(model: IctModel) -> tuple[str, ...]:
-    unknown = [ascii(name)[:40] for name in model.materials if name not in topology.MATERIALS]
+    unknown = [ascii(name)[:40] for name in model.neutral.materials if name not in topology.MATERIALS]
     return (f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()
 
 
@@ -119,25 +119,26 @@ def _meshes(source: Path, model: IctModel, materials: IntArray, options: Options
 
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
+    neutral = model.neutral
     pieces = [part for part in topology.PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
-    corners = face_corners(model.face_vertex_counts, faces)
-    indices = model.face_vertex_indices[corners] - first
+    corners = face_corners(neutral.face_vertex_counts, faces)
+    indices = neutral.face_vertex_indices[corners] - first
     if indices.size and (indices.min() < 0 or indices.max() >= last - first):
         raise TopologyError(f"{source} -> {name}", "its faces use points of other parts, expected a loose mesh")
     head = name == "Head"
-    counts = model.face_vertex_counts[faces]
+    counts = neutral.face_vertex_counts[faces]
     return Mesh(
         name=name,
-        points=(model.neutral + model.identity)[first:last],
+        points=(neutral.points + model.identity)[first:last],
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        uv_sets=(compact_uvs(model.uvs, model.uv_indices[corners]),) if model.uv_indices is not None else (),
+        uv_sets=(compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else (),
         blendshapes=_blendshapes(model, slice(first, last), options),
-        regions=head_regions(model.neutral) if head else whole_region(REGIONS, pieces[0].region, last - first),
+        regions=head_regions(neutral.points) if head else whole_region(REGIONS, pieces[0].region, last - first),
         landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
-        anchor=back_of_border(model.neutral[first:last], counts, indices) if head else None,
+        anchor=back_of_border(neutral.points[first:last], counts, indices) if head else None,
         material_faces=material_faces(list(topology.MATERIALS), materials[faces]),
     )
 
@@ -159,13 +160,13 @@ _CAP = 0.1  # cm of depth at the front of an eyeball, the middle of which is on 
 def face_materials(model: IctModel) -> IntArray:
     """(F,) index of every face's material in `ict_topology.MATERIALS`, -1 for none or an unknown one."""
     names = list(MATERIALS)
-    number = np.array([names.index(name) if name in names else -1 for name in model.materials] + [-1])
-    materials = number[model.face_material]
+    number = np.array([names.index(name) if name in names else -1 for name in model.neutral.materials] + [-1])
+    materials = number[model.neutral.face_material]
     for part in PARTS:
         if part.title.startswith("Eyeball"):
             faces = np.arange(*part.faces)
             side = part.title.rpartition(" ")[2].capitalize()
-            radius = _off_axis(model, faces, model.neutral[slice(*part.points)])
+            radius = _off_axis(model, faces, model.neutral.points[slice(*part.points)])
             shell = materials[faces] == names.index(f"M_Sclera{side}")
             inner = materials[faces] == names.index(f"M_Iris{side}")
             materials[faces[shell & (radius < _IRIS_RADIUS)]] = names.index("Cornea")
@@ -176,9 +177,9 @@ def face_materials(model: IctModel) -> IntArray:
 def _off_axis(model: IctModel, faces: IntArray, points: FloatArray) -> FloatArray:
     """Distance of every face's middle from the axis of the eye; infinite behind the eyeball's middle."""
     axis = points[points[:, 2] > points[:, 2].max() - _CAP, :2].mean(axis=0)
-    corners = model.face_vertex_indices[face_corners(model.face_vertex_counts, faces)]
-    starts = np.cumsum(model.face_vertex_counts[faces]) - model.face_vertex_counts[faces]
-    middles = np.add.reduceat(model.neutral[corners], starts) / model.face_vertex_counts[faces][:, None]
+    corners = model.neutral.face_vertex_indices[face_corners(model.neutral.face_vertex_counts, faces)]
+    starts = np.cumsum(model.neutral.face_vertex_counts[faces]) - model.neutral.face_vertex_counts[faces]
+    middles = np.add.reduceat(model.neutral.points[corners], starts) / model.neutral.face_vertex_counts[faces][:, None]
     behind = middles[:, 2] < (points[:, 2].min() + points[:, 2].max()) / 2
     return np.where(behind, np.inf, np.linalg.norm(middles[:, :2] - axis, axis=1))
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.npz import Field, check_indices, read_arrays
@@ -33,15 +33,9 @@ _BASE = {
 class IctModel:
     """What was read: V = 26719 points, whole model in one index space."""
 
-    neutral: FloatArray  # (V, 3) the generic neutral
+    neutral: Obj  # the generic one
     identity: FloatArray  # (V, 3) offsets of the weighted identity modes
     shapes: Mapping[str, FloatArray]  # name -> (V, 3) offsets
-    face_vertex_counts: IntArray
-    face_vertex_indices: IntArray
-    uvs: FloatArray  # (u, 2)
-    uv_indices: IntArray | None
-    materials: tuple[str, ...]
-    face_material: IntArray  # (F,) index into materials, -1 for none
     files: tuple[Path, ...]  # that were read
     warnings: tuple[str, ...] = ()
 
@@ -62,7 +56,6 @@ def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str
 def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
     sizes = {"V": topology.POINT_COUNT, "F": topology.FACE_COUNT}
     arrays = read_arrays(path, _BASE, sizes)
-    neutral = arrays["neutral"].astype(np.float64)
     _check(path, arrays)
     offsets: dict[str, FloatArray] = {}
     for kind in ("expression", "extra"):
@@ -71,15 +64,17 @@ def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) 
     modes = _named_offsets(path, "identity", sizes) if identity else {}
     _require(path, identity, modes)
     return IctModel(
-        neutral=neutral,
+        neutral=Obj(
+            points=arrays["neutral"].astype(np.float64),
+            face_vertex_counts=arrays["face_vertex_counts"].astype(np.int32),
+            face_vertex_indices=arrays["face_vertex_indices"].astype(np.int32),
+            uvs=arrays["uv"].astype(np.float64),
+            uv_indices=arrays["face_uv_indices"].astype(np.int32),
+            materials=tuple(arrays["material_names"].tolist()),
+            face_material=arrays["face_material"].astype(np.int32),
+        ),
         identity=_weighted({name: modes[name] for name in identity}, identity),
         shapes={name: offsets[name] for name in shapes if name in offsets},
-        face_vertex_counts=arrays["face_vertex_counts"].astype(np.int32),
-        face_vertex_indices=arrays["face_vertex_indices"].astype(np.int32),
-        uvs=arrays["uv"].astype(np.float64),
-        uv_indices=arrays["face_uv_indices"].astype(np.int32),
-        materials=tuple(arrays["material_names"].tolist()),
-        face_material=arrays["face_material"].astype(np.int32),
         files=(path,),
         warnings=_missing([name for name in shapes if name not in offsets]),
     )
@@ -120,15 +115,13 @@ def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[s
     _require(folder, identity, {path.stem: path for path in modes if path.is_file()})
     shape_files = [folder / f"{name}.obj" for name in shapes if (folder / f"{name}.obj").is_file()]
     return IctModel(
-        neutral=neutral.points.astype(np.float32).astype(np.float64),
+        neutral=replace(
+            neutral,
+            points=neutral.points.astype(np.float32).astype(np.float64),
+            uvs=neutral.uvs.astype(np.float32).astype(np.float64),
+        ),
         identity=_weighted({path.stem: _offsets(path, neutral) for path in modes}, identity),
         shapes={path.stem: _offsets(path, neutral) for path in shape_files},
-        face_vertex_counts=neutral.face_vertex_counts,
-        face_vertex_indices=neutral.face_vertex_indices,
-        uvs=neutral.uvs.astype(np.float32).astype(np.float64),
-        uv_indices=neutral.uv_indices,
-        materials=neutral.materials,
-        face_material=neutral.face_material,
         files=(neutral_file, *modes, *shape_files),
         warnings=_missing([name for name in shapes if folder / f"{name}.obj" not in shape_files]),
     )

@@ -38,8 +38,6 @@ def read(source: Path, options: Options) -> Imported:
     :raises TopologyError: a shape whose points or faces are not the neutral's
     """
     check_ranges(options)
-    if options.up_axis not in ("Y", "Z"):
-        raise InputError("option up_axis", f"is {options.up_axis!r}, expected Y or Z")
     neutral_file, shape_files = _files(source, options.neutral)
     neutral = read_obj(neutral_file)
     if len(neutral.face_vertex_counts) == 0:

@@ -109,32 +109,12 @@ def _property(where: str, words: list[str], element: Element) -> _Property:
 def _read_binary(path: Path, data: bytes, start: int, order: str, elements: list[Element]) -> None:
     at = start
     for element in elements:
-        if element.count == 0 or not element.properties:
-            continue
-        lists = any(one.count_kind for one in element.properties)
-        at = (_alike(data, at, order, element) if lists else None) or (
-            _uneven(path, data, at, order, element) if lists else _flat(path, data, at, order, element)
-        )
+        if element.count and element.properties:
+            at = _alike(path, data, at, order, element) or _uneven(path, data, at, order, element)
 
 
-def _rows(path: Path, data: bytes, at: int, element: Element, layout: np.dtype[Any]) -> npt.NDArray[Any]:
-    if layout.itemsize * element.count > len(data) - at:
-        there = (len(data) - at) // layout.itemsize
-        raise InputError(f"{path} -> {element.name}", f"cut short at {there} of {element.count}")
-    return np.frombuffer(data, layout, element.count, at)
-
-
-def _flat(path: Path, data: bytes, at: int, order: str, element: Element) -> int:
-    """Values of an element without lists; where the next begins."""
-    layout = np.dtype([(one.name, order + one.kind) for one in element.properties])
-    rows = _rows(path, data, at, element, layout)
-    for one in element.properties:
-        element.values[one.name] = rows[one.name].astype(one.kind)
-    return at + rows.nbytes
-
-
-def _alike(data: bytes, at: int, order: str, element: Element) -> int | None:
-    """Values of an element whose lists are all as long as its first ones; None where they are not."""
+def _alike(path: Path, data: bytes, at: int, order: str, element: Element) -> int | None:
+    """Values of an element whose lists, if it has any, are all as long as its first ones; None where they are not."""
     fields: list[tuple[Any, ...]] = []
     place = at
     for column in element.properties:
@@ -152,7 +132,9 @@ def _alike(data: bytes, at: int, order: str, element: Element) -> int | None:
         fields += [(f"count {column.name}", count_type), (f"value {column.name}", order + column.kind, (length,))]
     layout = np.dtype(fields)
     if layout.itemsize * element.count > len(data) - at:
-        return None
+        if any(column.count_kind for column in element.properties):
+            return None
+        raise _cut_short(path, element, (len(data) - at) // layout.itemsize)
     rows = np.frombuffer(data, layout, element.count, at)
     for column in element.properties:
         values = rows[f"value {column.name}"].astype(column.kind)
@@ -185,11 +167,15 @@ def _uneven(path: Path, data: bytes, at: int, order: str, element: Element) -> i
                 length = int(np.frombuffer(data, count_kind, 1, at)[0]) if at + count_kind.itemsize <= len(data) else -1
                 at += count_kind.itemsize
             if length < 0 or at + length * kind.itemsize > len(data):
-                raise InputError(f"{path} -> {element.name}", f"cut short at {row} of {element.count}")
+                raise _cut_short(path, element, row)
             values.append(np.frombuffer(data, kind, length, at))
             at += length * kind.itemsize
     _collect(element, values_of)
     return at
+
+
+def _cut_short(path: Path, element: Element, there: int) -> InputError:
+    return InputError(f"{path} -> {element.name}", f"cut short at {there} of {element.count}")
 
 
 def _collect(element: Element, values_of: dict[str, list[Any]]) -> None:
@@ -209,8 +195,7 @@ def _read_text(path: Path, data: bytes, elements: list[Element]) -> None:
         if element.count == 0 or not element.properties:
             continue
         if len(words) - at < element.count * len(element.properties):
-            there = (len(words) - at) // len(element.properties)
-            raise InputError(f"{path} -> {element.name}", f"cut short at {there} of {element.count}")
+            raise _cut_short(path, element, (len(words) - at) // len(element.properties))
         try:
             at = _text_element(words, at, element)
         except (ValueError, OverflowError) as error:
