@@ -17,7 +17,7 @@ from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
 from facepipe.stage.animations import author_animation_changes
 from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
 from facepipe.stage.author_mesh import author_mesh_changes, author_point_values, check_mesh_change
-from facepipe.stage.differences import same
+from facepipe.stage.differences import require_same, same
 from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import editable, prims_below
@@ -26,8 +26,6 @@ from facepipe.stage.skeleton import author_limits, author_recipe
 from facepipe.stage.slider_network import author_network_change, check_face_network
 from facepipe.stage.sliders import author_sliders, check_sliders
 from facepipe.stage.values import to_matrices
-
-_FIXED = ("name", "meters_per_unit", "up_axis", "materials")
 
 
 def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:
@@ -82,12 +80,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
     check_sliders(face.where, new.sliders)
     check_photos(face.where, new.photos)
     check_face_network(face.where, new)
-    for field in ("name", "transform"):
-        if not same(getattr(old.skeleton, field), getattr(new.skeleton, field)):
-            raise InputError(f"{face.where} -> {old.skeleton.name} -> {field}", "differs, expected as on the face")
-    for field in _FIXED:
-        if not same(getattr(old, field), getattr(new, field)):
-            raise InputError(f"{face.where} -> {field}", "differs, expected as on the face")
+    require_same(face.where, old, new, ("name", "meters_per_unit", "up_axis", "materials"))
 
 
 def _check_point_values(face: Face, name: str, values: FloatArray) -> None:
@@ -148,9 +141,7 @@ def _check_skeleton_change(where: str, old: Skeleton, new: Skeleton) -> None:
             raise TopologyError(where, f"{name} transforms {np.shape(transforms)}, expected one (4, 4) per joint")
     if not old.joints and new.joints:
         _check_joints(where, new.joints)
-    for field in ("name", "transform"):
-        if not same(getattr(old, field), getattr(new, field)):
-            raise InputError(f"{where} -> {field}", "differs, expected as on the face")
+    require_same(where, old, new, ("name", "transform"))
 
 
 def _check_joints(where: str, joints: Sequence[str]) -> None:

@@ -17,7 +17,7 @@ from facepipe.stage.api_schemas import apply_schema, check_property_name, put, p
 from facepipe.stage.author_regions import SUBSET_FAMILY, author_regions
 from facepipe.stage.bindings import inherited_attribute, inherited_skeleton
 from facepipe.stage.blendshapes import author_blendshape_changes, author_blendshapes
-from facepipe.stage.differences import same
+from facepipe.stage.differences import require_same, same
 from facepipe.stage.prims import author_data_label, author_name, editable
 from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.values import to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
@@ -178,9 +178,7 @@ def check_mesh_change(where: object, old: Mesh, new: Mesh) -> None:
         raise TopologyError(where, f"{len(new.points)} points, expected {len(old.points)}")
     if not all(same(getattr(old, field), getattr(new, field)) for field in _TOPOLOGY):
         raise TopologyError(where, "other faces, expected those of the face")
-    for field in _FIXED:
-        if not same(getattr(old, field), getattr(new, field)):
-            raise InputError(f"{where} -> {field}", "differs, expected as on the face")
+    require_same(where, old, new, _FIXED)
     if old.skin is not None and new.skin is None:
         raise InputError(f"{where} -> skin", "none, expected one as the face has it")
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from facepipe.core.errors import InputError
 
 AnyArray = npt.NDArray[Any]
 
@@ -27,6 +29,13 @@ def same(first: object, second: object) -> bool:
     if isinstance(first, float) and isinstance(second, float):
         return bool(np.float32(first) == np.float32(second))
     return first == second
+
+
+def require_same(where: object, old: object, new: object, fields: Iterable[str]) -> None:
+    """:raises InputError: one of the fields differs"""
+    for field in fields:
+        if not same(getattr(old, field), getattr(new, field)):
+            raise InputError(f"{where} -> {field}", "differs, expected as on the face")
 
 
 def _same_arrays(first: AnyArray, second: AnyArray) -> bool:

@@ -14,7 +14,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import __version__, tokens
 from facepipe.core.arrays import FloatArray, require_finite
-from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import did_you_mean, unknown
 from facepipe.parts import Animation, FaceParts, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider, SliderNetwork
 from facepipe.rig import (
@@ -28,7 +28,7 @@ from facepipe.rig import (
 )
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import check_units, open_stage, over
-from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
+from facepipe.stage.guard import errors_below, usd_errors
 from facepipe.stage.materials import read_material
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
@@ -114,7 +114,7 @@ class Face:
         """
         prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
         own = distinct_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
-        with self._trail():
+        with errors_below(self.where):
             bindings, materials = self._bindings(), dict(self.material_names)
             return self._finite(
                 tuple(
@@ -126,19 +126,19 @@ class Face:
     @cached_property
     def skeleton(self) -> Skeleton:
         """The skeleton; without joints for a blendshape-only face."""
-        with self._trail():
+        with errors_below(self.where):
             return read_skeleton(self._skeleton_prim)
 
     @cached_property
     def animations(self) -> tuple[Animation, ...]:
         """Poses and clips below the face."""
-        with self._trail():
+        with errors_below(self.where):
             return self._finite(tuple(read_animation(prim, name) for name, prim in animation_prims(self).items()))
 
     @property
     def played(self) -> str | None:
         """Name of the pose or clip below the face that its skeleton plays."""
-        with self._trail():
+        with errors_below(self.where):
             source = UsdSkel.BindingAPI(self._skeleton_prim).GetInheritedAnimationSource()
         return next((name for name, prim in animation_prims(self).items() if prim == source), None)
 
@@ -150,26 +150,26 @@ class Face:
     @cached_property
     def sliders(self) -> tuple[Slider, ...]:
         """The face's sliders, by name."""
-        with self._trail():
+        with errors_below(self.where):
             return self._finite(read_sliders(self.prim))
 
     @cached_property
     def slider_network(self) -> SliderNetwork | None:
         """The learned network that adds to what the sliders do; None for most faces."""
-        with self._trail():
+        with errors_below(self.where):
             return self._finite(read_slider_network(self.prim))
 
     @cached_property
     def materials(self) -> tuple[Material, ...]:
         """Its UsdPreviewSurface materials, with their textures."""
-        with self._trail():
+        with errors_below(self.where):
             read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self.material_names.items())
             return self._finite(tuple(material for material in read if material is not None))
 
     @cached_property
     def photos(self) -> tuple[PhotoView, ...]:
         """Photos that it was fitted to."""
-        with self._trail():
+        with errors_below(self.where):
             cameras = [one for one in self._below() if one.IsA(UsdGeom.Camera)]
             if not cameras:
                 return ()
@@ -225,7 +225,7 @@ class Face:
 
     def parts(self) -> FaceParts:
         """Everything the face holds, as arrays."""
-        with self._trail():
+        with errors_below(self.where):
             limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
             recipe = read_recipe(self.prim)
         parts = FaceParts(
@@ -256,7 +256,7 @@ class Face:
 
     @cached_property
     def _rig(self) -> Rig:
-        with self._trail():
+        with errors_below(self.where):
             return build(FaceParts(name=self.name, meshes=self.meshes, skeleton=self.skeleton))
 
     @cached_property
@@ -315,7 +315,7 @@ class Face:
 
         :raises InputError: no such pose
         """
-        with self._trail():
+        with errors_below(self.where):
             return person_of(self.parts(), pose)
 
     def sample(self, name: str, index: int = 0) -> tuple[FloatArray, dict[str, float]]:
@@ -437,7 +437,7 @@ class Face:
         return read
 
     def _text(self, name: str) -> str:
-        with self._trail():
+        with errors_below(self.where):
             return str(self.prim.GetAttribute(name).Get() or "")
 
     def _below(self) -> Iterator[Usd.Prim]:
@@ -461,16 +461,6 @@ class Face:
             for binding in bound
             for query in binding.GetSkinningTargets()
         }
-
-    @contextlib.contextmanager
-    def _trail(self) -> Iterator[None]:
-        try:
-            yield
-        except USD_ERRORS as error:
-            raise InputError(self.where, f"can't be read as USD: {reason(error)}") from None
-        except FacepipeError as error:
-            file = self.where.partition(" -> ")[0]
-            raise error if error.where.startswith(file) else error.under(file) from None
 
 
 def _check_metadata(face: Face) -> None:

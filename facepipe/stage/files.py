@@ -18,7 +18,7 @@ from facepipe.core.atomic import replacing, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
 from facepipe.core.trust import is_below
 from facepipe.stage.composition import checked_layers, composable_layers
-from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.stage_counts import check_counts
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
@@ -53,16 +53,13 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         raise InputError(file, "no such file" if not file.exists() else "is no regular file, expected a USD file")
     if file.suffix.lower() not in SUFFIXES:
         raise InputError(file, f"suffix '{file.suffix}', expected one of {' '.join(SUFFIXES)}")
-    with quiet_diagnostics():
-        try:
-            held = composable_layers(file)
-            stage = Usd.Stage.Open(str(file))
-            problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
-            del held
-            _check_clocks(file, stage)
-            check_counts(file, stage)
-        except (*USD_ERRORS, RuntimeError) as error:
-            raise InputError(file, f"can't be read as USD: {reason(error)}") from None
+    with quiet_diagnostics(), usd_errors(file, RuntimeError):
+        held = composable_layers(file)
+        stage = Usd.Stage.Open(str(file))
+        problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
+        del held
+        _check_clocks(file, stage)
+        check_counts(file, stage)
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
@@ -93,13 +90,10 @@ def dependencies(path: Path) -> set[Path]:
 
     :raises InputError: it or a layer below it is damaged
     """
-    with quiet_diagnostics():
-        try:
-            held = checked_layers(path)
-            layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
-            del held
-        except (*USD_ERRORS, RuntimeError) as error:
-            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
+    with quiet_diagnostics(), usd_errors(path, RuntimeError):
+        held = checked_layers(path)
+        layers, assets, _ = UsdUtils.ComputeAllDependencies(Sdf.AssetPath(str(path)))
+        del held
     return {Path(layer.realPath) for layer in layers if layer.realPath} | {Path(str(asset)) for asset in assets}
 
 
@@ -108,13 +102,10 @@ def named_in(path: Path) -> set[str]:
 
     :raises InputError: it is damaged
     """
-    with quiet_diagnostics():
-        try:
-            held = checked_layers(path)
-            names = UsdUtils.ExtractExternalReferences(str(path))
-            del held
-        except (*USD_ERRORS, RuntimeError) as error:
-            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
+    with quiet_diagnostics(), usd_errors(path, RuntimeError):
+        held = checked_layers(path)
+        names = UsdUtils.ExtractExternalReferences(str(path))
+        del held
     return {name.partition("[")[0] for kind in names for name in kind} - {""}
 
 

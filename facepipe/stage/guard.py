@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 from pxr import Tf
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import FacepipeError, InputError
 
 Reader = TypeVar("Reader", bound=Callable[..., Any])
 
@@ -30,12 +30,23 @@ def reason(error: Exception) -> str:
 
 
 @contextlib.contextmanager
-def usd_errors(where: object) -> Iterator[None]:
-    """What USD raises in the block becomes an InputError at `where`."""
+def usd_errors(where: object, *further: type[Exception]) -> Iterator[None]:
+    """What USD raises in the block, or another error of the `further` kinds, becomes an InputError at `where`."""
     try:
         yield
-    except USD_ERRORS as error:
+    except (*USD_ERRORS, *further) as error:
         raise InputError(where, f"can't be read as USD: {reason(error)}") from None
+
+
+@contextlib.contextmanager
+def errors_below(where: str) -> Iterator[None]:
+    """As `usd_errors`; the trails of other errors begin with the file of `where`."""
+    file = where.partition(" -> ")[0]
+    try:
+        with usd_errors(where):
+            yield
+    except FacepipeError as error:
+        raise error if error.where.startswith(file) else error.under(file) from None
 
 
 def reads_prim(reader: Reader) -> Reader:

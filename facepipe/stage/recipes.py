@@ -18,7 +18,7 @@ from facepipe.core.reading import digest, is_file, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.guard import USD_ERRORS, usd_errors
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
@@ -162,14 +162,11 @@ def layer_links(path: Path) -> LayerLinks:
     :raises InputError: a damaged file, or one that is open with changes that are not saved
     """
     facepipe_schemas.register()
-    with quiet_diagnostics():
-        try:
-            layer = _fresh(path)
-            names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
-            layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
-            return LayerLinks(layers, _has_recipe(layer))
-        except (*USD_ERRORS, RuntimeError) as error:
-            raise InputError(path, f"can't be read as USD: {reason(error)}") from None
+    with quiet_diagnostics(), usd_errors(path, RuntimeError):
+        layer = _fresh(path)
+        names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
+        layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
+        return LayerLinks(layers, _has_recipe(layer))
 
 
 def _fresh(path: Path) -> Sdf.Layer:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.errors import FacepipeError, InputError, SchemaError, TopologyError
+from facepipe.core.errors import FacepipeError
 from facepipe.core.names import identifier
 from facepipe.parts import Animation, BoneLimits, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
@@ -19,7 +18,7 @@ from facepipe.stage.foreign.meshes import bindings, bound_materials, choose_mesh
 from facepipe.stage.foreign.scene import Scene, ancestors
 from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
 from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
-from facepipe.stage.guard import USD_ERRORS, reason
+from facepipe.stage.guard import errors_below
 from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
@@ -51,7 +50,7 @@ def read_foreign(
     :raises InputError: no readable stage, no meshes, no such variant, or a choice that has to be made
     :raises SchemaError, TopologyError: data that doesn't hold together
     """
-    with quiet_diagnostics(), _trail(path):
+    with quiet_diagnostics(), errors_below(str(path)):
         scene = Scene(path, root, variants or {})
         meshes = choose_meshes(scene)
         prim = choose_skeleton(scene, meshes, skeleton)
@@ -68,19 +67,6 @@ def read_foreign(
             files=tuple(sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)),
             warnings=tuple(scene.warnings),
         )
-
-
-@contextlib.contextmanager
-def _trail(path: Path) -> Iterator[None]:
-    """Errors name the file first."""
-    try:
-        yield
-    except USD_ERRORS as error:
-        raise InputError(path, f"can't be read as USD: {reason(error)}") from None
-    except (SchemaError, TopologyError) as error:
-        raise error.under(path) from None
-    except InputError as error:
-        raise error if error.where.startswith(str(path)) else error.under(path) from None
 
 
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
