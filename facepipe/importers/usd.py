@@ -33,9 +33,9 @@ def read(source: Path, options: Options) -> Imported:
     from facepipe.stage.foreign import read_foreign
 
     check_ranges(options)
-    foreign = read_foreign(source, root=options.prim, skeleton=options.skeleton, variants=options.variant)
-    warnings = list(foreign.warnings)
-    parts = foreign.parts
+    parts, files, warnings = read_foreign(
+        source, root=options.prim, skeleton=options.skeleton, variants=options.variant
+    )
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
     skeleton, new_names = _renamed(parts.skeleton, warnings)
     _check_transforms(source, parts)
@@ -54,7 +54,7 @@ def read(source: Path, options: Options) -> Imported:
         sliders=sliders,
         slider_network=_kept_network(parts.slider_network, sliders, new_names, _shape_names(meshes), warnings),
         materials=_distinct_textures(parts.materials),
-        recipe=import_recipe("usd", {source: foreign.files}, options),
+        recipe=import_recipe("usd", {source: files}, options),
     )
     parts = with_units(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(warnings))

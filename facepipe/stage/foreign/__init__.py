@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.stage.foreign.read import Foreign, read_foreign
+    from facepipe.stage.foreign.read import read_foreign
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["Foreign", "read_foreign"]
+__all__ = ["read_foreign"]

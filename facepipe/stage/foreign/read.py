@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError
 from facepipe.core.names import identifier
-from facepipe.parts import Animation, BoneLimits, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
+from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.files import quiet_diagnostics
 from facepipe.stage.foreign.meshes import bindings, bound_materials, choose_meshes, mend_meshes, note_custom
@@ -25,14 +25,7 @@ from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
 from facepipe.stage.slider_network import read_slider_network
 from facepipe.stage.sliders import read_sliders
 
-
-@dataclass(frozen=True, kw_only=True)
-class Foreign:
-    """A face read from a stage of another tool."""
-
-    parts: FaceParts
-    files: tuple[Path, ...]  # layers that were read
-    warnings: tuple[str, ...]
+Read = TypeVar("Read")
 
 
 def read_foreign(
@@ -41,8 +34,8 @@ def read_foreign(
     root: str | None = None,
     skeleton: str | None = None,
     variants: Mapping[str, str] | None = None,
-) -> Foreign:
-    """The face of a UsdSkel stage, repaired as far as its meaning is clear.
+) -> tuple[FaceParts, list[Path], list[str]]:
+    """The face of a UsdSkel stage, repaired as far as its meaning is clear; the layers that were read, and warnings.
 
     :param root: path of the prim to read below; default the default prim, or the whole stage
     :param skeleton: path of the Skeleton, needed where meshes are bound to several
@@ -62,11 +55,8 @@ def read_foreign(
         mend_meshes(scene, meshes)
         note_custom(scene)
         parts = _parts(scene, meshes, prim)
-        return Foreign(
-            parts=parts,
-            files=tuple(sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)),
-            warnings=tuple(scene.warnings),
-        )
+        files = sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)
+        return parts, files, scene.warnings
 
 
 def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceParts:
@@ -99,7 +89,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         frames_per_second=float(scene.stage.GetTimeCodesPerSecond()) or 24.0,
         sliders=sliders,
         slider_network=_slider_network(scene, sliders),
-        bone_limits=None if prim is None else _limits(scene, prim, len(skeleton.joints)),
+        bone_limits=None if prim is None else _sound(scene, "bone limits", read_limits, prim, len(skeleton.joints)),
         materials=materials,
         attach_joint=_attach_joint(scene),
         attribution=_attribution(scene),
@@ -131,10 +121,8 @@ def _animations(
     prims = [prim for prim in every if prim.IsA(UsdSkel.Animation)]
     names = distinct_names(prims, [str(one.GetName()) for one in prims])
     for prim, name in zip(prims, names, strict=True):
-        try:
-            animation = read_animation(prim, name)
-        except FacepipeError as error:
-            scene.warn(f"{error}: animation left out")
+        animation = _sound(scene, "animation", read_animation, prim, name)
+        if animation is None:
             continue
         unknown = sorted({*animation.joints} - {*skeleton.joints}) + sorted({*animation.shapes} - shapes)
         if unknown:
@@ -179,11 +167,7 @@ def _sliders(scene: Scene) -> tuple[Slider, ...]:
     """The sliders of all faces, the first of each name; those of a prim where they don't fit are left out."""
     sliders: dict[str, Slider] = {}
     for prim in _prims(scene):
-        try:
-            of_prim = read_sliders(prim)
-        except FacepipeError as error:
-            scene.warn(f"{error}: sliders left out")
-            continue
+        of_prim = _sound(scene, "sliders", read_sliders, prim) or ()
         twice = sorted({one.name for one in of_prim} & {*sliders})
         if twice:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
@@ -195,11 +179,7 @@ def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | 
     """The first learned network that takes none but the given sliders; others are left out."""
     names, chosen = {slider.name for slider in sliders}, None
     for prim in _prims(scene):
-        try:
-            network = read_slider_network(prim)
-        except FacepipeError as error:
-            scene.warn(f"{error}: network left out")
-            continue
+        network = _sound(scene, "network", read_slider_network, prim)
         if network is not None and (chosen is not None or not names.issuperset(network.sliders)):
             scene.warn("a learned network of sliders left out: another is kept, or its sliders are missing", [prim])
         elif network is not None:
@@ -207,12 +187,12 @@ def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | 
     return chosen
 
 
-def _limits(scene: Scene, skeleton: Usd.Prim, joint_count: int) -> BoneLimits | None:
-    """The bone limits of the skeleton; None where they don't fit its joints."""
+def _sound(scene: Scene, what: str, read: Callable[..., Read], *given: object) -> Read | None:
+    """What `read` finds; None, with a warning, where that is damaged."""
     try:
-        return read_limits(skeleton, joint_count)
+        return read(*given)
     except FacepipeError as error:
-        scene.warn(f"{error}: bone limits left out")
+        scene.warn(f"{error}: {what} left out")
         return None
 
 
