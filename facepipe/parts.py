@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -327,6 +327,18 @@ class Material:
     clearcoat: float | TextureInput = 0.0  # a clear layer over it, such as tears or lip gloss
     clearcoat_roughness: float | TextureInput = 0.01
     label: str | None = None  # as of a blendshape
+
+    @property
+    def textured(self) -> dict[str, TextureInput]:
+        """The inputs that textures drive, by field."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, TextureInput)}
+
+    def with_textures(self, change: Callable[[Texture], Texture]) -> Material:
+        """The material with other textures in place of its own."""
+        inputs: dict[str, Any] = {
+            name: replace(used, texture=change(used.texture)) for name, used in self.textured.items()
+        }
+        return replace(self, **inputs)
 
 
 @dataclass(frozen=True, kw_only=True)

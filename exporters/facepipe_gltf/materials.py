@@ -229,10 +229,9 @@ class MaterialWriter:
     def _untextured(self, material: Material) -> Material:
         """The material with its constants alone, for meshes without UVs."""
         plain = vars(Material(name=material.name))
-        textured = {key: plain[key] for key, value in vars(material).items() if isinstance(value, TextureInput)}
-        if textured:
+        if material.textured:
             self.textures.warn(f"{material.name}: textures left out on a mesh without UVs")
-        return replace(material, **textured)
+        return replace(material, **{name: plain[name] for name in material.textured})
 
     def _extend(self, result: Json, extension: str, values: Json) -> None:
         self.extensions.add(extension)

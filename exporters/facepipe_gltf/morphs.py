@@ -15,7 +15,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
-from facepipe.parts import Blendshape, FaceParts, Mesh, exact
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, exact
 from facepipe.records import Json
 from facepipe_gltf.buffers import Extent, Rows, require_finite
 from facepipe_gltf.encoding import Encoded
@@ -36,10 +36,14 @@ class Sculpt:
     shape: str
     weight: float  # shape weight at which it is fully active
     knots: Knots  # activation over the shape's weight, piecewise linear, its ends extended
-    is_inbetween: bool
     point_indices: IntArray
     offsets: FloatArray
     normal_offsets: FloatArray | None
+
+    @property
+    def is_inbetween(self) -> bool:
+        """Whether it is one of a shape's inbetweens."""
+        return self.weight != 1.0
 
 
 def chosen_shapes(parts: FaceParts, globs: str) -> tuple[str, ...]:
@@ -78,30 +82,20 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
             f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
         )
     knots = _knots(weights)
-    main = Sculpt(
-        name=shape.name,
-        label=shape.name if weights else exact(shape),  # inbetweens name their shape
-        shape=shape.name,
-        weight=1.0,
-        knots=knots[1.0],
-        is_inbetween=False,
-        point_indices=shape.point_indices,
-        offsets=shape.offsets,
-        normal_offsets=shape.normal_offsets,
-    )
-    return [main] + [
+    whole: list[tuple[str, float, Blendshape | Inbetween]] = [(shape.name, 1.0, shape)]
+    between = [(f"{shape.name}_{one.name}", one.weight, one) for one in shape.inbetweens]
+    return [
         Sculpt(
-            name=f"{shape.name}_{inbetween.name}",
-            label=f"{shape.name}_{inbetween.name}",
+            name=name,
+            label=name if weights else exact(shape),  # inbetweens name their shape
             shape=shape.name,
-            weight=inbetween.weight,
-            knots=knots[inbetween.weight],
-            is_inbetween=True,
+            weight=weight,
+            knots=knots[weight],
             point_indices=shape.point_indices,
-            offsets=inbetween.offsets,
-            normal_offsets=inbetween.normal_offsets,
+            offsets=sculpt.offsets,
+            normal_offsets=sculpt.normal_offsets,
         )
-        for inbetween in shape.inbetweens
+        for name, weight, sculpt in (*whole, *between)
     ]
 
 

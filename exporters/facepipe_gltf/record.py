@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, UvSet
+from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, Texture, UvSet
 from facepipe.records import Json
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
@@ -28,8 +28,6 @@ from facepipe_gltf.record_format import (
     points_back,
     shape_names,
     steps_between,
-    texture_inputs,
-    with_image_data,
 )
 
 
@@ -169,8 +167,12 @@ def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:
 def _material_husks(materials: Sequence[Material], meshes: Sequence[Baked]) -> tuple[Material, ...]:
     """The materials whose images are in the file, with digests in place of images."""
     used = {name for mesh in meshes for name, _ in by_material(mesh)}
-    husks = [with_image_data(material, image_digest) for material in materials]
-    return tuple(husk for husk in husks if husk.name in used or not texture_inputs(husk))
+
+    def husk(texture: Texture) -> Texture:
+        return replace(texture, data=image_digest(texture.data))
+
+    kept = [material for material in materials if material.name in used or not material.textured]
+    return tuple(material.with_textures(husk) for material in kept)
 
 
 def _mesh_record(baked: Baked, *, exact: bool) -> MeshRecord:

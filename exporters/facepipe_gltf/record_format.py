@@ -10,15 +10,15 @@ import hashlib
 import json
 import struct
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.parts import FaceParts, Material, Mesh, TextureInput
+from facepipe.parts import FaceParts, Mesh
 from facepipe.records import ArrayReader, ArrayWriter, Json, from_json, to_json
 
 VERSION = 1
@@ -131,21 +131,6 @@ def _ordered(values: FloatArray) -> IntArray:
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32).astype(np.int64)
     ordered: IntArray = np.where(bits >= 0x80000000, 0x80000000 - bits, bits)
     return ordered
-
-
-def texture_inputs(material: Material) -> dict[str, TextureInput]:
-    """The inputs of a material that textures drive, by field."""
-    values = {field.name: getattr(material, field.name) for field in fields(material)}
-    return {name: value for name, value in values.items() if isinstance(value, TextureInput)}
-
-
-def with_image_data(material: Material, data: Callable[[bytes], bytes]) -> Material:
-    """The material with `data` of its images' bytes in their place."""
-    inputs: dict[str, Any] = {
-        name: replace(used, texture=replace(used.texture, data=data(used.texture.data)))
-        for name, used in texture_inputs(material).items()
-    }
-    return replace(material, **inputs)
 
 
 def image_digest(data: bytes) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
 from facepipe.importers.options import UsdOptions
-from facepipe.parts import Animation, FaceParts, Material, Mesh, Skeleton, Slider, SliderNetwork, Texture, TextureInput
+from facepipe.parts import Animation, FaceParts, Material, Mesh, Skeleton, Slider, SliderNetwork, Texture
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.imported import Imported, import_recipe, with_units
@@ -209,12 +209,6 @@ def _distinct_textures(materials: Iterable[Material]) -> tuple[Material, ...]:
             names[key] = candidate
         return names[key]
 
-    def renamed(value: object) -> object:
-        if not isinstance(value, TextureInput):
-            return value
-        return replace(value, texture=replace(value.texture, name=own_name(value.texture)))
-
     return tuple(
-        replace(material, **{part.name: renamed(getattr(material, part.name)) for part in fields(material)})  # type: ignore[arg-type]
-        for material in materials
+        material.with_textures(lambda texture: replace(texture, name=own_name(texture))) for material in materials
     )

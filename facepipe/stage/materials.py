@@ -152,12 +152,9 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
     """
     textures: dict[str, Texture] = {}
     for material in parts.materials:
-        for field in _USD_NAMES:
-            value = getattr(material, field)
-            if isinstance(value, TextureInput):
-                texture = value.texture
-                if textures.setdefault(texture.name, texture).data != texture.data:
-                    raise InputError(material.name, f"two different textures named '{texture.name}'")
+        for used in material.textured.values():
+            if textures.setdefault(used.texture.name, used.texture).data != used.texture.data:
+                raise InputError(material.name, f"two different textures named '{used.texture.name}'")
     return textures
 
 

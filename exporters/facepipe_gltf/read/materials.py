@@ -16,7 +16,7 @@ from facepipe_gltf.read.document import Document, read_uri, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.names import Names, file_name, given_name
 from facepipe_gltf.read.values import Value
-from facepipe_gltf.record_format import image_digest, texture_inputs, with_image_data
+from facepipe_gltf.record_format import image_digest
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
 Wrap = Literal["repeat", "mirror", "clamp"]
@@ -232,14 +232,13 @@ def with_recorded_images(
     document: Document, recorded: Sequence[Material], read: Sequence[Material]
 ) -> tuple[Material, ...]:
     """Recorded materials of a file of ours with the file's images; one whose images it lacks is as it was read."""
-    images = {
-        image_digest(used.texture.data): used.texture.data for one in read for used in texture_inputs(one).values()
-    }
+    textures = [used.texture for material in read for used in material.textured.values()]
+    images = {image_digest(texture.data): texture.data for texture in textures}
     by_name = {one.name: one for one in read}
     result = []
     for material in recorded:
-        if all(used.texture.data in images for used in texture_inputs(material).values()):
-            result.append(with_image_data(material, images.__getitem__))
+        if all(used.texture.data in images for used in material.textured.values()):
+            result.append(material.with_textures(lambda texture: replace(texture, data=images[texture.data])))
             continue
         document.warn("facepipe", f"the images of the material {material.name} were merged: it is read as glTF has it")
         result.append(replace(by_name.get(material.name, Material(name=material.name)), name=material.name))

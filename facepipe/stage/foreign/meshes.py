@@ -10,7 +10,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
-from facepipe.parts import Material, TextureInput
+from facepipe.parts import Material
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.materials import read_material
@@ -202,9 +202,8 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
 
 def _refusal(material: Material | None) -> InputError | None:
     """Why an image of the material may not be copied."""
-    values = vars(material).values() if material else ()
-    images = (value.texture for value in values if isinstance(value, TextureInput))
-    return next((image.refusal for image in images if image.refusal), None)
+    inputs = material.textured.values() if material else ()
+    return next((used.texture.refusal for used in inputs if used.texture.refusal), None)
 
 
 def _read(scene: Scene, prim: Usd.Prim, name: str) -> Material | None:
