@@ -12,11 +12,11 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Animation, Skeleton, exact
 from facepipe.records import Json
 from facepipe.rig.animation import TICK, local_transforms
-from facepipe.rig.trs import Trs, decompose
+from facepipe.rig.trs import Trs, accumulate, decompose
 from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.joints import JointNodes, has_shear
 from facepipe_gltf.morphs import Sculpt
-from facepipe_gltf.placement import Space, accumulate
+from facepipe_gltf.placement import Space
 
 _NEAR = 1e-5  # seconds
 _SAME = 1e-7  # joints nearer to rest than this (metres, quaternion and scale units) get no channel

@@ -10,8 +10,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import Skeleton
 from facepipe.records import Json
-from facepipe.rig.trs import Trs, decompose
-from facepipe_gltf.placement import Space, accumulate, numbers
+from facepipe.rig.trs import Trs, accumulate, decompose
+from facepipe_gltf.placement import Space, numbers
 
 _INHERITED_SHEAR_TOLERANCE = 1e-4
 _UNEVEN = 1e-5  # of scales along the axes of a joint

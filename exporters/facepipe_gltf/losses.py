@@ -9,10 +9,11 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import Animation, FaceParts, Mesh, PhotoView, Skeleton, Slider
+from facepipe.rig.trs import accumulate
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.influences import LOST, merge
 from facepipe_gltf.options import Options
-from facepipe_gltf.placement import Space, accumulate
+from facepipe_gltf.placement import Space
 from facepipe_gltf.record_format import NONE
 
 _UNNORMALISED = 1e-4

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import FaceParts, Mesh, Skeleton
+from facepipe.rig.trs import rest_worlds
 from facepipe_gltf.influences import merge
 
 _UNIT = 2e-7
@@ -125,21 +126,6 @@ def place(mesh: Mesh, skeleton: Skeleton, space: Space, skinned: bool) -> Placem
     for column in range(joints.shape[1]):
         blended += to_rest[joints[:, column]] * weights[:, column, None, None]
     return Placement(space.skeleton @ blended @ bind)
-
-
-def rest_worlds(skeleton: Skeleton) -> FloatArray:
-    """(j, 4, 4) joints at rest in skeleton space."""
-    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
-    return accumulate(rest, skeleton.parents)
-
-
-def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
-    """Local matrices (..., j, 4, 4) times those of all their parents; parents come first."""
-    worlds = np.array(local)
-    for joint, parent in enumerate(parents):
-        if parent >= 0:
-            worlds[..., joint, :, :] = worlds[..., parent, :, :] @ local[..., joint, :, :]
-    return worlds
 
 
 def _unless_near(lengths: FloatArray, expected: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from facepipe.hosting.edited_mesh import edited_mesh, same_topology, summed_to_o
 from facepipe.parts import BoneLimits, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.rig.trs import rest_worlds
 from facepipe.stage.differences import same
 
 _TURN = 2e-6  # of a matrix: smaller differences come from a host's float32
@@ -109,7 +110,7 @@ def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray],
     return replace(
         before,
         bind_transforms=_moved(before.bind_transforms, then, now),
-        rest_transforms=_local(before.parents, _moved(_worlds(before), then, now)),
+        rest_transforms=_local(before.parents, _moved(rest_worlds(before), then, now)),
     )
 
 
@@ -131,7 +132,7 @@ def _other_joints(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArr
     return replace(
         fresh,
         bind_transforms=_moved(before.bind_transforms[at], then, made.bind_transforms),
-        rest_transforms=_local(parents, _moved(_worlds(before)[at], then, made.bind_transforms)),
+        rest_transforms=_local(parents, _moved(rest_worlds(before)[at], then, made.bind_transforms)),
     )
 
 
@@ -141,15 +142,6 @@ def _moved(own: FloatArray, then: FloatArray, now: FloatArray) -> FloatArray:
     scales[:, 0, :3] = np.linalg.norm(own[:, :3, :3], axis=1)
     result: FloatArray = own / scales @ np.linalg.inv(then) @ now * scales
     return result
-
-
-def _worlds(skeleton: Skeleton) -> FloatArray:
-    """(j, 4, 4) joints at rest in the space of the skeleton."""
-    world = np.array(skeleton.rest_transforms, dtype=np.float64)
-    for i, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            world[i] = world[parent] @ world[i]
-    return world
 
 
 def _local(parents: IntArray, world: FloatArray) -> FloatArray:

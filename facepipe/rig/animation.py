@@ -140,7 +140,7 @@ def _unless_tiny(name: str, size: float, unit: str) -> list[str]:
 
 def _at(trs: Trs, old: FloatArray, new: FloatArray) -> Trs:
     """(t, j, ...) transforms of samples at `old`, at the times `new`."""
-    left, right, share = _between(old, new)
+    left, right, share = between(old, new)
     return Trs(
         _lines(trs.translation, old, new),
         slerp(trs.rotation[left], trs.rotation[right], share[:, None, None]),
@@ -150,13 +150,13 @@ def _at(trs: Trs, old: FloatArray, new: FloatArray) -> Trs:
 
 
 def _lines(values: FloatArray, old: FloatArray, new: FloatArray) -> FloatArray:
-    left, right, share = _between(old, new)
+    left, right, share = between(old, new)
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray(values[left] + share * (values[right] - values[left]))
 
 
-def _between(old: FloatArray, new: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], FloatArray]:
-    """The samples around each new time, and how far it is from the one to the other."""
+def between(old: FloatArray, new: FloatArray) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], FloatArray]:
+    """The samples around each new time, and how far it is from the one to the other, 0 to 1; ends are held."""
     left = np.clip(np.searchsorted(old, new, side="right") - 1, 0, len(old) - 1)
     right = np.minimum(left + 1, len(old) - 1)
     span = np.where(right > left, old[right] - old[left], 1.0)

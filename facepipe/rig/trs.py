@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.parts import Skeleton
 
 _SHEAR_TOLERANCE = 1e-6
 
@@ -46,6 +47,21 @@ def decompose(matrices: FloatArray) -> Trs:
     size = np.abs(linear).max(axis=(-1, -2))
     sheared = np.abs(rebuilt - linear).max(axis=(-1, -2)) > _SHEAR_TOLERANCE * np.where(size == 0, 1.0, size)
     return Trs(matrices[..., :3, 3], quaternions(rotation), scale, np.asarray(sheared))
+
+
+def rest_worlds(skeleton: Skeleton) -> FloatArray:
+    """(j, 4, 4) joints at rest in skeleton space."""
+    rest = np.asarray(skeleton.rest_transforms, dtype=np.float64)
+    return accumulate(rest, skeleton.parents)
+
+
+def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
+    """Local matrices (..., j, 4, 4) times those of all their parents; parents come first."""
+    worlds = np.array(local)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            worlds[..., joint, :, :] = worlds[..., parent, :, :] @ local[..., joint, :, :]
+    return worlds
 
 
 def _nearest(linear: FloatArray) -> tuple[FloatArray, FloatArray]:

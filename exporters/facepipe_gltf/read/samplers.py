@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.rig.animation import ON_FRAME, TICK, whole_frames
+from facepipe.rig.animation import ON_FRAME, TICK, between, whole_frames
 from facepipe.rig.trs import slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
@@ -65,13 +65,10 @@ def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sam
 
 def sample(sampler: Sampler, times: FloatArray, rotation: bool = False) -> FloatArray:
     """(t, width) values at `times` (t,), held before the first key and after the last; rotations get unit length."""
-    last = len(sampler.times) - 1
-    left = np.clip(np.searchsorted(sampler.times, times, side="right") - 1, 0, last)
-    right = np.minimum(left + 1, last)
-    span = sampler.times[right] - sampler.times[left]
-    share = np.clip((times - sampler.times[left]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None]
+    left, right, share = between(sampler.times, times)
+    span, share = sampler.times[right] - sampler.times[left], share[:, None]
     a, b = sampler.keys[left], sampler.keys[right]
-    if sampler.mode == "STEP" or last == 0:
+    if sampler.mode == "STEP" or len(sampler.times) == 1:
         values = a
     elif sampler.tangents is not None:
         arrive, leave = sampler.tangents

@@ -10,7 +10,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts, Mesh
-from facepipe_gltf.placement import place, rest_worlds, space_of
+from facepipe.rig.trs import rest_worlds
+from facepipe_gltf.placement import place, space_of
 from facepipe_gltf.vrm.bones import REQUIRED, SIDES, TORSO
 from facepipe_gltf.vrm.nodes import NodeTree
 
