@@ -63,6 +63,12 @@ class Blendshape:
     inbetweens: tuple[Inbetween, ...] = ()
     label: str | None = None  # the source's name, where `name` had to be another: several are called so, or ""
 
+    @property
+    def sculpts(self) -> tuple[tuple[str, float, Blendshape | Inbetween], ...]:
+        """The shape and its inbetweens: of each the name as a morph target, the weight, and what has its offsets."""
+        between = ((f"{self.name}_{inbetween.name}", inbetween.weight, inbetween) for inbetween in self.inbetweens)
+        return ((self.name, 1.0, self), *between)
+
     def changed(
         self, offsets: Callable[[FloatArray], FloatArray], normal_offsets: Callable[[FloatArray], FloatArray]
     ) -> Blendshape:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, exact
+from facepipe.parts import Blendshape, FaceParts, Mesh, exact
 from facepipe.records import Json
 from facepipe_gltf.buffers import Extent, Rows, require_finite
 from facepipe_gltf.encoding import Encoded
@@ -82,8 +82,6 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
             f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
         )
     knots = _knots(weights)
-    whole: list[tuple[str, float, Blendshape | Inbetween]] = [(shape.name, 1.0, shape)]
-    between = [(f"{shape.name}_{one.name}", one.weight, one) for one in shape.inbetweens]
     return [
         Sculpt(
             name=name,
@@ -95,7 +93,7 @@ def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
             offsets=sculpt.offsets,
             normal_offsets=sculpt.normal_offsets,
         )
-        for name, weight, sculpt in (*whole, *between)
+        for name, weight, sculpt in shape.sculpts
     ]
 
 

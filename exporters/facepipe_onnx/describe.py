@@ -229,8 +229,7 @@ def _targets(mesh: Mesh, rig: Rig) -> list[int]:
     targets = []
     for shape in mesh.blendshapes:
         by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
-        sculpts = [(shape.name, 1.0), *((f"{shape.name}_{one.name}", one.weight) for one in shape.inbetweens)]
-        keys = [(shape.name, name, by_weight[weight]) for name, weight in sculpts]
+        keys = [(shape.name, name, by_weight[weight]) for name, weight, _ in shape.sculpts]
         targets += [numbered[key] for key in keys if key in numbered]
     return targets
 

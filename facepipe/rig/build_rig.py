@@ -9,7 +9,7 @@ from scipy import sparse
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import Blendshape, FaceParts, Mesh
+from facepipe.parts import FaceParts, Mesh
 from facepipe.rig.activation import Curve, curves
 from facepipe.rig.rig import Rig, Target
 
@@ -116,22 +116,17 @@ def _targets(
             indices = np.asarray(shape.point_indices)
             if indices.size and not (indices.min() >= 0 and indices.max() < len(mesh.points)):
                 raise TopologyError(f"{mesh.name} -> {shape.name}", f"point index outside 0..{len(mesh.points) - 1}")
-            for name, curve, sculpt in _sculpts(shape):
-                if len(sculpt) != len(indices):
-                    raise TopologyError(f"{mesh.name} -> {name}", f"{len(sculpt)} offsets, expected {len(indices)}")
-                moved = np.asarray(sculpt, dtype=np.float64)
+            by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
+            for name, weight, sculpt in shape.sculpts:
+                moved, curve = np.asarray(sculpt.offsets, dtype=np.float64), by_weight[weight]
+                if len(moved) != len(indices):
+                    raise TopologyError(f"{mesh.name} -> {name}", f"{len(moved)} offsets, expected {len(indices)}")
                 if turned:
                     moved = moved @ linear.T
                 sculpted = (name, number[shape.name], curve, (indices + start).astype(np.int32), moved)
                 by_curve.setdefault((shape.name, name, curve), []).append(sculpted)
     targets = [_merge(sculpts) for sculpts in by_curve.values()]
     return tuple(sorted(targets, key=lambda target: target.shape))
-
-
-def _sculpts(shape: Blendshape) -> list[tuple[str, Curve, FloatArray]]:
-    by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
-    main = [(shape.name, by_weight[1.0], shape.offsets)]
-    return main + [(f"{shape.name}_{one.name}", by_weight[one.weight], one.offsets) for one in shape.inbetweens]
 
 
 def _merge(sculpts: list[_Sculpt]) -> Target:

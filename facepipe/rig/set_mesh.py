@@ -46,12 +46,12 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
 
 def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:
     """(k, 3) what a weight of the shape adds, through its inbetweens."""
-    return _blended(shape, weight, [shape.offsets, *(inbetween.offsets for inbetween in shape.inbetweens)])
+    return _blended(shape, weight, [sculpt.offsets for _, _, sculpt in shape.sculpts])
 
 
 def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
     by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
-    amounts = [float(by_weight[at](weight)) for at in (1.0, *(inbetween.weight for inbetween in shape.inbetweens))]
+    amounts = [float(by_weight[at](weight)) for _, at, _ in shape.sculpts]
     total: FloatArray = np.zeros(np.shape(sculpts[0]))
     for amount, sculpt in zip(amounts, sculpts, strict=True):
         total = total + amount * np.asarray(sculpt, dtype=np.float64)
@@ -73,8 +73,8 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
     """The shape whose weight 0 is `start` of the old one: the same piecewise-linear way of its points from there."""
     if not start or not shape.inbetweens:
         return shape
-    positions = [shape.offsets, *(inbetween.offsets for inbetween in shape.inbetweens)]
-    normals = [shape.normal_offsets, *(inbetween.normal_offsets for inbetween in shape.inbetweens)]
+    positions = [sculpt.offsets for _, _, sculpt in shape.sculpts]
+    normals = [sculpt.normal_offsets for _, _, sculpt in shape.sculpts]
     known = [normal for normal in normals if normal is not None]
     filled = [np.zeros(np.shape(shape.offsets)) if normal is None else normal for normal in normals]
 

@@ -123,8 +123,7 @@ def _check_finite(document: Document, parts: FaceParts) -> None:
         arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
         arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
         for shape in mesh.blendshapes:
-            arrays += [shape.offsets, shape.normal_offsets, *(inbetween.offsets for inbetween in shape.inbetweens)]
-            arrays += [inbetween.normal_offsets for inbetween in shape.inbetweens]
+            arrays += [array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)]
         if not all(array is None or np.isfinite(array).all() for array in arrays):
             raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
     for animation in parts.animations:
