@@ -47,17 +47,18 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     place = view.matrix(face.first)
     if kept is None:
         return Built(_moved_face(made_face(made), _snapped(place, np.eye(4), size)), tuple(warnings))
-    edited = edited_face(kept.parts, made, kept.bones)
+    parts, changes = edited_face(kept.parts, made, kept.bones)
     before = kept.parts
     if own_units:
         place = _between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
     home = _home(before, face)
     moved = _snapped(place, home, size) @ np.linalg.inv(home)
-    parts = edited.parts if np.array_equal(moved, np.eye(4)) else edited.parts.placed(moved)
+    if not np.array_equal(moved, np.eye(4)):
+        parts = parts.placed(moved)
     if not own_units:
         parts = replace(parts, meters_per_unit=view.unit, up_axis=made.up_axis)
     parts = replace(parts, recipe=recipe_from(parts.recipe, Path(kept.file).parent, view.folder))
-    return Built(parts, (*warnings, *edited.warnings), kept.neural_rig)
+    return Built(parts, (*warnings, *changes), kept.neural_rig)
 
 
 def _home(parts: FaceParts, face: FaceObjects) -> FloatArray:

@@ -151,16 +151,16 @@ def _blend_again(face: FaceObjects, file: Path | None) -> tuple[str, ...]:
         raise InputError(face.first.name, "was not imported from a face of facepipe, expected one that blend wrote")
     kept = kept_in(face.record)
     path = file or Path(kept.file)
-    blended = reblended(path)
+    blended, changes = reblended(path)
     objects = {str(obj.get(MESH, "")): obj for obj in face.meshes}
-    meshes = {mesh.name: mesh for mesh in blended.parts.meshes}
+    meshes = {mesh.name: mesh for mesh in blended.meshes}
     if meshes.keys() != objects.keys():
         raise TopologyError(path, f"meshes {', '.join(meshes)}, expected {', '.join(objects)} as in Blender")
     for name, mesh in meshes.items():
         there = len(objects[name].data.vertices)
         if there != len(mesh.points):
             raise TopologyError(f"{path} -> {name}", f"{len(mesh.points)} points, expected {there} as in Blender")
-    old, new = kept.parts.skeleton, blended.parts.skeleton
+    old, new = kept.parts.skeleton, blended.skeleton
     if old.joints != new.joints or {*bone_matrices(face.armature)} != {*old.joints}:
         raise TopologyError(f"{path} -> {new.name}", "other joints than in Blender, expected the same")
     bones = {path: name for name, path in joint_paths(face.armature).items()}
@@ -172,9 +172,9 @@ def _blend_again(face: FaceObjects, file: Path | None) -> tuple[str, ...]:
             objects[name].data.normals_split_custom_set_from_vertices(mesh.normals.tolist())
     if face.armature is not None:
         move_bones(face.armature, old, new)
-    again = replace(kept, parts=blended.parts, bones=bone_matrices(face.armature), file=path.as_posix())
+    again = replace(kept, parts=blended, bones=bone_matrices(face.armature), file=path.as_posix())
     keep(again, face.record)
-    return blended.warnings
+    return changes
 
 
 class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name panels)

@@ -36,16 +36,13 @@ _LARGE = 1 << 14  # numbers: a matrix that is worth two more nodes to make small
 _OPERATORS = {"tanh": "Tanh", "relu": "Relu", "silu": "Sigmoid"}
 
 
-def select_sliders(rig: Rig, sliders: Sequence[Slider], names: tuple[str, ...]) -> tuple[Slider, ...]:
-    """The sliders without what they do to shapes of the rig that are not in `names`."""
+def select_driven(
+    rig: Rig, sliders: Sequence[Slider], network: SliderNetwork | None, names: tuple[str, ...]
+) -> tuple[tuple[Slider, ...], SliderNetwork | None]:
+    """Sliders and network without what they do to shapes of the rig that are not in `names`; no network of nothing."""
     left_out = set(rig.shapes) - set(names)
-    return tuple(kept(slider, lambda _: True, lambda shape: shape not in left_out) for slider in sliders)
-
-
-def select_network(rig: Rig, network: SliderNetwork | None, names: tuple[str, ...]) -> SliderNetwork | None:
-    """The network without what it does to shapes of the rig that are not in `names`; None where nothing is left."""
-    left_out = set(rig.shapes) - set(names)
-    return None if network is None else kept_outputs(network, lambda _: True, lambda shape: shape not in left_out)
+    passes = (lambda _: True, lambda shape: shape not in left_out)
+    return tuple(kept(slider, *passes) for slider in sliders), network and kept_outputs(network, *passes)
 
 
 def build(
@@ -67,7 +64,7 @@ def build(
     options.check()
     _check(rig, sliders, network, options)
     names = select(rig.shapes, options.shapes, "shapes")
-    sliders, network = select_sliders(rig, sliders, names), select_network(rig, network, names)
+    sliders, network = select_driven(rig, sliders, network, names)
     rig = select_shapes(rig, names)
     nodes, batch = PackedNodes(options.weights), options.batch
     ramps = ramps_of(rig, sliders, () if network is None else network.sliders)

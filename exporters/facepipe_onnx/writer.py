@@ -56,13 +56,12 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     whole = replace(build_rig(parts), dual=None)  # graphs blend joints linearly, which the report says
     triangles = _triangles(parts, whole) if options.normals else None
     names = select(whole.shapes, options.shapes, "shapes")
-    rig, sliders = select_shapes(whole, names), None
+    rig, sliders, network = select_shapes(whole, names), None, None
     if options.sliders:
         model = slider_graph.build(whole, parts.sliders, options, network=parts.slider_network, triangles=triangles)
-        sliders = slider_graph.select_sliders(whole, parts.sliders, names)
+        sliders, network = slider_graph.select_driven(whole, parts.sliders, parts.slider_network, names)
     else:
         model = build(whole, options, triangles=triangles)
-    network = slider_graph.select_network(whole, parts.slider_network, names)
     metadata = describe(parts, rig, options, operators(model), sliders, network)
     packed = None
     if options.weights != "float32":

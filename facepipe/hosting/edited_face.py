@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,21 +18,15 @@ from facepipe.stage.differences import same
 _TURN = 2e-6  # of a matrix: smaller differences come from a host's float32
 
 
-@dataclass(frozen=True, kw_only=True)
-class Edited:
-    """A face after a host, and what of it was lost or made anew (one line each)."""
-
-    parts: FaceParts
-    warnings: tuple[str, ...] = ()
-
-
 def made_face(made: FaceParts) -> FaceParts:
     """A face that a host made from nothing: regions that sum to 1, normal offsets of its surface."""
     return replace(made, meshes=tuple(_made_mesh(mesh) for mesh in made.meshes))
 
 
-def edited_face(before: FaceParts, made: FaceParts, bones: Mapping[str, FloatArray]) -> Edited:
-    """The face as the host has it now, with all that the host can't hold.
+def edited_face(
+    before: FaceParts, made: FaceParts, bones: Mapping[str, FloatArray]
+) -> tuple[FaceParts, tuple[str, ...]]:
+    """The face as the host has it now, with all that the host can't hold; a line for each thing lost or made anew.
 
     :param before: the face that the host was given
     :param made: what is in the host now: meshes of the same names, joints of the same paths; what isn't is gone
@@ -62,7 +56,7 @@ def edited_face(before: FaceParts, made: FaceParts, bones: Mapping[str, FloatArr
     if before.recipe is not None and not _unchanged(before, parts):
         warnings.append(f"recipe of '{before.recipe.verb}' left out: the face was edited")
         parts = replace(parts, recipe=None)
-    return Edited(parts=parts, warnings=tuple(warnings))
+    return parts, tuple(warnings)
 
 
 def _made_mesh(mesh: Mesh) -> Mesh:

@@ -6,7 +6,6 @@ import dataclasses
 import tempfile
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -90,16 +89,8 @@ class LiveBlend:
         return dataclasses.replace(self.weights, regions=given.regions, default=given.default)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Reblended:
-    """A blended face, and one line for each source that has changed since."""
-
-    parts: FaceParts
-    warnings: tuple[str, ...] = ()
-
-
-def reblended(path: Path) -> Reblended:
-    """Blend again what `facepipe blend` wrote as `path`, which stays as it is.
+def reblended(path: Path) -> tuple[FaceParts, tuple[str, ...]]:
+    """Blend again what `facepipe blend` wrote as `path`, which stays as it is; a line for each source changed since.
 
     :raises InputError: no recipe of a blend, a source that is gone
     :raises SchemaError, TopologyError: a damaged recipe, or sources that can't be blended any more
@@ -112,4 +103,4 @@ def reblended(path: Path) -> Reblended:
     ):
         report = blend.author(face, job_of(blend, path))
         parts = Face(face.stage, face.prim).parts()
-    return Reblended(parts=parts, warnings=(*kept.warnings, *report.warnings))
+    return parts, (*kept.warnings, *report.warnings)

@@ -63,9 +63,9 @@ def bones(parts: FaceParts) -> dict[str, np.ndarray]:
 
 def test_a_face_that_was_not_edited_is_what_it_was() -> None:
     face = before()
-    found = edited_face(face, hosted(face), bones(face))
-    assert same(found.parts, face)
-    assert found.warnings == ()
+    found, warnings = edited_face(face, hosted(face), bones(face))
+    assert same(found, face)
+    assert warnings == ()
 
 
 def test_a_sculpted_point_changes_its_shape_alone() -> None:
@@ -75,14 +75,14 @@ def test_a_sculpted_point_changes_its_shape_alone() -> None:
     offsets = shape.offsets.copy()
     offsets[2] += (0, 0, 0.25)
     moved = replace_mesh(head, blendshapes=(replace(shape, offsets=offsets), *head.blendshapes[1:]))
-    found = edited_face(face, replace(made, meshes=(moved, *made.meshes[1:])), bones(face))
-    old, new = face.meshes[0].blendshapes[0], found.parts.meshes[0].blendshapes[0]
+    found, warnings = edited_face(face, replace(made, meshes=(moved, *made.meshes[1:])), bones(face))
+    old, new = face.meshes[0].blendshapes[0], found.meshes[0].blendshapes[0]
     np.testing.assert_allclose(new.offsets - old.offsets, [[0, 0, 0], [0, 0, 0], [0, 0, 0.25], [0, 0, 0]], atol=1e-6)
     assert same(old.inbetweens[0].offsets, new.inbetweens[0].offsets)
-    assert same(face.meshes[0].blendshapes[1:], found.parts.meshes[0].blendshapes[1:])
-    assert same(face.meshes[0].landmarks, found.parts.meshes[0].landmarks)
-    assert found.warnings == ("recipe of 'sample' left out: the face was edited",)
-    assert found.parts.recipe is None
+    assert same(face.meshes[0].blendshapes[1:], found.meshes[0].blendshapes[1:])
+    assert same(face.meshes[0].landmarks, found.meshes[0].landmarks)
+    assert warnings == ("recipe of 'sample' left out: the face was edited",)
+    assert found.recipe is None
 
 
 def test_a_bone_that_was_moved_takes_only_itself_along() -> None:
@@ -91,7 +91,7 @@ def test_a_bone_that_was_moved_takes_only_itself_along() -> None:
     shift[:3, 3] = (0.1, -0.2, 0.3)
     now = made.skeleton.bind_transforms.copy()
     now[made.skeleton.joints.index("root/jaw")] = shift @ now[made.skeleton.joints.index("root/jaw")]
-    found = edited_face(face, replace(made, skeleton=replace(made.skeleton, bind_transforms=now)), bones(face)).parts
+    found = edited_face(face, replace(made, skeleton=replace(made.skeleton, bind_transforms=now)), bones(face))[0]
     wanted = face.skeleton.bind_transforms.copy()
     wanted[1] = shift @ wanted[1]
     np.testing.assert_allclose(found.skeleton.bind_transforms, wanted, atol=1e-12)
@@ -118,7 +118,7 @@ def test_joints_that_are_new_leave_the_face_where_it_is() -> None:
     now = np.array([*then.values(), then["root"]])
     made = replace(hosted(face), skeleton=replace(skeleton, joints=joints, bind_transforms=now, rest_transforms=now))
     heads = [replace_mesh(one, skin=old.skin) for one, old in zip(made.meshes, face.meshes, strict=True)]
-    found = edited_face(face, replace(made, meshes=tuple(heads)), then).parts
+    found = edited_face(face, replace(made, meshes=tuple(heads)), then)[0]
     np.testing.assert_allclose(found.skeleton.bind_transforms[:-1], skeleton.bind_transforms, atol=1e-12)
     np.testing.assert_allclose(found.skeleton.rest_transforms[:-1], skeleton.rest_transforms, atol=1e-12)
     np.testing.assert_allclose(found.skeleton.bind_transforms[-1], skeleton.bind_transforms[0], atol=1e-12)
@@ -126,7 +126,7 @@ def test_joints_that_are_new_leave_the_face_where_it_is() -> None:
     assert face.meshes[0].skin is not None
     bare = replace(face.meshes[0].skin, geom_bind_transform=np.eye(4))
     other = replace(made, meshes=(replace_mesh(heads[0], face_vertex_indices=turned, skin=bare),))
-    (mesh,) = edited_face(face, other, then).parts.meshes
+    (mesh,) = edited_face(face, other, then)[0].meshes
     assert mesh.skin is not None
     np.testing.assert_array_equal(mesh.skin.geom_bind_transform, face.meshes[0].skin.geom_bind_transform)
 
@@ -136,18 +136,18 @@ def test_other_faces_take_landmarks_away_and_say_so() -> None:
     head = made.meshes[0]
     turned = np.roll(head.face_vertex_indices.reshape(-1, 4), 1, axis=1).ravel()
     changed = replace(made, meshes=(replace_mesh(head, face_vertex_indices=turned), *made.meshes[1:]))
-    found = edited_face(face, changed, bones(face))
-    assert not found.parts.meshes[0].landmarks
-    assert found.warnings[0] == "Head: topology changed, corners, the anchor left out"
-    assert all(shape.normal_offsets is not None for shape in found.parts.meshes[0].blendshapes)
+    found, warnings = edited_face(face, changed, bones(face))
+    assert not found.meshes[0].landmarks
+    assert warnings[0] == "Head: topology changed, corners, the anchor left out"
+    assert all(shape.normal_offsets is not None for shape in found.meshes[0].blendshapes)
 
 
 def test_sliders_keep_what_is_still_there() -> None:
     face, made = before(), hosted(before())
     meshes = tuple(replace_mesh(mesh, blendshapes=mesh.blendshapes[1:]) for mesh in made.meshes)
-    found = edited_face(face, replace(made, meshes=meshes), bones(face))
-    assert found.parts.sliders == (replace(face.sliders[0], shapes=()),)
-    assert any("shapes jawOpen (1 in all)" in line for line in found.warnings)
+    found, warnings = edited_face(face, replace(made, meshes=meshes), bones(face))
+    assert found.sliders == (replace(face.sliders[0], shapes=()),)
+    assert any("shapes jawOpen (1 in all)" in line for line in warnings)
 
 
 @pytest.mark.parametrize("weights", [(0.5,), (0.25, 0.75), (-0.5, 0.5, 1.5)])
