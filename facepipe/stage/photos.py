@@ -63,16 +63,10 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
     place = camera.MakeMatrixXform().GetAttr()
     put(place, to_matrix(np.linalg.inv(above) @ np.asarray(photo.transform, dtype=np.float64)))
     film = _to_film(photo.width, photo.height, photo.focal, photo.center, UsdGeom.GetStageMetersPerUnit(stage))
-    for attribute, value in (
-        (camera.CreateProjectionAttr(), UsdGeom.Tokens.perspective),
-        (camera.CreateFocalLengthAttr(), film.focal_length),
-        (camera.CreateHorizontalApertureAttr(), film.horizontal_aperture),
-        (camera.CreateVerticalApertureAttr(), film.vertical_aperture),
-        (camera.CreateHorizontalApertureOffsetAttr(), film.horizontal_offset),
-        (camera.CreateVerticalApertureOffsetAttr(), film.vertical_offset),
-        (camera.CreateClippingRangeAttr(), Gf.Vec2f(*photo.clipping)),
-    ):
-        put(attribute, value)
+    put(camera.CreateProjectionAttr(), UsdGeom.Tokens.perspective)
+    for name, value in zip(_FILM_ATTRIBUTES, film, strict=True):
+        put(camera.GetPrim().GetAttribute(name), value)
+    put(camera.CreateClippingRangeAttr(), Gf.Vec2f(*photo.clipping))
     _write_photo(camera.GetPrim(), photo)
 
 
@@ -148,6 +142,12 @@ _FILM = 0.036  # metres of the longer side: that of a 35 mm camera
 _TENTHS = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
 
 
+_FILM_ATTRIBUTES = (  # in the order of `_Film`
+    *("focalLength", "horizontalAperture", "verticalAperture"),
+    *("horizontalApertureOffset", "verticalApertureOffset"),
+)
+
+
 class _Film(NamedTuple):
     """Values of UsdGeom.Camera, in tenths of a stage unit."""
 
@@ -191,31 +191,20 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
 
     :raises SchemaError: invalid sizes, apertures, light or tints
     """
-    where, camera = str(prim.GetPath()), UsdGeom.Camera(prim)
+    where = str(prim.GetPath())
 
     def value(name: str) -> Any:
         return prim.GetAttribute(name).Get()
 
     width, height = (int(one) for one in value(tokens.PHOTO_SIZE) or (0, 0))
-    film = _Film(
-        *(
-            float(attribute.Get())
-            for attribute in (
-                camera.GetFocalLengthAttr(),
-                camera.GetHorizontalApertureAttr(),
-                camera.GetVerticalApertureAttr(),
-                camera.GetHorizontalApertureOffsetAttr(),
-                camera.GetVerticalApertureOffsetAttr(),
-            )
-        )
-    )
+    film = _Film(*(float(value(name)) for name in _FILM_ATTRIBUTES))
     if not min(width, height, film.horizontal_aperture, film.vertical_aperture) > 0:
         raise SchemaError(where, f"{width} x {height} pixels, or no aperture, expected both above 0")
     materials, tints = list(value(tokens.PHOTO_TINTED_MATERIALS) or []), floats(value(tokens.PHOTO_TINTS), 3).tolist()
     if len(materials) != len(tints):
         raise SchemaError(f"{where}.{tokens.PHOTO_TINTS}", f"{len(tints)} tints of {len(materials)} materials")
     focal, center = _from_film(film, width, height)
-    near, far = camera.GetClippingRangeAttr().Get()
+    near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
     photo = PhotoView(
         name=str(prim.GetName()),
         image=str(value(tokens.PHOTO_IMAGE) or ""),
