@@ -20,7 +20,7 @@ from facepipe.rig.neural_rig import Control
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author_controls import author_controls
 from facepipe.stage.files import check_suffix, check_units, new_stage, open_stage, save_layer
-from facepipe.stage.guard import reads_prim, usd_errors
+from facepipe.stage.guard import errors_below, reads_prim
 from facepipe.stage.prims import prims_below
 from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.skeleton import read_animation
@@ -82,13 +82,10 @@ def read_point_cache(path: str | os.PathLike[str], also: Collection[float] = ())
     :raises SchemaError: units that are no length
     :raises TopologyError: a mesh whose number of points or faces change, or whose faces don't fit its points
     """
-    with usd_errors(path):
+    with errors_below(str(Path(path))):
         stage = open_stage(path)
-        check_units(path, stage)
-        try:
-            return _read(stage, also)
-        except (InputError, TopologyError) as error:
-            raise error.under(path) from None
+        check_units(Path(path), stage)
+        return _read(stage, also)
 
 
 def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]:
@@ -97,12 +94,9 @@ def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]
     :raises InputError, TopologyError: no such file, no readable USD, NaN, a joint or shape twice, or arrays that don't
         fit each other
     """
-    with usd_errors(path):
+    with errors_below(str(Path(path))):
         stage = open_stage(path)
-        try:
-            return tuple(_loose(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
-        except (InputError, TopologyError) as error:
-            raise error.under(path) from None
+        return tuple(_loose(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
 
 
 def _loose(prim: Usd.Prim) -> Animation:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +13,11 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Slider
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.files import open_stage
-from facepipe.stage.guard import reads_prim, usd_errors
+from facepipe.stage.guard import errors_below, reads_prim, usd_errors
 from facepipe.stage.prims import prims_below
 from facepipe.stage.skeleton import read_animation
 from facepipe.stage.sliders import read_sliders
@@ -73,17 +74,14 @@ def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tu
         SkelAnimations of which no skeleton plays one
     :raises SchemaError, TopologyError: damaged sliders or animations
     """
-    with usd_errors(path):
+    with errors_below(str(Path(path))):
         stage = open_stage(path)
-        try:
-            found = _of_prims(stage, prims) if prims else _declared(stage)
-            if found:
-                return found
-            sliders, driven = _sliders(stage)
-            clip = _clip(_playing(stage))
-            return (*sliders, *(track for track in clip.tracks if track.name not in driven))
-        except FacepipeError as error:
-            raise error.under(path) from None
+        found = _of_prims(stage, prims) if prims else _declared(stage)
+        if found:
+            return found
+        sliders, driven = _sliders(stage)
+        clip = _clip(_playing(stage))
+        return (*sliders, *(track for track in clip.tracks if track.name not in driven))
 
 
 def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
@@ -91,14 +89,11 @@ def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
 
     :raises InputError, SchemaError, TopologyError: as `read_controls`
     """
-    with usd_errors(path):
+    with errors_below(str(Path(path))):
         stage = open_stage(path)
-        try:
-            clips = [Clip(name="controls", tracks=_declared(stage)), Clip(name="sliders", tracks=_sliders(stage)[0])]
-            clips += [_clip(prim) for prim in _animations(stage)]
-            return tuple(clip for clip in clips if clip.tracks)
-        except FacepipeError as error:
-            raise error.under(path) from None
+        clips = [Clip(name="controls", tracks=_declared(stage)), Clip(name="sliders", tracks=_sliders(stage)[0])]
+        clips += [_clip(prim) for prim in _animations(stage)]
+        return tuple(clip for clip in clips if clip.tracks)
 
 
 def is_recorded(path: str | os.PathLike[str]) -> bool:

@@ -13,12 +13,12 @@ import facepipe_schemas
 from pxr import Ar, Sdf
 
 from facepipe.core import __version__, tokens
-from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.reading import digest, is_file, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS, usd_errors
+from facepipe.stage.guard import USD_ERRORS, errors_below, usd_errors
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
@@ -39,10 +39,8 @@ def file_recipe(path: str | os.PathLike[str]) -> FileRecipe:
     """
     stage = open_stage(path, strict=False)
     prim = stage.GetDefaultPrim()
-    try:
+    with errors_below(os.fspath(path)):
         recipe = read_recipe(prim) if prim else None
-    except FacepipeError as error:
-        raise error.under(os.fspath(path)) from None
     return FileRecipe(recipe, not stage.GetRootLayer().subLayerPaths)
 
 
