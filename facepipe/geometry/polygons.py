@@ -163,16 +163,20 @@ def _border_steps(triangles: IntArray, count: int) -> dict[int, int]:
 
 def merge_points(points: FloatArray) -> tuple[IntArray, IntArray]:
     """First point of every place, in their order, and the place (n,) of every point (n, 3). -0 is 0."""
-    values = np.asarray(points, dtype=np.float64) + 0.0
-    order = np.lexsort(values.T[::-1])
-    ordered = values[order]
-    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])[: len(values)]
-    first = order[new]  # the sort is stable: the earliest of equal ones
+    return distinct_rows(np.asarray(points, dtype=np.float64) + 0.0)
+
+
+def distinct_rows(rows: FloatArray | IntArray) -> tuple[IntArray, IntArray]:
+    """First row of every distinct row of (n, k), in order of appearance, and the group (n,) of each row."""
+    order = np.lexsort(rows.T[::-1])
+    ordered = rows[order]
+    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])[: len(rows)]
+    first = order[new]  # the sort is stable: the earliest of equal rows
     rank = np.empty(len(first), np.int64)
     rank[np.argsort(first)] = np.arange(len(first))
-    place = np.empty(len(values), np.int64)
-    place[order] = rank[np.cumsum(new) - 1]
-    return np.sort(first), place
+    group = np.empty(len(rows), np.int64)
+    group[order] = rank[np.cumsum(new) - 1]
+    return np.sort(first), group
 
 
 def welded_points(points: FloatArray, border: BoolArray, tolerance: float) -> IntArray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.polygons import distinct_rows
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe_gltf.read import morphs
 from facepipe_gltf.read import weld as welds
@@ -176,7 +177,7 @@ def _uv_set(number: int, uvs: FloatArray, weld: Weld, corners: IntArray) -> UvSe
     if np.array_equal(values[used], per_point[weld.points[used]]):
         return UvSet(name=uv_name(number), values=per_point)
     keys = np.concatenate([weld.points[used, None].astype(np.uint32), values[used].view(np.uint32)], axis=1)
-    first, inverse = welds.groups(keys)
+    first, inverse = distinct_rows(keys)
     return UvSet(name=uv_name(number), values=values[used[first]], indices=inverse.astype(np.int32))
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.polygons import distinct_rows
 from facepipe_gltf.read.primitives import Geometry, Target, Vertices
 
 
@@ -44,7 +45,7 @@ def by_number(geometry: Geometry, numbers: IntArray) -> Weld | None:
     positions = geometry.vertices.positions[used]
     if np.any(positions != positions[first][inverse]):
         return None
-    return _placed(geometry, used, first, inverse)
+    return _placed(len(geometry.vertices.positions), used, first, inverse)
 
 
 def by_value(geometry: Geometry) -> Weld:
@@ -57,25 +58,12 @@ def by_value(geometry: Geometry) -> Weld:
     columns = [_bits(vertices.positions[used])]
     if vertices.joints is not None and vertices.weights is not None:
         columns += [vertices.joints[used].astype(np.uint32), _bits(vertices.weights[used])]
-    first, inverse = groups(np.concatenate(columns, axis=1))
-    weld = _placed(geometry, used, first, inverse)
+    first, inverse = distinct_rows(np.concatenate(columns, axis=1))
+    weld = _placed(len(geometry.vertices.positions), used, first, inverse)
     scratch = np.zeros_like(vertices.positions)
     for target in vertices.targets:
         weld = _refine(weld, target, scratch)
     return weld
-
-
-def groups(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """First row of every distinct row of (n, k), in order of appearance, and the group (n,) of each row."""
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    new = np.concatenate([[True], np.any(ordered[1:] != ordered[:-1], axis=1)])
-    first = order[new]  # the sort is stable: the earliest of equal rows
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    inverse = np.empty(len(rows), np.int64)
-    inverse[order] = rank[np.cumsum(new) - 1]
-    return np.sort(first), inverse
 
 
 def _used(geometry: Geometry) -> IntArray:
@@ -84,8 +72,8 @@ def _used(geometry: Geometry) -> IntArray:
     return np.flatnonzero(mask)
 
 
-def _placed(geometry: Geometry, used: IntArray, first: IntArray, inverse: IntArray) -> Weld:
-    points = np.full(len(geometry.vertices.positions), -1, np.int64)
+def _placed(count: int, used: IntArray, first: IntArray, inverse: IntArray) -> Weld:
+    points = np.full(count, -1, np.int64)
     points[used] = inverse
     return Weld(points, used[first])
 
@@ -101,10 +89,8 @@ def _refine(weld: Weld, target: Target, scratch: FloatArray) -> Weld:
     if apart.any():
         used = np.flatnonzero(weld.points >= 0)
         rows = np.concatenate([weld.points[used, None].astype(np.uint32), _bits(scratch[used])], axis=1)
-        first, inverse = groups(rows)
-        points = np.full(len(weld.points), -1, np.int64)
-        points[used] = inverse
-        refined = Weld(points, used[first])
+        first, inverse = distinct_rows(rows)
+        refined = _placed(len(weld.points), used, first, inverse)
     scratch[target.positions.indices] = 0.0
     return refined
 
