@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Sdf, UsdGeom
 
 from facepipe.checks.views import FaceView, MeshView, Problem, array, at, length, numbers, outside, value, words
 from facepipe.core import tokens
@@ -138,13 +138,10 @@ def landmark_names(face: FaceView) -> Iterator[Problem]:
 
 def _schemes(face: FaceView) -> Iterator[tuple[MeshView, str]]:
     for mesh in face.meshes:
-        for one in _authored(mesh.prim, tokens.LANDMARKS_PREFIX):
-            if one.endswith(":indices"):
-                yield mesh, one.removeprefix(tokens.LANDMARKS_PREFIX).removesuffix(":indices")
-
-
-def _authored(prim: Usd.Prim, prefix: str) -> list[str]:
-    return [str(one.GetName()) for one in prim.GetAuthoredPropertiesInNamespace(prefix.rstrip(":"))]
+        for authored in mesh.prim.GetAuthoredPropertiesInNamespace(tokens.LANDMARKS_PREFIX.rstrip(":")):
+            name = str(authored.GetName())
+            if name.endswith(":indices"):
+                yield mesh, name.removeprefix(tokens.LANDMARKS_PREFIX).removesuffix(":indices")
 
 
 def anchor_index(face: FaceView) -> Iterator[Problem]:

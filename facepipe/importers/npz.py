@@ -222,9 +222,6 @@ def check_indices(where: str, indices: npt.NDArray[np.integer], count: int) -> N
 
     :raises InputError: one is not
     """
-    if indices.size and (int(indices.min()) < 0 or int(indices.max()) >= count):
-        raise InputError(where, f"index {_outlier(indices, count)} out of range, expected 0..{count - 1}")
-
-
-def _outlier(indices: npt.NDArray[np.integer], count: int) -> int:
-    return int(indices.min()) if int(indices.min()) < 0 else int(indices.max())
+    low, high = (int(indices.min()), int(indices.max())) if indices.size else (0, 0)
+    if indices.size and (low < 0 or high >= count):
+        raise InputError(where, f"index {low if low < 0 else high} out of range, expected 0..{count - 1}")

@@ -20,7 +20,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
-    from facepipe.parts import Animation, FaceParts, Mesh, Slider
+    from facepipe.parts import FaceParts, Mesh
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
@@ -49,11 +49,9 @@ class Convention:
 
 def _tables() -> dict[str, Convention]:
     read = json.loads(files("facepipe.rig").joinpath("conventions.json").read_text(encoding="utf-8"))
-    return {kind: Convention(one["title"], one["source"], _tuples(one["names"])) for kind, one in read.items()}
-
-
-def _tuples(names: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    return {meant: tuple(given) for meant, given in names.items()}
+    for one in read.values():
+        one["names"] = {meant: tuple(given) for meant, given in one["names"].items()}
+    return {kind: Convention(one["title"], one["source"], one["names"]) for kind, one in read.items()}
 
 
 def shape_key(name: str) -> str:
@@ -189,8 +187,11 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
         skeleton=skeleton.called(joint_names),
-        animations=tuple(_animation(animation, names) for animation in parts.animations),
-        sliders=tuple(_slider(slider, names) for slider in parts.sliders),
+        animations=tuple(replace(one, shapes=_all(one.shapes, names)) for one in parts.animations),
+        sliders=tuple(
+            replace(slider, shapes=tuple((names.get(shape, shape), gain) for shape, gain in slider.shapes))
+            for slider in parts.sliders
+        ),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),
     )
 
@@ -212,14 +213,6 @@ def _mesh(mesh: Mesh, names: Mapping[str, str]) -> Mesh:
         for shape in mesh.blendshapes
     )
     return replace(mesh, blendshapes=shapes)
-
-
-def _animation(animation: Animation, names: Mapping[str, str]) -> Animation:
-    return replace(animation, shapes=_all(animation.shapes, names))
-
-
-def _slider(slider: Slider, names: Mapping[str, str]) -> Slider:
-    return replace(slider, shapes=tuple((names.get(shape, shape), gain) for shape, gain in slider.shapes))
 
 
 def _all(shapes: Sequence[str], names: Mapping[str, str]) -> tuple[str, ...]:

@@ -27,7 +27,8 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     points = np.array(mesh.points, dtype=np.float64)
     for shape in mesh.blendshapes:
         if weights.get(shape.name):
-            points[shape.point_indices] += _offsets_at(shape, weights[shape.name])
+            offsets = [sculpt.offsets for _, _, sculpt in shape.sculpts]
+            points[shape.point_indices] += _blended(shape, weights[shape.name], offsets)
     linear = None
     if moved is not None and mesh.skin is not None:
         space = np.asarray(mesh.skin.geom_bind_transform, dtype=np.float64)
@@ -44,12 +45,8 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     return replace(mesh, points=points.astype(np.float32), normals=_normals(mesh, turn), blendshapes=shapes)
 
 
-def _offsets_at(shape: Blendshape, weight: float) -> FloatArray:
-    """(k, 3) what a weight of the shape adds, through its inbetweens."""
-    return _blended(shape, weight, [sculpt.offsets for _, _, sculpt in shape.sculpts])
-
-
 def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
+    """(k, 3) what a weight of the shape adds, through its inbetweens; `sculpts` as of `Blendshape.sculpts`."""
     by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
     amounts = [float(by_weight[at](weight)) for _, at, _ in shape.sculpts]
     total: FloatArray = np.zeros(np.shape(sculpts[0]))

@@ -70,18 +70,12 @@ def read_animations(
     keys = [channel.sampler.times for _, channels in read for channel in channels]
     rate = fps or frame_rate(np.concatenate(keys) if keys else np.zeros(0))
     names = handles([given_name(value) or "" for value, _ in read], "Animation")
-    return Animations(
-        tuple(
-            _on_frames(
-                _animation(
-                    document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps)
-                ),
-                rate,
-            )
-            for name, (value, channels) in zip(names, read, strict=True)
-        ),
-        rate,
-    )
+    animations = [
+        _animation(document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps))
+        for name, (value, channels) in zip(names, read, strict=True)
+    ]
+    at_rate = (one if one.times is None else replace(one, times=on_frames(one.times, rate)) for one in animations)
+    return Animations(tuple(at_rate), rate)
 
 
 def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
@@ -100,10 +94,6 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
     if curves:
         document.warn(value, f"CUBICSPLINE keys became lines: off by at most {lines_error(curves, times)}")
     return times
-
-
-def _on_frames(animation: Animation, rate: float) -> Animation:
-    return animation if animation.times is None else replace(animation, times=on_frames(animation.times, rate))
 
 
 def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]]) -> list[Channel]:

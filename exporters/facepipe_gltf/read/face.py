@@ -92,7 +92,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         played=animations.first_clip,
         frames_per_second=animations.frames_per_second,
         materials=read_materials(document, materials, _bound(meshes)),
-        attribution=_attribution(document),
+        attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
 
@@ -109,10 +109,6 @@ def _note_hidden(document: Document, nodes: Nodes) -> None:
     hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
     if hidden:
         document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
-
-
-def _attribution(document: Document) -> str:
-    return " ".join(document.root.require("asset").get_or("copyright", "").text().split())
 
 
 def _check_finite(document: Document, parts: FaceParts) -> None:

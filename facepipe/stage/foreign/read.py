@@ -92,7 +92,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         bone_limits=None if prim is None else _sound(scene, "bone limits", read_limits, prim, len(skeleton.joints)),
         materials=materials,
         attach_joint=_attach_joint(scene),
-        attribution=_attribution(scene),
+        attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
     )
 
 
@@ -150,11 +150,6 @@ def _up_axis(scene: Scene) -> str:
     return axis
 
 
-def _attribution(scene: Scene) -> str:
-    """The licence lines of every face that is read or that holds what is read, each once."""
-    return "; ".join(_texts(scene, tokens.ATTRIBUTION))
-
-
 def _attach_joint(scene: Scene) -> str | None:
     """The body joint that the root joints hang under; the first where the stage names several."""
     joints = _texts(scene, tokens.ATTACH_JOINT)
@@ -197,6 +192,7 @@ def _sound(scene: Scene, what: str, read: Callable[..., Read], *given: object) -
 
 
 def _texts(scene: Scene, name: str) -> list[str]:
+    """Texts of an attribute of every face that is read or that holds what is read, each once."""
     values = [prim.GetAttribute(name).Get() for prim in _prims(scene)]
     return list(dict.fromkeys(text for value in values if value and (text := str(value).strip())))
 
