@@ -26,11 +26,11 @@ from facepipe.importers.mesh_pieces import (
     compact_uvs,
     face_corners,
     material_faces,
-    sparse_shape,
+    sparse_shapes,
     whole_region,
 )
 from facepipe.importers.options import IctOptions
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Mesh
+from facepipe.parts import FaceParts, Landmarks, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 
 Options = IctOptions
@@ -54,7 +54,9 @@ def read(source: Path, options: Options) -> Imported:
     parts = FaceParts(
         meters_per_unit=0.01,
         up_axis="Y",
-        meshes=_meshes(source, model, materials, options),
+        meshes=tuple(
+            _mesh(source, name, model, materials, options) for name in dict.fromkeys(part.mesh for part in PARTS)
+        ),
         materials=tuple(
             material for number, material in enumerate(topology.MATERIALS.values()) if (materials == number).any()
         ),
@@ -113,13 +115,9 @@ def _unknown_materials(model: IctModel) -> tuple[str, ...]:
     return (f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()
 
 
-def _meshes(source: Path, model: IctModel, materials: IntArray, options: Options) -> tuple[Mesh, ...]:
-    names = dict.fromkeys(part.mesh for part in topology.PARTS)
-    return tuple(_mesh(source, name, model, materials, options) for name in names)
-
-
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     neutral = model.neutral
+    shapes = {shape_name(shape, options.arkit_names): offsets for shape, offsets in model.shapes.items()}
     pieces = [part for part in topology.PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
@@ -135,20 +133,12 @@ def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options
         face_vertex_counts=counts,
         face_vertex_indices=indices,
         uv_sets=(compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else (),
-        blendshapes=_blendshapes(model, slice(first, last), options),
+        blendshapes=sparse_shapes(shapes, slice(first, last), options.threshold),
         regions=head_regions(neutral.points) if head else whole_region(REGIONS, pieces[0].region, last - first),
         landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
         anchor=back_of_border(neutral.points[first:last], counts, indices) if head else None,
         material_faces=material_faces(list(topology.MATERIALS), materials[faces]),
     )
-
-
-def _blendshapes(model: IctModel, points: slice, options: Options) -> tuple[Blendshape, ...]:
-    shapes = (
-        sparse_shape(shape_name(name, options.arkit_names), offsets[points], options.threshold)
-        for name, offsets in model.shapes.items()
-    )
-    return tuple(shape for shape in shapes if shape is not None)
 
 
 _IRIS_RADIUS = 0.6  # cm, across the axis of the eye, which looks along +Z

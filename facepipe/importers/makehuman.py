@@ -20,10 +20,10 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
 from facepipe.importers.makehuman_data import MakeHumanData, read_data
 from facepipe.importers.makehuman_rig import arkit_sliders, pose_units, read_skeleton, unit_sliders
-from facepipe.importers.mesh_pieces import compact_uvs, sparse_shape, whole_region
+from facepipe.importers.mesh_pieces import compact_uvs, sparse_shapes, whole_region
 from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh, Skin
+from facepipe.parts import FaceParts, Landmarks, Material, Mesh, Skin
 from facepipe.stage.imported import Imported, import_recipe
 
 Options = MakeHumanOptions
@@ -140,7 +140,7 @@ def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[st
         face_vertex_indices=indices,
         uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
         skin=_skin(data["skin_weights"][chosen]),
-        blendshapes=_blendshapes(shapes, chosen),
+        blendshapes=sparse_shapes(shapes, chosen, threshold=0.0),
         regions=_skin_regions(data) if head else whole_region(_REGIONS, region, len(chosen)),
         landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
         anchor=back_of_border(data["vertices"][chosen], counts, indices) if head else None,
@@ -156,11 +156,6 @@ def _skin(dense: FloatArray) -> Skin:
     weights = np.take_along_axis(dense, joints, axis=1).astype(np.float64)
     weights /= weights.sum(axis=1, keepdims=True)
     return Skin(joint_indices=np.where(weights > 0, joints, 0).astype(np.int32), joint_weights=weights)
-
-
-def _blendshapes(shapes: Mapping[str, FloatArray], own: IntArray) -> tuple[Blendshape, ...]:
-    sparse = (sparse_shape(name, offsets[own], threshold=0.0) for name, offsets in shapes.items())
-    return tuple(shape for shape in sparse if shape is not None)
 
 
 # fmt: off

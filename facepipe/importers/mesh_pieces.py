@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,12 +25,17 @@ def compact_uvs(values: FloatArray, indices: IntArray) -> UvSet:
     return UvSet(values=np.asarray(values)[used], indices=compact.reshape(-1).astype(np.int32))
 
 
-def sparse_shape(name: str, offsets: FloatArray, threshold: float) -> Blendshape | None:
-    """The points that `offsets` (n, 3) move further than `threshold`; None where it moves none."""
-    moved = np.flatnonzero(np.linalg.norm(offsets.astype(np.float64), axis=1) > threshold)
-    if len(moved) == 0:
-        return None
-    return Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=np.asarray(offsets)[moved])
+def sparse_shapes(
+    shapes: Mapping[str, FloatArray], points: IntArray | slice, threshold: float
+) -> tuple[Blendshape, ...]:
+    """Shapes, name -> offsets (n, 3), of some `points`: those that they move further than `threshold`, if any."""
+    sparse = []
+    for name, whole in shapes.items():
+        offsets = np.asarray(whole[points])
+        moved = np.flatnonzero(np.linalg.norm(offsets.astype(np.float64), axis=1) > threshold)
+        if len(moved):
+            sparse.append(Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=offsets[moved]))
+    return tuple(sparse)
 
 
 def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:

@@ -19,10 +19,10 @@ from facepipe.core.names import handles
 from facepipe.declare import check_ranges
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
-from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shape
+from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shapes
 from facepipe.importers.options import ObjOptions
 from facepipe.importers.wavefront import Obj, read_obj, read_offsets
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, Mesh
+from facepipe.parts import FaceParts, Landmarks, Material, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 
 Options = ObjOptions
@@ -156,8 +156,6 @@ def _mesh(
     name, points, faces = piece
     corners = face_corners(neutral.face_vertex_counts, faces)
     uv_sets = (compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else ()
-    sparse = (sparse_shape(shape, offsets[points], threshold) for shape, offsets in shapes.items())
-    blendshapes: tuple[Blendshape, ...] = tuple(shape for shape in sparse if shape is not None)
     return Mesh(
         name=name,
         points=neutral.points[points],
@@ -165,7 +163,7 @@ def _mesh(
         face_vertex_indices=np.searchsorted(points, neutral.face_vertex_indices[corners]).astype(np.int32),
         uv_sets=uv_sets,
         colors=np.clip(neutral.colors[points], 0.0, 1.0) if neutral.colors is not None else None,
-        blendshapes=blendshapes,
+        blendshapes=sparse_shapes(shapes, points, threshold),
         landmarks={
             scheme: replace(marks, indices=np.searchsorted(points, marks.indices).astype(np.int32))
             for scheme, marks in landmarks.items()

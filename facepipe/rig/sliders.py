@@ -41,7 +41,9 @@ def slide(
     settings = dict(values or {})
     clamped: dict[str, float] = {}
     for slider in sliders:
-        _check_curves(slider)
+        fault = curves_fault(slider)
+        if fault:
+            raise InputError(f"slider {slider.name}", fault)
         value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, slider.setting))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
@@ -163,12 +165,6 @@ def sliders_fault(sliders: Sequence[Slider]) -> tuple[str, str] | None:
         if fault:
             return slider.name, fault
     return None
-
-
-def _check_curves(slider: Slider) -> None:
-    fault = curves_fault(slider)
-    if fault:
-        raise InputError(f"slider {slider.name}", fault)
 
 
 def clamped_value(slider: Slider) -> float:

@@ -109,36 +109,20 @@ def is_recorded(path: str | os.PathLike[str]) -> bool:
         prims = list(prims_below(stage.GetPseudoRoot(), path))
     if not any(is_applied(prim, tokens.FACE_API) for prim in prims):
         return True
-    if any(_cached(prim) for prim in prims):
-        return any(_controlled(prim) for prim in prims)
-    return any(_animated(prim) for prim in prims) and any(_sampled(prim, tokens.CONTROL_PREFIX) for prim in prims)
-
-
-def _animated(prim: Usd.Prim) -> bool:
-    return bool(
-        prim.IsA(UsdSkel.Animation) and any(attribute.GetNumTimeSamples() for attribute in prim.GetAuthoredAttributes())
-    )
-
-
-def _sampled(prim: Usd.Prim, prefix: str) -> bool:
-    return any(
-        attribute.GetNumTimeSamples() and str(attribute.GetName()).startswith(prefix)
+    sampled = [
+        (prim, str(attribute.GetName()))
+        for prim in prims
         for attribute in prim.GetAuthoredAttributes()
-    )
-
-
-def _cached(prim: Usd.Prim) -> bool:
-    return bool(prim.IsA(UsdGeom.Mesh) and UsdGeom.Mesh(prim).GetPointsAttr().GetNumTimeSamples())
-
-
-def _controlled(prim: Usd.Prim) -> bool:
-    names = [str(attribute.GetName()) for attribute in prim.GetAuthoredAttributes() if attribute.GetNumTimeSamples()]
-    return any(
-        name.startswith(tokens.CONTROL_PREFIX)
-        or (name.startswith(tokens.SLIDER_PREFIX) and name.endswith(":value"))
-        or (prim.IsA(UsdSkel.Animation) and name == "blendShapeWeights")
-        for name in names
-    )
+        if attribute.GetNumTimeSamples()
+    ]
+    declared = any(name.startswith(tokens.CONTROL_PREFIX) for _, name in sampled)
+    if any(name == "points" and prim.IsA(UsdGeom.Mesh) for prim, name in sampled):
+        return declared or any(
+            (name.startswith(tokens.SLIDER_PREFIX) and name.endswith(":value"))
+            or (name == "blendShapeWeights" and prim.IsA(UsdSkel.Animation))
+            for prim, name in sampled
+        )
+    return declared and any(prim.IsA(UsdSkel.Animation) for prim, _ in sampled)
 
 
 def _declared(stage: Usd.Stage) -> tuple[ControlTrack, ...]:

@@ -17,7 +17,6 @@ from facepipe_gltf.read.names import Names, given_name
 from facepipe_gltf.read.nodes import Nodes
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.skins import Joints
-from facepipe_gltf.read.values import Value
 
 
 def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
@@ -83,7 +82,8 @@ class Assembly:
         if geometry.vertices.targets:
             count = len(geometry.vertices.targets)
             self.roles[node] = morphs.roles(document, geometry.value, count, self.shape_names)
-            self._note_weights(value)
+            if any(value.get_or("weights", []).numbers()):
+                document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
         if self.recorded:
             return named
@@ -115,10 +115,6 @@ class Assembly:
         skin = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
         bind = self.joints.skeleton.bind_transforms[joint]
         return _placed(replace(mesh, skin=skin), bind @ to_joint)
-
-    def _note_weights(self, value: Value) -> None:
-        if any(value.get_or("weights", []).numbers()):
-            self.document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
 
 
 def _exact(mesh: Mesh) -> str | None:

@@ -124,7 +124,9 @@ class _Textures:
 
 
 def _material(document: Document, textures: _Textures, value: Value, name: str) -> Material:
-    _note_extensions(document, value)
+    for extension in value.get_or("extensions", {}).member_names():
+        if extension not in _IMPLEMENTED:
+            document.warn(value, f"the extension {ascii(extension)[:60]} is left out")
     empty = Value({}, value.trail)
     surface = value.get("pbrMetallicRoughness") or empty
     base = _factors(surface, "baseColorFactor", 4, 1.0)
@@ -212,12 +214,6 @@ def _wrap(sampler: Value, key: str) -> Wrap:
     if mode.integer() not in _WRAPS:
         raise mode.error(f"{mode.integer()}, expected one of {', '.join(map(str, _WRAPS))}")
     return _WRAPS[mode.integer()]
-
-
-def _note_extensions(document: Document, value: Value) -> None:
-    for name in value.get_or("extensions", {}).member_names():
-        if name not in _IMPLEMENTED:
-            document.warn(value, f"the extension {ascii(name)[:60]} is left out")
 
 
 def _factor(value: Value, key: str, default: float = 1.0) -> float:
