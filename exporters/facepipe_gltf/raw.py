@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -97,6 +98,19 @@ def parents(document: RawDocument) -> dict[int, list[int]]:
     return above
 
 
+def path_above(node: int, above: Callable[[int], int | None]) -> list[int]:
+    """A node and all above it, the root last; a cycle ends where it closes.
+
+    :param above: the node that another hangs under; None for a root
+    """
+    path: dict[int, None] = {}
+    one: int | None = node
+    while one is not None and one not in path:
+        path[one] = None
+        one = above(one)
+    return list(path)
+
+
 def local_matrix(node: Json) -> FloatArray:
     """(4, 4) matrix of a node, column vectors; identity for what is no number."""
     matrix = _numbers(node.get("matrix"), 16)
@@ -124,10 +138,7 @@ def _numbers(value: Any, count: int) -> FloatArray | None:
 
 def world_matrix(document: RawDocument, node: int, above: dict[int, list[int]]) -> FloatArray:
     """(4, 4) world matrix of a node at rest; a cycle ends where it closes."""
-    result, seen = np.eye(4), set[int]()
-    current: int | None = node
-    while current is not None and current not in seen:
-        seen.add(current)
-        result = local_matrix(document.item("nodes", current) or {}) @ result
-        current = above[current][0] if current in above else None
+    result = np.eye(4)
+    for one in path_above(node, lambda child: above.get(child, [None])[0]):
+        result = local_matrix(document.item("nodes", one) or {}) @ result
     return np.asarray(result)

@@ -13,10 +13,10 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from facepipe.core.arrays import IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.parts import FaceParts, Skeleton
+from facepipe_gltf.raw import path_above
 
 _FINGERS = {
     "Thumb": ("Metacarpal", "Proximal", "Distal"),
@@ -187,9 +187,9 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
         return Humanoid({}, ())
     named = {bone: joint for bone, joint in bones_of(parts.skeleton.names).items() if joint not in wanted.values()}
     bones = named | wanted
-    parents = parts.skeleton.parents
+    above = {joint: int(parent) for joint, parent in enumerate(parts.skeleton.parents) if parent >= 0}
     unfit = []
-    while wrong := misplaced(bones, lambda joint: _path(joint, parents)):
+    while wrong := misplaced(bones, lambda joint: path_above(joint, above.get)):
         drop = next((one for one in (wrong.expected, wrong.bone) if one and one not in REQUIRED), None)
         below = f"below the {wrong.found}" if wrong.found else "below no human bone"
         due = f"below the {wrong.expected or PARENTS[wrong.bone]}"
@@ -207,10 +207,3 @@ def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
     if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
         problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
-
-
-def _path(joint: int, parents: IntArray) -> list[int]:
-    path = [joint]
-    while parents[path[-1]] >= 0:
-        path.append(int(parents[path[-1]]))
-    return path

@@ -8,7 +8,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.records import Json
 from facepipe.rig.trs import decompose
 from facepipe_gltf.placement import numbers
-from facepipe_gltf.raw import local_matrix
+from facepipe_gltf.raw import local_matrix, path_above
 
 
 class NodeTree:
@@ -22,10 +22,7 @@ class NodeTree:
 
     def path(self, node: int) -> list[int]:
         """The node and all above it, the root last."""
-        path = [node]
-        while path[-1] in self._parent:
-            path.append(self._parent[path[-1]])
-        return path
+        return path_above(node, self._parent.get)
 
     def world(self, node: int) -> FloatArray:
         """(4, 4) world matrix at rest."""

@@ -14,7 +14,7 @@ from facepipe.core.reports import Finding
 from facepipe.records import Json
 from facepipe_gltf import validation as gltf
 from facepipe_gltf.mesh_validation import primitives, targets
-from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, world_matrix
+from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, path_above, world_matrix
 from facepipe_gltf.skin_validation import Problem
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
@@ -70,7 +70,8 @@ def _bones(document: RawDocument, vrm: Json) -> Iterator[Problem]:
             yield f"{where}/{bone}/node", f"{node} is another human bone too, expected each node once"
         else:
             known[bone] = node
-    wrong = misplaced(known, _paths(document))
+    above = parents(document)
+    wrong = misplaced(known, lambda node: path_above(node, lambda child: above.get(child, [None])[0]))
     if wrong is not None:
         yield f"{where}/{wrong.bone}", f"below {wrong.found or 'no human bone'}, expected below {wrong.expected}"
 
@@ -155,18 +156,6 @@ def _human_bones(vrm: Json) -> dict[str, Any]:
     """Bone -> its node in the file, unchecked."""
     bones = as_object(as_object(vrm.get("humanoid")).get("humanBones"))
     return {bone: as_object(entry).get("node") for bone, entry in bones.items()}
-
-
-def _paths(document: RawDocument) -> Callable[[int], list[int]]:
-    above = parents(document)
-
-    def path(node: int) -> list[int]:
-        nodes = [node]
-        while nodes[-1] in above and above[nodes[-1]][0] not in nodes:
-            nodes.append(above[nodes[-1]][0])
-        return nodes
-
-    return path
 
 
 _CHECKS: tuple[tuple[str, Callable[..., Iterator[Problem]], Literal["error", "warning"]], ...] = (
