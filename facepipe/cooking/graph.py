@@ -9,10 +9,10 @@ from pathlib import Path
 
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.reading import digest
+from facepipe.core.reading import digest, is_file
 from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
-from facepipe.stage.files import SUFFIXES
+from facepipe.stage.files import SUFFIXES, check_stage_file
 from facepipe.stage.recipes import check_recipe, check_source, file_recipe, layer_links, source_files
 
 _IMPORT = "import "  # its faces are taken as they are
@@ -75,7 +75,7 @@ def read_graph(paths: Iterable[Path]) -> Graph:
     """
     walk, starts = _Walk(), []
     for path in paths:
-        _check_stage(path)
+        check_stage_file(path)
         starts.append(_place(path))
         walk.visit(starts[-1])
     return Graph(nodes=walk.done, roots=_writable(walk.done, starts))
@@ -113,13 +113,6 @@ def _place(path: Path) -> Path:
     path = Path(os.path.abspath(path))  # noqa: PTH100  (links to folders stay as they are)
     meant = path.resolve()
     return path.with_name(meant.name) if meant.parent == path.parent.resolve() else path
-
-
-def _check_stage(path: Path) -> None:
-    if not path.is_file():
-        raise InputError(path, "is no regular file, expected a USD file" if path.exists() else "no such file")
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(path, f"suffix '{path.suffix}', expected one of {' '.join(SUFFIXES)}")
 
 
 class _Walk:
@@ -162,7 +155,7 @@ class _Walk:
     def _check(self, node: Node) -> None:
         """:raises InputError: what it is made of is gone"""
         for number, source in enumerate(node.sources, 1):
-            if not _is_file(source):
+            if not is_file(source):
                 place = _line([*self._paths(), node.path])
                 raise InputError(f"{place} -> source {number}", f"{shown(source)}: no such file, expected it there")
         if node.recipe is None and node.lost:
@@ -200,13 +193,6 @@ def read_node(path: Path) -> Node:
         check_source(f"{where} -> source {number}", source)
         check_readable(source)
     return Node(path=path, recipe=recipe, sources=sources, layers=links.layers)
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # a name that no file can have
-        return False
 
 
 def _line(trail: Sequence[Path]) -> str:

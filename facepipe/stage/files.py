@@ -49,10 +49,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     """
     facepipe_schemas.register()
     file = Path(path)
-    if not file.is_file():
-        raise InputError(file, "no such file" if not file.exists() else "is no regular file, expected a USD file")
-    if file.suffix.lower() not in SUFFIXES:
-        raise InputError(file, f"suffix '{file.suffix}', expected one of {' '.join(SUFFIXES)}")
+    check_stage_file(file)
     with quiet_diagnostics(), usd_errors(file, RuntimeError):
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
@@ -107,6 +104,13 @@ def named_in(path: Path) -> set[str]:
         names = UsdUtils.ExtractExternalReferences(str(path))
         del held
     return {name.partition("[")[0] for kind in names for name in kind} - {""}
+
+
+def check_stage_file(path: Path) -> None:
+    """:raises InputError: `path` is no file, or has no USD suffix"""
+    if not path.is_file():
+        raise InputError(path, "no such file" if not path.exists() else "is no regular file, expected a USD file")
+    check_suffix(path)
 
 
 def check_suffix(path: Path) -> None:
