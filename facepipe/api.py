@@ -47,20 +47,15 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, o
     """
     from facepipe.heads import make
     from facepipe.stage import Face, open_face, save_parts
+    from facepipe.stage.outputs import check_output
 
     if out is not None:
-        _check(Path(out), (), overwrite=overwrite)
+        check_output(Path(out), (), overwrite=overwrite)
     parts = make(seed, textures=textures)
     if out is None:
         return Face.from_parts(parts)
     save_parts(parts, out)
     return open_face(out)
-
-
-def _check(out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    from facepipe.stage.outputs import check_output
-
-    check_output(out, inputs, overwrite=overwrite)
 
 
 def given(name: str) -> Callable[..., Report] | None:
@@ -97,6 +92,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
 
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
+        from facepipe.stage.outputs import check_output
 
         values = _bound(signature, function_name(kind.verb), files, named)
         action = kind(**{field.name: _value(field, values[field.name]) for field in fields if field.name in values})
@@ -113,7 +109,7 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
             [values[field.name] for field in fields if field.is_read and field.name in values],
         )
         inputs = [*files_of(action), *(Path(one) for one in read if isinstance(one, str | os.PathLike))]
-        _check(out, inputs, overwrite=overwrite)
+        check_output(out, inputs, overwrite=overwrite)
         check_result(action, out, inputs, overwrite=overwrite)
         return perform(action, out, flatten=values.get("flatten", False)).report
 

@@ -131,15 +131,14 @@ def words_of(where: object, run: str | Sequence[str]) -> tuple[str, ...]:
     return tuple(words)
 
 
-def each(pattern: str, words: Sequence[str], out: str, folder: Path | None = None) -> Plan:
+def each(pattern: str, words: Sequence[str], out: str) -> Plan:
     """A plan of one line for each file; paths are relative to the working folder.
 
     :param pattern: of the files, like ``heads/*.glb``
     :param out: pattern of the result's path; empty: the line writes none
     :raises InputError: no such file, no line, or one that names no {face}
     """
-    folder = folder or Path.cwd()
-    line = words_of("--each", words)
+    folder, line = Path.cwd(), words_of("--each", words)
     step = Step(name=f"{line[0]}{Path(out).suffix}", words=line, out=out)  # differs between formats
     if not {"face", "name"} & {*braces(step)}:
         raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")

@@ -73,8 +73,9 @@ class Examples:
         """
         by_input = np.empty((self.inputs.shape[1], *self.moved.shape[1:]))
         by_vector = np.empty((self.moved.shape[1], 3, 3))
+        everything = np.arange(len(self.inputs))
         for points in _chunks(self.moved.shape[1]):
-            duals = self._duals(np.arange(len(self.inputs)), points, noise)
+            duals = self._solved(self._products(everything, everything, points), everything, points, noise)
             scaled = np.einsum("fc,nfi->cni", self.inputs, duals)
             by_input[:, points] = scaled * self.strengths[:, points, None] ** 2
             by_vector[points] = np.einsum("fni,nfj->nij", self.vectors[:, points], duals)
@@ -118,12 +119,8 @@ class Examples:
         predicted = (across @ self._solved(products, kept, points, noise) for noise in noises)
         return np.array([np.linalg.norm(guess - moved, axis=2).sum() for guess in predicted])
 
-    def _duals(self, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
-        """(p, f, 3) solutions of the points' own systems."""
-        return self._solved(self._products(examples, examples, points), examples, points, noise)
-
     def _solved(self, products: FloatArray, examples: IntArray, points: IntArray, noise: float) -> FloatArray:
-        """(p, f, 3) of systems (p, f, f) without their noise."""
+        """(p, f, 3) solutions of the points' own systems (p, f, f), which come without their noise."""
         noisy = products + noise**2 * np.eye(len(examples))
         return np.asarray(np.linalg.solve(noisy, self.moved[examples][:, points].transpose(1, 0, 2)))
 

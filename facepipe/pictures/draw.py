@@ -9,7 +9,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from facepipe.core.threads import mapped
 from facepipe.geometry.colors import to_srgb
-from facepipe.geometry.rasterise import Raster, ScreenTriangles, rasterise, screen_triangles
+from facepipe.geometry.rasterise import Raster, rasterise, screen_triangles
 from facepipe.pictures.columns import chosen, joined
 from facepipe.pictures.layers import Layers, layers
 from facepipe.pictures.portrait import scatter_share
@@ -52,18 +52,14 @@ def draw(shader: Shader, size: int, background: Float32Array, samples: int, mm: 
 
 
 def seen(shader: Shader, size: int, samples: int) -> tuple[Spots, Layers | None]:
-    """What of the scene shows in a picture; arguments as for `draw`."""
+    """What of the scene shows in a picture, found band by band: samples take more memory than what is made of them.
+
+    Arguments are as for `draw`.
+    """
     fine = shader.homogeneous * (samples, samples, 1.0, 1.0)
     screen = screen_triangles(fine, shader.scene.triangles)
     solid, clear = screen.select(~shader.scene.see_through), screen.select(shader.scene.see_through)
     clear = clear.take(np.argsort(-clear.limits[1], kind="stable"))  # from front to back
-    return _bands(shader, solid, clear, size, samples)
-
-
-def _bands(
-    shader: Shader, solid: ScreenTriangles, clear: ScreenTriangles, size: int, samples: int
-) -> tuple[Spots, Layers | None]:
-    """What is seen, band by band: samples take more memory than what is made of them."""
     rows = max(1, SAMPLES_PER_BAND // (size * samples * samples))
 
     def band(top: int) -> tuple[Spots, Layers | None]:

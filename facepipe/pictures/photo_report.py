@@ -52,7 +52,8 @@ class PhotoSheet:
 def photo_page(sheet: PhotoSheet) -> bytes:
     """One HTML page: pictures of every photo, the neutral, expressions, losses and sliders."""
     title = f"Photo fit: {sheet.parts.name}"
-    found = tag("section", *_expressions(sheet)), tag("section", *_losses(sheet))
+    losses = heading("Losses", "weighted terms, by step"), loss_chart(sheet.history)
+    found = tag("section", *_expressions(sheet)), tag("section", *losses)
     beside = tag("div", *found, class_="columns" if len(sheet.photos) == 1 else None)
     head = joined(tag("h1", title), tag("p", "  ·  ".join(facts(sheet)), class_="muted"))
     return page(title, head, *_pictures(sheet), beside, *_sliders(sheet))
@@ -144,11 +145,6 @@ def _expressions(sheet: PhotoSheet) -> Iterator[Markup]:
     yield _counted({f"at {ACTIVE:g} or less": len(names) - len(used)})
 
 
-def _losses(sheet: PhotoSheet) -> Iterator[Markup]:
-    yield heading("Losses", "weighted terms, by step")
-    yield loss_chart(sheet.history)
-
-
 def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:
     """The sliders that have moved, by group; the others are counted."""
     sliders = sheet.parts.sliders
@@ -157,19 +153,14 @@ def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:
     yield heading("Sliders", f"{len(moved)} of {len(free)} moved from the default" if free else "none fitted")
     tables = []
     for group in dict.fromkeys(slider.group for slider in moved):
-        rows = [
-            (slider.name, [(_slider_bar(slider, sheet.sliders[slider.name]), sheet.sliders[slider.name])])
-            for slider in moved
-            if slider.group == group
-        ]
+        rows = []
+        for slider in (one for one in moved if one.group == group):
+            value = sheet.sliders[slider.name]
+            rows.append((slider.name, [(bar((slider.minimum, slider.maximum), slider.default, value), value)]))
         tables.append(table_of_bars(rows, group or "other"))
     yield tag("div", *tables, class_="flow")
     still = f"within {ACTIVE:.0%} of the range from their default"
     yield _counted({still: len(free) - len(moved), "not fitted": len(sliders) - len(free)})
-
-
-def _slider_bar(slider: Slider, value: float) -> Markup:
-    return bar((slider.minimum, slider.maximum), slider.default, value)
 
 
 def _moved(slider: Slider, value: float) -> float:
