@@ -175,6 +175,14 @@ def author_color_texture(material: Usd.Prim, path: str) -> None:
             put(shader.GetInput(name).GetAttr(), Gf.Vec4f(neutral))
 
 
+def author_opacity(material: Usd.Prim, opacity: float) -> None:
+    """Put one number in place of what a material's opacity was."""
+    surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
+    given = UsdShade.Shader(editable(surface.GetPrim())).CreateInput("opacity", Sdf.ValueTypeNames.Float)
+    given.DisconnectSource()
+    put(given.GetAttr(), float(opacity))
+
+
 def author_materials(
     stage: Usd.Stage, scope: Sdf.Path, materials: tuple[Material, ...], textures: dict[str, str]
 ) -> dict[str, UsdShade.Material]:

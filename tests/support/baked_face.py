@@ -32,6 +32,12 @@ def person(seed: int, textures: int = 256) -> FaceParts:
     return replace(parts, meshes=meshes, sliders=(), animations=(), played=None)
 
 
+def with_cards(parts: FaceParts) -> FaceParts:
+    """The average head with its brows and lashes again."""
+    cards = (mesh for mesh in heads.make(0, textures=16).meshes if mesh.name in ("Brows", "Lashes"))
+    return replace(parts, meshes=(*parts.meshes, *(replace(mesh, blendshapes=()) for mesh in cards)))
+
+
 def _open(mesh: Mesh) -> Iterator[Blendshape]:
     return (shape for shape in mesh.blendshapes if shape.name == "jawOpen")
 

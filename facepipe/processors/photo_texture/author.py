@@ -8,12 +8,14 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
+from facepipe.geometry.vectors import transformed
 from facepipe.kinds import Watch
-from facepipe.parts import PhotoView, Recipe
+from facepipe.parts import Material, Mesh, PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
@@ -21,6 +23,11 @@ from facepipe.processors.photo_texture.report import BakePhotoReport
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.materials import author_opacity
+
+_BROWS = slice(17, 27)  # landmarks
+_SHOWN = 0.5  # mean confidence at them
+_REACH = 0.25  # of the eyes' distance: cards of brows lie so near to them
 
 
 def author_textures(
@@ -47,7 +54,11 @@ def author_textures(
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.color_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
-    return _report(photos, baked, files)
+    hidden = _brow_cards(skin, face.meshes, face.materials, baked.trust)
+    for prim, material in face.material_names.items():
+        if material in hidden:
+            author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    return replace(_report(photos, baked, files), hidden=hidden)
 
 
 def _pixels(view: PhotoView, path: Path) -> Photo:
@@ -79,6 +90,23 @@ def _scaled(view: PhotoView, scale: FloatArray, baked: set[str]) -> PhotoView:
     key = None if view.key is None else replace(view.key, color=times(view.key.color, scale))
     tint = {name: times(color, 1 / scale) for name, color in view.tint.items() if name not in baked}
     return replace(view, light=view.light * scale, key=key, tint=tint)
+
+
+def _brow_cards(
+    skin: SkinSurface, meshes: Sequence[Mesh], materials: Sequence[Material], trust: FloatArray
+) -> tuple[str, ...]:
+    """Materials of cards that lie on the brows, where photos show these."""
+    rest = transformed(skin.mesh.points, skin.mesh.transform)
+    brows = rest[skin.landmarks[_BROWS]]
+    if trust[skin.landmarks[_BROWS]].mean() < _SHOWN:
+        return ()
+    cut = {material.name for material in materials if isinstance(material.opacity, TextureInput)}
+    reach = _REACH * skin.eye_distance(rest)
+    return tuple(
+        mesh.material
+        for mesh in meshes
+        if mesh.material in cut and cKDTree(brows).query(transformed(mesh.points, mesh.transform))[0].max() < reach
+    )
 
 
 def _png(picture: FloatArray) -> bytes:

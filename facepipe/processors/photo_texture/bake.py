@@ -14,16 +14,22 @@ from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.core.images import open_image
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.texture_fill import spread
-from facepipe.processors.photo_texture.evened import balance, inner, is_skin, missed_light, one_sided, quantile
-from facepipe.processors.photo_texture.observed import DARKEST, GREY, Exposure, Observed, observe
+from facepipe.processors.photo_texture.evened import (
+    balance,
+    inner,
+    is_skin,
+    missed_light,
+    one_sided,
+    quantile,
+    stands_out,
+)
+from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
 
 # all lengths are shares of the eyes' distance
 _REACH = 0.02  # of the completion: what is smaller is detail
 _FAR = 0.8  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
-_LOCAL = 0.10  # what is brighter than all around it over that is a highlight
-_HIGHLIGHT, _KEPT = (0.06, 0.25), 0.25  # of a logarithm: limits of what skin itself may be brighter; share kept beyond
 _SHARP = 2  # power of confidence by which photos are mixed
 
 
@@ -35,6 +41,7 @@ class Baked:
     scales: tuple[FloatArray, ...]  # (3,) of each photo's light
     shares: tuple[float, ...]  # of the face that each photo shows
     seen: float  # share of the face that some photo shows
+    trust: FloatArray  # (n,) the most confidence that a photo has at each point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +64,11 @@ class Baker:
             np.maximum(template.reshape(-1, 3)[texture.texels.at], DARKEST)
             for template, texture in zip(self.templates, skin.textures, strict=True)
         ]
-        ones = (
-            texture.texels.summed(np.ones((len(texture.texels.at), 1)), len(skin.points)) for texture in skin.textures
-        )
-        self.totals = np.asarray(sum(one[:, 0] for one in ones))
+        sums = np.zeros((len(skin.points), 4))
+        for texture, flat in zip(skin.textures, self.flats, strict=True):
+            sums += texture.texels.summed(np.column_stack([np.log(flat), np.ones(len(flat))]), len(skin.points))
+        self.totals = sums[:, 3]
+        self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
 
     def __call__(self, photos: Sequence[Exposure]) -> Baked:
         """Textures from photos, one or more."""
@@ -72,17 +80,22 @@ class Baker:
             scales=tuple(layer.scale for layer in layers),
             shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
             seen=float(seen @ face / face.sum()),
+            trust=seen,
         )
 
     def _layer(self, photo: Exposure) -> _Layer:
-        skin, scale = self.skin, balance(photo)
-        observed = [observe(skin, photo, number, flat, scale) for number, flat in enumerate(self.flats)]
+        skin = self.skin
+        observed = [observe(skin, photo, number, flat) for number, flat in enumerate(self.flats)]
         colors, trust = self.at_points(observed)
         light = missed_light(photo.normals, colors, trust * skin.areas * inner(skin))
-        colors = colors - light
-        mask = is_skin(skin, colors, trust)
+        mask = is_skin(skin, colors - light, trust)
         trust = trust * mask
-        light = light + one_sided(skin, colors, trust)
+        light = light + one_sided(skin, colors - light, trust)
+        light = light + stands_out(skin, photo, colors - light, trust)
+        shown = self.template + colors - light
+        weight = trust * skin.areas * inner(skin)
+        scale = balance(photo, np.exp([quantile(channel, weight, 0.5) for channel in shown.T]))
+        light = light + np.log(scale)
         observed = [self.evened(number, one, light, mask) for number, one in enumerate(observed)]
         colors, trust = self.at_points(observed)
         return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale)
@@ -96,6 +109,7 @@ class Baker:
         return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(self.totals, 1e-9)
 
     def evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:
+        """What was observed of a texture, less light (n, c) at points, where a mask (n,) leaves something."""
         part = self.skin.textures[number].texels.taken(one.place)
         trust = one.trust * part.carried(mask[:, None])[:, 0]
         kept = np.flatnonzero(trust > 0)
@@ -122,12 +136,10 @@ class Baker:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
         colors, trust = self.at_points(merged)
         whole = self.completed(colors, trust)
-        limit = self._local(colors, trust)
         pictures = []
         for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
             ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
             fine = one.ratio - part.carried(colors)
-            fine = fine - np.maximum((1 - _KEPT) * part.carried(limit), 0)
             ratio[one.place] += one.trust[:, None] * fine
             pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
         return pictures
@@ -166,14 +178,6 @@ class Baker:
 
         guide = whole(other, known, target)
         return guide + whole(colors - guide, trust, target - guide)
-
-    def _local(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
-        """(n, 1) how much brighter points are than all around them, beyond what skin itself is."""
-        level = (colors @ GREY)[:, None]
-        above = level - self.skin.smooth(level, trust, _LOCAL)
-        weight = trust * self.skin.areas
-        usual = np.clip(quantile(above[:, 0], weight, 0.95), *_HIGHLIGHT) if weight.any() else 0.0
-        return np.asarray(np.maximum(above - usual, 0))
 
 
 def template_texels(texture: SkinTexture) -> Float32Array:

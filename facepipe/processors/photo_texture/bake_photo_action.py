@@ -6,7 +6,8 @@ clothes and what is behind stay off, as do the insides of mouth and eyes; highli
 photo shows is taken from the other side of the face, else from the texture that the face had, without a seam.
 
 OUT is an override layer over STAGE, with PNGs beside it for the materials of the skin. The light of the photos on it is
-that which the colours were found with, as bright and as white as photos are exposed.
+that which the colours were found with, as bright and as white as photos are exposed. Cards of brows are made
+transparent where the photos' brows are on the skin.
 
 examples:
   facepipe bake-photo person.usda portrait.jpg -o textured.usda

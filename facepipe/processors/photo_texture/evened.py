@@ -12,38 +12,57 @@ from scipy.spatial import cKDTree
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.harmonics import harmonics
 from facepipe.geometry.polygons import components
+from facepipe.heads.people import Look
 from facepipe.processors.photo_texture.observed import GREY, Exposure
 from facepipe.processors.photo_texture.seen_skin import step
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 # all lengths are shares of the eyes' distance
-_INNER = (0.28, 0.55)  # off the landmarks inside the face: skin up to the first, anything beyond the second
+_INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
+_LIDS = (0.06, 0.14)  # off the landmarks of the eyes
 _WIDE = 0.25  # over which both sides of a face are made alike
-_LEVELS = ((0.15, 0.45), (0.05, 0.12), (0.05, 0.12))  # least and largest deviation of skin: brightness, two hues
-_STRANGE = (2.8, 7.0)  # deviations beyond which a colour is no skin, outside the face and inside
+_LOCAL = 0.10  # over which highlights and folds stand out
+_LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
+_BROWS = (0.07, 0.13)  # off the arcs of the brows
+_STRANGE = (2.8, 7.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
 _EDGE = (0.03, 0.10)  # off what is no skin: where confidence begins, where it is full
 _GRAIN = 0.03  # what is smaller is judged with what is around it
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
-_BRIGHTEST, _LEVEL_TRUST = 1.15, 0.7  # light of the brightest skin of a well exposed photo, and what that counts
-_HUE_TRUST = 0.7  # that the light of a photo is white, as cameras make it
 _FAINT = 0.3  # confidence that doesn't join patches of skin
+_HIGHLIGHT = (0.06, 0.25)  # limits of what skin itself may be brighter than around it
+_FOLD = 0.04  # that it may be darker
+_STRAIN = (0.06, 0.25)  # logarithm of stretching: where folds begin to be the expression's, where they all are
+_LESS = 0.75  # of highlights and of an expression's folds that goes
+_BRIGHTEST = 1.1  # light of the brightest skin of a well exposed photo
+_LIGHT_SPREAD, _SKIN_SPREAD = np.array([0.35, 0.12]), 0.1  # deviations: of brightness and hue of light, and of skin
 
 
-def balance(photo: Exposure) -> FloatArray:
-    """(3,) factor of a photo's light that makes it likely.
+def balance(photo: Exposure, skin_color: FloatArray) -> FloatArray:
+    """(3,) factor of a photo's light that makes it and the skin likely.
 
-    A photo tells light and colour of the skin apart by their product alone: a fit leaves the skin about as the template
-    has it. But photos are exposed so that a face is well lit, and balanced so that its light is white.
+    A photo shows their product alone, and a fit leaves the skin about as light as the template has it. But photos are
+    exposed so that a face is well lit, and balanced so that light is white; and skin has few hues, those of Monk's
+    tones. The mean of all tones by how likely they make the two.
+
+    :param skin_color: (3,) linear, as the light of the stage gives it
     """
     bright = photo.white[photo.trust > _FAINT]
     if not len(bright):
         return np.ones(3)
     level = float(np.quantile(bright @ GREY, 0.9))
     mean = np.average(photo.white, axis=0, weights=photo.trust)
-    hue = mean / float(mean @ GREY)
-    factor = (_BRIGHTEST / level) ** _LEVEL_TRUST * hue**-_HUE_TRUST
-    return np.asarray(np.clip(factor, 0.1, 10.0))
+    stage = np.log(level * mean / float(mean @ GREY))
+    shown = np.log(skin_color) + stage
+    tones = np.log([Look(tone=tone).skin for tone in np.linspace(1.0, 10.0, 91)])
+    off = shown - tones - np.log(_BRIGHTEST)
+    level_off = off.mean(axis=1, keepdims=True)
+    parts = np.stack([np.repeat(level_off, 3, axis=1), off - level_off])  # of brightness, of hue
+    spread = _LIGHT_SPREAD[:, None, None] ** 2
+    cost = (parts**2 / (spread + _SKIN_SPREAD**2)).sum(axis=(0, 2))
+    light = np.log(_BRIGHTEST) + (parts * spread / (spread + _SKIN_SPREAD**2)).sum(axis=0)
+    likely = np.exp((cost.min() - cost) / 2)
+    return np.asarray(np.exp(likely @ light / likely.sum() - stage))
 
 
 def inner(skin: SkinSurface) -> FloatArray:
@@ -52,6 +71,20 @@ def inner(skin: SkinSurface) -> FloatArray:
     cheeks = (marks[1:16] + marks[33]) / 2
     distance = cKDTree(np.concatenate([marks[17:], cheeks])).query(skin.points)[0]
     return 1 - step(distance / skin.eye_distance(skin.points), *_INNER)
+
+
+def _limits(skin: SkinSurface) -> FloatArray:
+    """(n,) deviations beyond which a colour is no skin.
+
+    Faces have lips and nostrils, lids are skin alone, and brows are hair that belongs there.
+    """
+    marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
+    arcs = (marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2)
+    eyes, brows = (cKDTree(each).query(skin.points)[0] / unit for each in (marks[36:48], np.concatenate(arcs)))
+    lids = (1 - step(eyes, *_LIDS)) * (eyes < brows)
+    outside, face, brow = _STRANGE
+    limits = outside + (face - outside) * inner(skin) * (1 - lids)
+    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (eyes > brows))
 
 
 def missed_light(normals: FloatArray, colors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -88,7 +121,7 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
         off = np.abs(level - quantile(level, weight, 0.5))
         square += (off / np.clip(1.5 * quantile(off, weight, 0.5), least, most)) ** 2
     far = skin.smooth(np.sqrt(square)[:, None], trust, _GRAIN)[:, 0]
-    strange = (trust > 0) & (far > _STRANGE[0] + (_STRANGE[1] - _STRANGE[0]) * face)
+    strange = (trust > 0) & (far > _limits(skin))
     certain: FloatArray = np.ones(len(trust))
     if strange.any():
         distance = cKDTree(skin.points[strange]).query(skin.points)[0]
@@ -110,6 +143,27 @@ def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> Float
     total = trust + known
     both = (trust[:, None] * colors + known[:, None] * other) / np.maximum(total[:, None], 1e-9)
     return skin.smooth(colors, trust, _WIDE) - skin.smooth(both, total, _WIDE)
+
+
+def stands_out(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    """(n, 1) what of the brightness of colours (n, 3) is highlights, and folds where an expression strains the skin."""
+    level, weight = (colors @ GREY)[:, None], trust * skin.areas
+    above = level - skin.smooth(level, trust, _LOCAL)
+    usual = np.clip(quantile(above[:, 0], weight, 0.95), *_HIGHLIGHT)
+    folds = step(skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL), *_STRAIN)
+    return np.asarray(_LESS * (np.maximum(above - usual, 0) + folds * np.minimum(above + _FOLD, 0)))
+
+
+def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:
+    """(n,) mean size of the logarithm of how edges stretch from the neutral to points (n, 3)."""
+    ends = skin.edges.T
+    posed, neutral = (np.linalg.norm(each[ends[0]] - each[ends[1]], axis=1) for each in (points, skin.points))
+    stretch = np.abs(np.log(np.maximum(posed, 1e-9) / np.maximum(neutral, 1e-9)))
+    sums, counts = np.zeros(len(points)), np.zeros(len(points))
+    for end in ends:
+        sums += np.bincount(end, stretch, minlength=len(points))
+        counts += np.bincount(end, minlength=len(points))
+    return np.asarray(sums / np.maximum(counts, 1))
 
 
 def quantile(values: FloatArray, weight: FloatArray, share: float) -> float:

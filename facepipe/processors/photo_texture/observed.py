@@ -66,11 +66,10 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
     return Exposure(pixels=pixels, seen=seen, light=light, points=local, normals=own, trust=trust, white=white)
 
 
-def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArray, scale: FloatArray) -> Observed:
+def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArray) -> Observed:
     """What a photo shows of one of the skin's textures.
 
     :param template: (m, 3) linear colours of the texture's texels
-    :param scale: (3,) of the photo's light
     """
     texels = skin.textures[number].texels
     near = (photo.trust > 0) | _beside(skin, photo.trust > 0)
@@ -93,10 +92,10 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     )
     shown = sampled(photo.pixels, pixels, _spacing(part.at, pixels))
     hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
-    white = photo.light.white(normals, hidden, arriving) * scale
+    white = photo.light.white(normals, hidden, arriving)
     linear = from_srgb(np.clip(shown, 0, 1))
     glint = np.minimum(photo.light.mirrored(normals, towards_eye, arriving), 0.4 * linear)
-    bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8)) * float(scale @ GREY)
+    bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8))
     trust = trust * step(white @ GREY / bright, *_DIM) * (1 - step(shown.max(axis=1), *_BLOWN) * 0.9)
     floor = np.maximum(white, _DIM[0] * bright)
     ratio = np.log(np.maximum(linear - glint, DARKEST) / floor) - np.log(template[place])

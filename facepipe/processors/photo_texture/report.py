@@ -16,6 +16,7 @@ class BakePhotoReport(Report):
     textures: Mapping[str, tuple[str, ...]]  # file -> the materials that show it
     photos: Mapping[str, float]  # file name -> share of the face that it shows
     seen: float  # share of the face that some photo shows
+    hidden: tuple[str, ...] = ()  # materials of brow cards that are transparent now
     seconds: float = 0.0
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from baked_face import SKIN, person, put_fitted, wearing
+from baked_face import SKIN, person, put_fitted, wearing, with_cards
 from command_line import Capsys, content, done, failed
 from PIL import Image
 
@@ -123,6 +123,16 @@ def test_the_command_writes_the_same_again_and_exports_it(fitted: Path, capsys: 
             done(capsys, *words, "-o", fitted / name)
         for found, expected in zip(skin(facepipe.read(fitted / name).parts()), made, strict=True):
             np.testing.assert_array_equal(found, expected)
+
+
+def test_cards_of_brows_go_where_the_photo_has_brows(tmp_path: Path) -> None:
+    parts = with_cards(person(LIGHT_SKIN, 64))
+    put_fitted(parts, parts, tmp_path, size=240, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    assert report.hidden == ("Brows",)
+    opacity = {material.name: material.opacity for material in facepipe.open(tmp_path / "out.usda").materials}
+    assert opacity["Brows"] == 0
+    assert isinstance(opacity["Lashes"], TextureInput)
 
 
 @pytest.mark.parametrize(
