@@ -29,17 +29,6 @@ class Driven:
     mm: float  # what a unit of it moves the face, for its share in the error
 
 
-@dataclass(frozen=True, kw_only=True)
-class Learner:
-    """What is to be learnt, and how."""
-
-    width: int
-    activation: Literal["tanh", "relu"]
-    seed: int
-    steps: int
-    patience: int
-
-
 def bent_sliders(sliders: Sequence[Slider], network: SliderNetwork | None) -> tuple[Slider, ...]:
     """The sliders whose effect is no straight line: with curves, or in the network."""
     names = set() if network is None else set(network.sliders)
@@ -57,7 +46,11 @@ def distil(
     joints: Sequence[str],
     shapes: Sequence[str],
     driven: Sequence[Driven],
-    learner: Learner,
+    *,
+    width: int,
+    activation: Literal["tanh", "relu"],
+    seed: int,
+    steps: int,
 ) -> tuple[tuple[Slider, ...], SliderNetwork, int]:
     """Sliders and a network that do nearly what others do, and the steps of training.
 
@@ -70,15 +63,15 @@ def distil(
     taken = () if network is None else network.sliders
     fixed = tuple(slider for slider in sliders if slider.name in taken and slider.minimum == slider.maximum)
     teacher = _Teacher(bent, fixed, network, joints, shapes, driven)
-    random = np.random.default_rng(learner.seed)
+    random = np.random.default_rng(seed)
     trained = train(
         teacher.samples(SAMPLES, random),
         teacher.samples(CHECKED, random),
-        width=learner.width,
-        activation=learner.activation,
-        seed=learner.seed,
-        steps=learner.steps,
-        patience=learner.patience,
+        width=width,
+        activation=activation,
+        seed=seed,
+        steps=steps,
+        patience=steps // 4,
     )
     scales = np.array([one.mm for one in driven])
     straight, offset = _straight(bent, trained, driven)
@@ -89,7 +82,7 @@ def distil(
         shapes=tuple(one.shape for one in driven if one.shape is not None),
         weights=(_over_values(bent, trained), trained.last / scales[:, None]),
         biases=(_bias_over_values(bent, trained), trained.last_bias / scales + offset),
-        activation=learner.activation,
+        activation=activation,
     )
     return tuple(by_name.get(slider.name, slider) for slider in sliders), learnt, trained.steps
 

@@ -47,12 +47,7 @@ def quality_from(values: object, where: str) -> Quality:
     """
     if isinstance(values, Mapping) and "quality" in values:
         where, values = f"{where} -> quality", values["quality"]
-    if not isinstance(values, Mapping):
-        raise InputError(where, "no object of measures, expected one")
-    try:
-        return from_json(Quality, values, where)
-    except InputError as error:
-        raise error if error.where.startswith(where) else error.under(where) from None
+    return from_json(Quality, values, where)
 
 
 def misses(quality: Quality, limits: QualityLimits) -> tuple[str, ...]:

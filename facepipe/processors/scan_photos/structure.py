@@ -43,7 +43,7 @@ def find_structure(
     :raises InputError: pycolmap is not there
     :raises FitError: fewer than 5 photos could be placed
     """
-    colmap = _colmap()
+    colmap = colmap_module()
     with tempfile.TemporaryDirectory(prefix="facepipe-scan-") as name:
         folder = Path(name)
         files = _write_photos(photos, "each" if known else options.lens, folder)
@@ -56,7 +56,8 @@ def find_structure(
         return _structure(model, {file: name for name, file in files.items()}, len(photos))
 
 
-def _colmap() -> Any:
+def colmap_module() -> Any:
+    """:raises InputError: pycolmap is not there"""
     try:
         import pycolmap
     except ImportError as error:

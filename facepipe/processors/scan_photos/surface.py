@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import FitError, InputError
+from facepipe.core.errors import FitError
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import components, edges, point_normals
 from facepipe.geometry.vectors import group_sums
@@ -23,6 +23,7 @@ from facepipe.processors.scan_photos.cameras import PhotoCamera
 from facepipe.processors.scan_photos.depth import confirmed
 from facepipe.processors.scan_photos.options import ScanPhotosOptions
 from facepipe.processors.scan_photos.photos import Photo
+from facepipe.processors.scan_photos.structure import colmap_module
 from facepipe.processors.scan_photos.subject import Subject
 from facepipe.scans import Scan
 
@@ -165,10 +166,7 @@ def make_surface(cloud: Cloud, name: str, *, gap: float, smallest: float) -> Sca
 
 
 def _poisson(cloud: Cloud) -> Surface:
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise InputError("pycolmap", "is not installed, expected `pip install 'facepipe[scan]'`") from error
+    pycolmap = colmap_module()
     center, extent = cloud.points.mean(axis=0), float(np.ptp(cloud.points, axis=0).max())
     options = pycolmap.PoissonMeshingOptions()
     options.depth = int(np.clip(np.ceil(np.log2(extent / cloud.spacing / _WITHIN)), _SHALLOWEST, _DEEPEST))

@@ -67,28 +67,24 @@ class DistilSliders(DistilOptions):
 
         :raises InputError: an option out of range, no sliders, sliders of what is not there, or no torch
         """
-        self._check(parts)
-        from facepipe.learn.distil import Learner, bent_sliders, distil
+        check_ranges(self)
+        if not parts.sliders:
+            raise InputError(parts.name, "no sliders, expected some to learn from")
+        from facepipe.learn.distil import bent_sliders, distil
 
         rig = build(parts)
         bent = bent_sliders(parts.sliders, parts.slider_network)
         if not bent:
             warning = "all sliders are straight: there is nothing to learn, the graph is exact"
             return parts, self._report(0, None, Errors(), (warning,))
-        learner = Learner(
-            width=self.width, activation=self.activation, seed=self.seed, steps=self.steps, patience=self.steps // 4
+        face = (parts.sliders, parts.slider_network, rig.joints, rig.shapes, _driven(rig, parts, bent))
+        sliders, network, steps = distil(
+            *face, width=self.width, activation=self.activation, seed=self.seed, steps=self.steps
         )
-        driven = _driven(rig, parts, bent)
-        sliders, network, steps = distil(parts.sliders, parts.slider_network, rig.joints, rig.shapes, driven, learner)
         errors = measure(rig, parts, sliders, network, self.seed)
         report = self._report(steps, network, errors, self._warnings(errors))
         figures = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
         return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": figures})), report
-
-    def _check(self, parts: FaceParts) -> None:
-        check_ranges(self)
-        if not parts.sliders:
-            raise InputError(parts.name, "no sliders, expected some to learn from")
 
     def _warnings(self, errors: Errors) -> tuple[str, ...]:
         if errors.points_mm is None or errors.points_mm.max <= self.threshold_mm:
