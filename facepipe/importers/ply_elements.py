@@ -61,11 +61,12 @@ def read_elements(path: Path, data: bytes) -> dict[str, Element]:
 
     :raises InputError: no PLY header, an unknown type or format, data cut short, words that are no numbers
     """
-    order, elements, start = _header(path, data)
-    if order:
-        _read_binary(path, data, start, order, elements)
-    else:
-        _read_text(path, data[start:], elements)
+    order, elements, at = _header(path, data)
+    if not order:
+        _read_text(path, data[at:], elements)
+    for element in elements if order else ():
+        if element.count and element.properties:
+            at = _alike(path, data, at, order, element) or _uneven(path, data, at, order, element)
     return {element.name: element for element in elements}
 
 
@@ -104,13 +105,6 @@ def _property(where: str, words: list[str], element: Element) -> _Property:
             where, f"property {new_property.name[:40]!r}, expected each once, with whole numbers as list counts"
         )
     return new_property
-
-
-def _read_binary(path: Path, data: bytes, start: int, order: str, elements: list[Element]) -> None:
-    at = start
-    for element in elements:
-        if element.count and element.properties:
-            at = _alike(path, data, at, order, element) or _uneven(path, data, at, order, element)
 
 
 def _alike(path: Path, data: bytes, at: int, order: str, element: Element) -> int | None:

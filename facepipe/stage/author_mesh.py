@@ -203,7 +203,10 @@ def author_mesh_changes(
         _author_normals(mesh, turned(new) if is_left_handed(mesh) else new)
         lines.append("normals")
     if new.blendshapes or (new.skin and joints):
-        _bind(prim, skeleton)
+        if not prim.HasAPI(UsdSkel.BindingAPI):
+            UsdSkel.BindingAPI.Apply(prim)
+        if inherited_skeleton(prim) != skeleton.GetPath():
+            UsdSkel.BindingAPI(prim).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     if new.skin is not None and joints and not same(old.skin, new.skin):
         author_skin(prim, new.skin, joints, old.skin)
         lines.append("skin")
@@ -223,13 +226,6 @@ def _author_normals(mesh: UsdGeom.Mesh, new: Mesh) -> None:
     else:
         mesh.GetNormalsAttr().Clear()
         author_normals(mesh, new.normals)
-
-
-def _bind(prim: Usd.Prim, skeleton: Usd.Prim) -> None:
-    if not prim.HasAPI(UsdSkel.BindingAPI):
-        UsdSkel.BindingAPI.Apply(prim)
-    if inherited_skeleton(prim) != skeleton.GetPath():
-        UsdSkel.BindingAPI(prim).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
 
 
 def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:

@@ -102,19 +102,15 @@ def _four(value: Any) -> tuple[float, float, float, float]:
     return (float(red), float(green), float(blue), float(alpha))
 
 
-def _uv_set(texture: UsdShade.Shader) -> str:
-    given = _attribute(texture, "st")
-    if given:
-        reader = UsdShade.Shader(given.GetPrim())
-        if reader.GetShaderId() == "UsdTransform2d":
-            return _uv_set_of_transform(reader)
-        return str(_value(reader, "varname", "st"))
-    return "st"
-
-
-def _uv_set_of_transform(transform: UsdShade.Shader) -> str:
-    given = _attribute(transform, "in")
-    return str(_value(UsdShade.Shader(given.GetPrim()), "varname", "st")) if given else "st"
+def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
+    """The UV set that an input of a texture, or of a transform before it, reads."""
+    given = _attribute(shader, name)
+    if not given:
+        return "st"
+    reader = UsdShade.Shader(given.GetPrim())
+    if name == "st" and reader.GetShaderId() == "UsdTransform2d":
+        return _uv_set(reader, "in")
+    return str(_value(reader, "varname", "st"))
 
 
 def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any) -> Texture:

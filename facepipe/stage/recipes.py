@@ -62,19 +62,16 @@ def recipe_of(path: Path, verb: str) -> tuple[Recipe, bool]:
 
 def check_recipe(where: str, recipe: Recipe) -> None:
     """:raises SchemaError: a recipe of a newer facepipe, without sources, or without a digest for each"""
-    _check_version(where, recipe.version)
-    count = len(recipe.sources)
-    if not count or len(recipe.digests) != count:
-        what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
-        raise SchemaError(where, what)
-
-
-def _check_version(where: str, version: str) -> None:
+    version = recipe.version
     ours, theirs = (re.match(r"(\d{1,6})\.(\d{1,6})(?![0-9])", text) for text in (__version__, version))
     if theirs is None or ours is None:
         raise SchemaError(where, f"version '{version[:40]}', expected one like {__version__}")
     if tuple(map(int, theirs.groups())) > tuple(map(int, ours.groups())):
         raise SchemaError(where, f"made by facepipe {version[:40]}, expected {__version__} or older")
+    count = len(recipe.sources)
+    if not count or len(recipe.digests) != count:
+        what = f"{count} sources and {len(recipe.digests)} digests, expected one digest per source"
+        raise SchemaError(where, what)
 
 
 def check_source(where: str, path: Path) -> None:

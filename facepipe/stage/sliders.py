@@ -137,10 +137,6 @@ def _author_slider(prim: Usd.Prim, slider: Slider) -> None:
         for i, field in enumerate(fields):
             put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)
     put_value(prim, f"{prefix}mirror", slider.mirror)
-    _author_curves(prim, prefix, slider)
-
-
-def _author_curves(prim: Usd.Prim, prefix: str, slider: Slider) -> None:
     lists = (("channelKnots", slider.channel_curves), ("shapeKnots", slider.shape_curves))
     knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
     for field, curves in lists:

@@ -42,7 +42,10 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
         lost = sorted(set(range(len(values))) - set(order))[0]
         raise values[lost].error("is its own ancestor, expected a tree")
     locals_ = np.array([_local_matrix(value) for value in values]).reshape(-1, 4, 4)
-    worlds = _worlds(locals_, parents, order)
+    worlds = np.array(locals_)
+    for node in order:
+        if parents[node] >= 0:
+            worlds[node] = worlds[parents[node]] @ locals_[node]
     finite = np.isfinite(worlds).all(axis=(1, 2))
     if not finite.all():
         raise values[int(np.argmin(finite))].error("its world transform is not finite")
@@ -105,14 +108,6 @@ def _depth_first(roots: list[int], children: list[list[int]]) -> list[int]:
         order.append(node)
         stack.extend(reversed(children[node]))
     return order
-
-
-def _worlds(locals_: FloatArray, parents: list[int], order: list[int]) -> FloatArray:
-    worlds = np.array(locals_)
-    for node in order:
-        if parents[node] >= 0:
-            worlds[node] = worlds[parents[node]] @ locals_[node]
-    return worlds
 
 
 def _scene_roots(document: Document, scene: int | None, roots: list[int], parents: list[int]) -> list[int]:
