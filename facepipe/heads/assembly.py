@@ -83,7 +83,7 @@ def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes
         face_vertex_counts=head.counts[part.faces],
         face_vertex_indices=head.indices[part.corners] - part.points.start,
         uv_sets=(UvSet(values=head.uvs[uvs], indices=uv_indices.reshape(-1).astype(np.int32)),),
-        blendshapes=_blendshapes(part, shapes),
+        blendshapes=blendshapes_of(part, shapes),
         skin=Skin(joint_indices=head.skin_joints[part.points], joint_weights=head.skin_weights[part.points]),
         regions=masks,
         landmarks={"multipie68": Landmarks(indices=head.landmarks)} if whole else {},
@@ -96,7 +96,7 @@ def _all(part: Part, value: float) -> FloatArray:
     return np.full(part.points.stop - part.points.start, float(value))
 
 
-def _blendshapes(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
+def blendshapes_of(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
     """The shapes that move points of a part."""
     blendshapes = []
     for name, offsets_at in shapes.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +19,7 @@ from facepipe.learn.photo.descent import Descent, Unknowns, descend
 from facepipe.learn.photo.fit_input import check_extractors, check_photos, check_start
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
-from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
+from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
 from facepipe.learn.photo.lighting import in_better_light, lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
@@ -28,7 +29,6 @@ from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
-_PRIOR = 68.0  # stage one sums over landmarks what stage two takes the mean of
 
 
 def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
@@ -93,6 +93,7 @@ def fit_photos(
     expressions: Sequence[str] | None = None,
     extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
+    slider_sigma: float | None = None,
     done: Callable[[int], None] | None = None,
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
@@ -104,6 +105,8 @@ def fit_photos(
     :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
+    :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);
+        None: the fewer sliders are off their defaults, the likelier
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
     :param done: called with 1 after each step
     :raises InputError: no photo, arrays or a start that don't fit, networks of other kinds, a face without the 68
@@ -112,7 +115,8 @@ def fit_photos(
     landmarks = check_photos(photos, landmarks)
     check_extractors(extractors or {})
     with one_thread():
-        return _fit(parts, photos, landmarks, options, expressions, extractors, start, done)
+        priors = priors_of(options, slider_sigma)
+        return _fit(parts, photos, landmarks, options, priors, expressions, extractors, start, done)
 
 
 def _fit(
@@ -120,6 +124,7 @@ def _fit(
     photos: Sequence[FloatArray],
     landmarks: Sequence[FloatArray],
     options: PhotoFitOptions,
+    priors: Priors,
     expressions: Sequence[str] | None,
     extractors: Mapping[Kind, Extractor] | None,
     start: State | None,
@@ -128,7 +133,7 @@ def _fit(
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
     start = None if start is None else check_start(start, subject, spaces)
-    fit = LandmarkFit(subject, landmarks, spaces, priors_of(options))
+    fit = LandmarkFit(subject, landmarks, spaces, priors)
     state = fit.solve(fit.start() if start is None else start)
     networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
@@ -171,14 +176,20 @@ def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
     )
 
 
-def priors_of(options: PhotoFitOptions) -> Priors:
-    """What stage one takes as likely."""
-    return Priors(
+def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Priors:
+    """What stage one takes as likely.
+
+    :param slider_sigma: as for `fit_photos`
+    """
+    priors = Priors(
         landmark_sigma=options.landmark_sigma,
-        expression_sparsity=_PRIOR * options.expression_sparsity,
-        slider_sparsity=_PRIOR * options.sparsity,
+        expression_sparsity=COUNT * options.expression_sparsity,
+        slider_sparsity=COUNT * options.sparsity,
         focal_sigma=options.focal_sigma,
     )
+    if slider_sigma is None:
+        return priors
+    return replace(priors, slider_sigma=slider_sigma, slider_sparsity=0.0, normal=True)
 
 
 def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions) -> Mapping[Kind, Extractor]:

@@ -94,6 +94,7 @@ class Priors:
 
     landmark_sigma: float = 0.02  # standard deviation of landmarks, of the distance of the outer eye corners
     slider_sigma: float = 0.3  # of sliders around their defaults, of their range
+    normal: bool = False  # whether that is their distribution, and not only what holds sliders that no photo shows
     slider_sparsity: float = 0.0  # L1 weight of sliders, per range
     expression_sparsity: float = 3.0  # L1 weight of expressions
     focal_sigma: float = 0.35  # of the logarithm of the focal length

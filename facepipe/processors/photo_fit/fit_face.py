@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from facepipe.core.errors import FacepipeError
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
 from facepipe.photo_options import MODELS
+from facepipe.processors.photo_fit.person_model import REACH
 from facepipe.processors.photo_fit.photo_file import Photo, read_photo
 from facepipe.processors.photo_fit.photo_landmarks import (
     Landmarks68,
@@ -23,6 +27,8 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.result import PhotoFit
     from facepipe.processors.photo_fit.fit_photo_action import FitPhoto
+    from facepipe.processors.photo_fit.person_model import IdentityReport, PersonModel
+    from facepipe.stage import Face
 
 
 class PhotoInputs(NamedTuple):
@@ -82,9 +88,12 @@ def _extractors(action: FitPhoto) -> Mapping[Kind, Extractor]:
     return {**own_extractors(missing), **given}
 
 
-def fit_face(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs, watch: Watch) -> PhotoFit:
+def fit_face(
+    action: FitPhoto, parts: FaceParts, inputs: PhotoInputs, watch: Watch, slider_sigma: float | None = None
+) -> PhotoFit:
     """Fit the face of the action.
 
+    :param slider_sigma: as for `fit_photos`
     :raises FacepipeError: what can't be fitted
     """
     from facepipe.learn.photo.fit import fit_photos
@@ -100,6 +109,7 @@ def fit_face(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs, watch: Wat
                 expressions=action.expressions,
                 extractors=inputs.extractors,
                 start=start,
+                slider_sigma=slider_sigma,
                 done=bar.update,
             )
     except FacepipeError as error:
@@ -121,3 +131,21 @@ def _start(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs) -> State | N
         raise error.under(action.face) from None
     guess = load_start(action.start, subject)
     return guess.together([photo.pixels for photo in inputs.photos], [each.points for each in inputs.landmarks], spaces)
+
+
+def fit_person(
+    action: FitPhoto, model: PersonModel, face: Face, inputs: PhotoInputs, watch: Watch
+) -> tuple[PhotoFit, IdentityReport]:
+    """Fit the modes of identity, put the person into the neutral of `face`, and give the fit in terms of its sliders.
+
+    :raises FacepipeError: what can't be fitted
+    """
+    from facepipe.learn.photo.subject import Subject
+    from facepipe.rig.conventions import ARKIT_SHAPES
+
+    sliders = Subject.of(model.parts, action.expressions).free_sliders
+    free = ARKIT_SHAPES if action.expressions is None else frozenset(action.expressions)
+    fit = fit_face(action, model.fit_parts(free), inputs, watch, 1 / (2 * REACH))
+    weights = np.array([fit.sliders[name] for name in model.names])
+    values, report = model.author(face, weights, sliders)
+    return replace(fit, sliders=values), report

@@ -8,6 +8,10 @@ The photos' landmarks come from JSON files (--landmarks, one a photo, in order; 
 MediaPipe (--landmarker) or, with neither, from facepipe's own network. Where a photo shows several faces, --face says
 which: from 0, the largest first; of a JSON file in its order.
 
+Who a person may be: where FACE has modes of identity, those of the built-in head or of the faces of --database, the fit
+is over these, and what no photo shows stays what is likeliest. FACE's own sliders then have the values that stand for
+most of the person, and its neutral what they leave. Other faces, and those with --start, are fitted by their sliders.
+
 Features that photo and render are compared by come from facepipe's own networks, trained on synthetic heads, or from
 models of yours: ONNX, or torch.export programs from people you trust.
 
@@ -15,7 +19,8 @@ OUT is an override layer over FACE and needs that file; hand on what --flatten w
 can be set further (`facepipe sliders`), the neutral, which its skeleton plays, and for each photo a camera and the pose
 with the photo's expression. --report makes a folder: report.html, report.json, and for each photo the render from its
 camera, the overlay of mesh and landmarks, and the landmarks as JSON for --landmarks, to be mended by hand. Exit code 1:
-done, but the landmarks are off by more than the threshold, or the loss was not finite and the best until then is kept.
+done, but the landmarks are off by more than the threshold, the person is like hardly anyone, or the loss was not
+finite and the best until then is kept.
 
 The recipe stays on the result. --edit fits again from it with what the line changes: FACE alone is another face, PHOTO
 ... FACE also other photos. Without -o that is in place (with --force), and anything else authored in that file is lost.
@@ -68,6 +73,12 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         default=None,
         flag="--landmarker",
         metavar="TASK",
+    )
+    database: Path | None = source(
+        "faces of FACE's topology: who a person may be (default for the built-in head its own modes)",
+        default=None,
+        flag="--database",
+        metavar="FPDB",
     )
     content_model: Path | None = source(
         _NETWORK.format("content"), default=None, flag="--content-model", metavar="FILE"
@@ -136,6 +147,8 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
             raise InputError("PHOTO", "none given, expected one or more" if twice is None else f"{twice} given twice")
         if self.landmarks and self.landmarker is not None:
             raise InputError("--landmarks", "given with --landmarker, expected only one of them")
+        if self.start is not None and self.database is not None:
+            raise InputError("--start", "given with --database, expected only one of them: it guesses FACE's sliders")
         if len(self.landmarks) not in (0, count):
             expected = f"expected {count}: one for each photo, in their order"
             raise InputError("--landmarks", f"{len(self.landmarks)} given, {expected}")
@@ -144,21 +157,29 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
 
     def author(self, face: Face, job: Job) -> PhotoFitReport:
         from facepipe.processors.photo_fit.author import AuthorPhotoFit
-        from facepipe.processors.photo_fit.fit_face import Fitted, fit_face, read_inputs
-        from facepipe.processors.photo_fit.report import off_landmarks
+        from facepipe.processors.photo_fit.fit_face import Fitted, fit_face, fit_person, read_inputs
+        from facepipe.processors.photo_fit.person_model import person_model
+        from facepipe.processors.photo_fit.report import implausible, off_landmarks
+        from facepipe.stage import Face
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
         inputs, parts = read_inputs(self), face.parts()
-        fit = fit_face(self, parts, inputs, job.watch)
-        report = AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe)
-        warnings = (*inputs.warnings, *report.warnings, *off_landmarks(report, self.landmark_threshold))
-        fitted = Fitted(parts, fit, inputs)
+        model = None if self.start else person_model(parts, str(self.face), self.database)
+        if model is None:
+            fit, identity = fit_face(self, parts, inputs, job.watch), None
+        else:
+            fit, identity = fit_person(self, model, face, inputs, job.watch)
+            face = Face(face.stage, face.prim)  # with the person
+        report = replace(AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe), identity=identity)
+        missed = (*off_landmarks(report, self.landmark_threshold), *implausible(report))
+        warnings = (*inputs.warnings, *report.warnings, *missed)
+        fitted = Fitted(parts if model is None else face.parts(), fit, inputs)
         return replace(report, warnings=warnings, fitted=fitted, seconds=time.perf_counter() - begin)
 
     def missed(self, report: PhotoFitReport) -> bool:
-        from facepipe.processors.photo_fit.report import off_landmarks
+        from facepipe.processors.photo_fit.report import implausible, off_landmarks
 
-        return report.missed or bool(off_landmarks(report, self.landmark_threshold))
+        return report.missed or bool(off_landmarks(report, self.landmark_threshold) or implausible(report))
 
     def write_report(self, face: Face, report: PhotoFitReport, path: Path) -> None:
         """The folder of the report."""

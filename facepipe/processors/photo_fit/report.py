@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from facepipe.learn.photo.result import Stopped
     from facepipe.parts import Slider
     from facepipe.processors.photo_fit.fit_face import Fitted
+    from facepipe.processors.photo_fit.person_model import IdentityReport
 
 ENDS = {
     "iterations": "all steps made",
@@ -42,6 +43,11 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str
     moved = sum(abs(value) > _OFF * spans[name] for name, value in off.items())
     last = f"{moved} of {len(off)} sliders off their defaults: {_largest(off, spans, report.sliders)}"
     lines = [head, table(rows), last]
+    if report.identity is not None:
+        lines.append(
+            f"sliders leave {report.identity.beyond_sliders_mean_mm:.2f} mm of the person (mean), at most "
+            f"{report.identity.beyond_sliders_max_mm:.2f} mm, which is in the neutral"
+        )
     if report.beyond_limits:
         lines.append(f"beyond bone limits: {', '.join(report.beyond_limits[:_SHOWN])}")
     return "\n".join(lines)
@@ -87,6 +93,7 @@ class PhotoFitReport(Report):
     beyond_limits: tuple[str, ...] = ()  # "joint:channel" where the neutral is beyond the face's limits
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
+    identity: IdentityReport | None = None  # where the face has identity modes
     fitted: Fitted = not_in_json()  # of the report of an action
 
     @property
@@ -103,6 +110,15 @@ def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
         for name, photo in report.photos.items()
         if percent(photo) > threshold
     ]
+
+
+def implausible(report: PhotoFitReport) -> list[str]:
+    """A line where the person is like hardly anyone."""
+    identity = report.identity
+    if identity is None or identity.deviations <= identity.usual:
+        return []
+    found = f"{identity.deviations:.2f} standard deviations (root mean square over {identity.modes} modes)"
+    return [f"the person is {found} from the average, expected at most {identity.usual:.2f}"]
 
 
 def percent(photo: PhotoReport) -> float:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
+    from facepipe.processors.rebuild.author_neutral import AuthorNeutral
     from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
     from facepipe.processors.rebuild.fit_neutral import FitNeutral, NeutralFit, NeutralReport
     from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
@@ -35,6 +36,7 @@ else:
 
 __all__ = [
     "DEFAULT_COMPOSITES",
+    "AuthorNeutral",
     "Composite",
     "CompositeReport",
     "ExpressionScan",

@@ -57,7 +57,7 @@ class AuthorNeutral:
         """
         parts = face.parts()
         self._check(face, parts, points)
-        authored = author_changes(face, replace(self._result(parts, points), recipe=recipe), self.primvars)
+        authored = author_changes(face, replace(self.changed(parts, points), recipe=recipe), self.primvars)
         return AuthorNeutralReport(authored=authored, warnings=tuple(self._warnings(parts)))
 
     def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:
@@ -69,7 +69,8 @@ class AuthorNeutral:
                 raise TopologyError(f"{face.where} -> {name}", f"shape {np.shape(values)}, expected ({count}, 3)")
             require_finite(values, face.where, name)
 
-    def _result(self, parts: FaceParts, points: FloatArray) -> FaceParts:
+    def changed(self, parts: FaceParts, points: FloatArray) -> FaceParts:
+        """The face with whole `points` (n, 3), for who authors more beside them."""
         cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]
         points_by_mesh = np.split(np.asarray(points, np.float64), cuts)
         deltas = {name: np.split(np.asarray(delta, np.float64), cuts) for name, delta in self.shapes.items()}
