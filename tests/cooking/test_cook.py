@@ -221,7 +221,7 @@ def test_a_layer_that_is_gone_is_named_where_no_recipe_makes_it(chain: Path, cap
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('"blend"', '"stir"', "mix.usda -> recipe: is of 'stir', expected one of animate, apply-bones, blend"),
+        ('"blend"', '"stir"', "mix.usda -> recipe: is of 'stir', expected one of animate, apply-bones, bake-photo, "),
         ('recipe:version = "0.1.0"', 'recipe:version = "9.0.0"', "made by facepipe 9.0.0, expected"),
         ('["./a.usda", "./b.usda"]', '["./a.usda"]', "1 sources and 2 digests"),
     ],
