@@ -15,13 +15,14 @@ from facepipe.core.images import open_image
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.texture_fill import spread
 from facepipe.processors.photo_texture.evened import (
+    Relief,
     balance,
     inner,
     is_skin,
     missed_light,
     one_sided,
     quantile,
-    stands_out,
+    relief,
 )
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
@@ -91,12 +92,12 @@ class Baker:
         mask = is_skin(skin, colors - light, trust)
         trust = trust * mask
         light = light + one_sided(skin, colors - light, trust)
-        light = light + stands_out(skin, photo, colors - light, trust)
+        around = relief(skin, photo, colors - light, trust)
         shown = self.template + colors - light
         weight = trust * skin.areas * inner(skin)
         scale = balance(photo, np.exp([quantile(channel, weight, 0.5) for channel in shown.T]))
-        light = light + np.log(scale)
         observed = [self.evened(number, one, light, mask) for number, one in enumerate(observed)]
+        observed = [self._lessened(number, one, around, np.log(scale)) for number, one in enumerate(observed)]
         colors, trust = self.at_points(observed)
         return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale)
 
@@ -115,6 +116,12 @@ class Baker:
         kept = np.flatnonzero(trust > 0)
         ratio = (one.ratio - part.carried(light))[kept]
         return Observed(place=one.place[kept], ratio=ratio, trust=trust[kept])
+
+    def _lessened(self, number: int, one: Observed, around: Relief, level: FloatArray) -> Observed:
+        """What was observed of a texture without what is too much, and less a level (3,)."""
+        part = self.skin.textures[number].texels.taken(one.place)
+        ratio = one.ratio - around.too_much(part, one.ratio) - level
+        return Observed(place=one.place, ratio=ratio.astype(np.float32), trust=one.trust)
 
     def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:
         """Layers as bright as the one that shows most, where both show skin."""

@@ -6,12 +6,15 @@ widely from one side of the face to the other, is light; true colours hardly do.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.harmonics import harmonics
 from facepipe.geometry.polygons import components
+from facepipe.geometry.texels import Texels
 from facepipe.heads.people import Look
 from facepipe.processors.photo_texture.observed import GREY, Exposure
 from facepipe.processors.photo_texture.seen_skin import step
@@ -19,13 +22,14 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 # all lengths are shares of the eyes' distance
 _INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
-_LIDS = (0.06, 0.14)  # off the landmarks of the eyes
+_LIDS = (0.05, 0.10)  # off the landmarks of the eyes
 _WIDE = 0.25  # over which both sides of a face are made alike
+_UNEVEN = 0.5  # of what both sides vary over that, what is skin
 _LOCAL = 0.10  # over which highlights and folds stand out
 _LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
-_BROWS = (0.07, 0.13)  # off the arcs of the brows
+_BROWS = (0.11, 0.17)  # off the arcs of the brows
 _STRANGE = (2.8, 7.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
-_EDGE = (0.03, 0.10)  # off what is no skin: where confidence begins, where it is full
+_EDGE = (0.02, 0.07)  # off what is no skin: where confidence begins, where it is full
 _GRAIN = 0.03  # what is smaller is judged with what is around it
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
@@ -81,10 +85,10 @@ def _limits(skin: SkinSurface) -> FloatArray:
     marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
     arcs = (marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2)
     eyes, brows = (cKDTree(each).query(skin.points)[0] / unit for each in (marks[36:48], np.concatenate(arcs)))
-    lids = (1 - step(eyes, *_LIDS)) * (eyes < brows)
+    lids = 1 - step(eyes, *_LIDS)
     outside, face, brow = _STRANGE
     limits = outside + (face - outside) * inner(skin) * (1 - lids)
-    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (eyes > brows))
+    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - lids))
 
 
 def missed_light(normals: FloatArray, colors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -138,20 +142,38 @@ def _joined(skin: SkinSurface, certain: BoolArray, weight: FloatArray) -> FloatA
 
 
 def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatArray:
-    """(n, 3) what of colours (n, 3) differs widely from the other side of the face."""
+    """(n, 3) what of colours (n, 3) differs widely from the other side of the face, and some of what does from both."""
     other, known = skin.other_side(colors, trust)
     total = trust + known
     both = (trust[:, None] * colors + known[:, None] * other) / np.maximum(total[:, None], 1e-9)
-    return skin.smooth(colors, trust, _WIDE) - skin.smooth(both, total, _WIDE)
+    weight = trust * skin.areas * inner(skin)
+    middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
+    even = middle + _UNEVEN * (skin.smooth(both, total, _WIDE) - middle)
+    return np.asarray(skin.smooth(colors, trust, _WIDE) - even)
 
 
-def stands_out(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> FloatArray:
-    """(n, 1) what of the brightness of colours (n, 3) is highlights, and folds where an expression strains the skin."""
+@dataclass(frozen=True, kw_only=True)
+class Relief:
+    """What a place of the skin is compared with."""
+
+    level: FloatArray  # (n, 1) brightness around it
+    usual: float  # that skin itself may be brighter
+    folds: FloatArray  # (n, 1) 0..1, how far folds are the expression's
+
+    def too_much(self, texels: Texels, colors: FloatArray) -> FloatArray:
+        """(m, 1) what of colours (m, 3) of texels is highlights, and an expression's folds."""
+        above = (colors @ GREY)[:, None] - texels.carried(self.level)
+        dark = np.minimum(above + _FOLD, 0) * texels.carried(self.folds)
+        return np.asarray(_LESS * (np.maximum(above - self.usual, 0) + dark), np.float32)
+
+
+def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> Relief:
+    """Highlights, and folds where an expression strains the skin, by colours (n, 3)."""
     level, weight = (colors @ GREY)[:, None], trust * skin.areas
-    above = level - skin.smooth(level, trust, _LOCAL)
-    usual = np.clip(quantile(above[:, 0], weight, 0.95), *_HIGHLIGHT)
-    folds = step(skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL), *_STRAIN)
-    return np.asarray(_LESS * (np.maximum(above - usual, 0) + folds * np.minimum(above + _FOLD, 0)))
+    around = skin.smooth(level, trust, _LOCAL)
+    usual = float(np.clip(quantile((level - around)[:, 0], weight, 0.95), *_HIGHLIGHT))
+    strained = skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL)
+    return Relief(level=around, usual=usual, folds=step(strained, *_STRAIN))
 
 
 def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:
