@@ -393,17 +393,18 @@ class Face:
             written.TransferContent(stage.GetRootLayer())
             textures.save(written, target, base.realPath)
 
-    def color_texture(self, materials: Sequence[str], name: str, data: bytes) -> None:
-        """Give materials another image for their colour's texture, within `deriving`.
+    def new_texture(self, materials: Sequence[str], name: str, data: bytes, field: str = "diffuse_color") -> None:
+        """Give materials another image for their colour's texture, or that of another field, within `deriving`.
 
         The image is written beside the layer when that is saved; faces that are read from the stage later have it.
 
         :param materials: by name
         :param name: of the file, with extension
-        :param data: of an image in sRGB
+        :param data: of an image, of colours in sRGB
+        :param field: of `Material`
         :raises InputError: no layer is being made, no such material, or one without a texture
         """
-        from facepipe.stage.materials import author_color_texture
+        from facepipe.stage.materials import author_texture
 
         if self._new_textures is None:
             raise InputError(self.where, "no layer to put textures on, expected a face within `deriving`")
@@ -413,7 +414,7 @@ class Face:
             raise InputError(self.where, unknown(unknown_names[0], list(paths), "material"))
         asset = self._new_textures.add(name, data)
         for material in materials:
-            author_color_texture(self.stage.GetPrimAtPath(paths[material]), asset)
+            author_texture(self.stage.GetPrimAtPath(paths[material]), field, asset)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""

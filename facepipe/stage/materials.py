@@ -154,18 +154,21 @@ def textures_of(parts: FaceParts) -> dict[str, Texture]:
     return textures
 
 
-def author_color_texture(material: Usd.Prim, path: str) -> None:
-    """Put another image in place of the texture of a material's colour, which is read as it is.
+def author_texture(material: Usd.Prim, field: str, path: str) -> None:
+    """Put another image in place of the texture of a material's input; one of colours is read as it is.
 
+    :param field: of `Material`
     :param path: asset path of the image
-    :raises InputError: the colour is no texture
+    :raises InputError: the input is no texture
     """
     surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
-    given = _attribute(surface, "diffuseColor") if surface else None
+    given = _attribute(surface, _USD_NAMES[field]) if surface else None
     shader = UsdShade.Shader(editable(given.GetPrim())) if given else None
     if not shader or shader.GetShaderId() != "UsdUVTexture":
-        raise InputError(material.GetPath(), "no texture of its colour, expected one")
+        raise InputError(material.GetPath(), f"no texture of its {_USD_NAMES[field]}, expected one")
     put(shader.CreateInput("file", Sdf.ValueTypeNames.Asset).GetAttr(), Sdf.AssetPath(path))
+    if field not in _COLORS:
+        return
     for name, neutral in (("scale", 1.0), ("bias", 0.0)):
         if shader.GetInput(name):
             put(shader.GetInput(name).GetAttr(), Gf.Vec4f(neutral))

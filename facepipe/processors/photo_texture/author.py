@@ -52,7 +52,7 @@ def author_textures(
     files = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
-        face.color_texture(texture.materials, name, _png(picture))
+        face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
     hidden = _brow_cards(skin, face.meshes, face.materials, baked.trust)
     for prim, material in face.material_names.items():

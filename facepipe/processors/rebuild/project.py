@@ -41,6 +41,7 @@ from facepipe.processors.rebuild.options import (
     RegisterScansOptions,
     SplitExpressionsOptions,
 )
+from facepipe.processors.scan_texture import BakeScanOptions
 
 _MOST_BYTES = 1 << 22
 
@@ -79,6 +80,7 @@ class Project:
     template_options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
     expression_options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
     split_options: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
+    texture_options: BakeScanOptions = field(default_factory=BakeScanOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +109,7 @@ class _OptionsTable:
     template: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
     expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
     split: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
+    textures: BakeScanOptions = field(default_factory=BakeScanOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +150,7 @@ def read_project(path: Path) -> Project:
         template_options=table.options.template,
         expression_options=table.options.expressions,
         split_options=table.options.split,
+        texture_options=table.options.textures,
     )
 
 

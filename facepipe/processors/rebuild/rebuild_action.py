@@ -91,25 +91,35 @@ class RebuildAction(StageAction["RebuildReport"]):
 
     def author(self, face: Face, job: Job) -> RebuildReport:
         from facepipe.core.atomic import apart
-        from facepipe.processors.database import QualityLimits, misses
+        from facepipe.importers.scan_file import read_scan
+        from facepipe.processors.database import QualityLimits, load_database, misses
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
         from facepipe.processors.rebuild.template import Template
+        from facepipe.processors.scan_texture import author_scan_textures
 
-        template = Template.of(face.parts(), str(self.base))
-        with job.watch("rebuild", step_count(self._project)) as bar, apart():  # steps stay where a later one fails
-            rebuilt = Rebuild(self._project, template, _named_steps(bar))()
+        parts, project = face.parts(), self._project
+        template = Template.of(parts, str(self.base))
+        body = template.body(load_database(project.database).topology)
+        with job.watch("rebuild", step_count(project)) as bar, apart():  # steps stay where a later one fails
+            rebuilt = Rebuild(project, body, _named_steps(bar))()
         quality, missed = to_json(rebuilt.quality), misses(rebuilt.quality, QualityLimits())
-        authored = AuthorNeutral(shapes=rebuilt.shapes)(face, rebuilt.neutral, recipe=job.recipe(quality=quality))
+        neutral, shapes = template.dressed(body, rebuilt.neutral), template.dressed_shapes(body, rebuilt.shapes)
+        authored = AuthorNeutral(shapes=shapes)(face, neutral, recipe=job.recipe(quality=quality))
+        scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
+        place = rebuilt.places.get("refined", rebuilt.places["neutral"])
+        baked = author_scan_textures(face, parts, shown, scan, place, project.texture_options)
         return RebuildReport(
             stages=rebuilt.reports,
             quality=quality,
             reused=rebuilt.reused,
             corrected=rebuilt.corrected,
             missed=missed,
-            warnings=(*rebuilt.warnings, *authored.warnings, *missed),
-            pictures=RebuildPictures(project=self._project, template=template, rebuilt=rebuilt),
+            warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *missed),
+            textures=baked.textures,
+            colored=baked.colored,
+            pictures=RebuildPictures(project=project, template=body, rebuilt=rebuilt),
             job=job,
         )
 

@@ -96,6 +96,8 @@ class RebuildReport(Report):
     reused: tuple[str, ...] = ()  # steps whose results were there
     corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
     missed: tuple[str, ...] = ()  # a line for each limit
+    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
+    colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows
     pictures: RebuildPictures | None = not_in_json()
     job: Job | None = not_in_json()
 
@@ -109,6 +111,8 @@ class RebuildReport(Report):
             lines.append(_refined_line(self.stages["refined"]))
         if "shapes" in self.stages:
             lines += _shape_lines(**{name: self.stages["shapes"][name] for name in ("shapes", "unseen")})
+        if self.textures:
+            lines.append(f"skin in the scan's colours: {100 * self.colored:.1f} %")
         if self.reused:
             lines.append(f"reused: {', '.join(self.reused)}")
         if self.corrected:

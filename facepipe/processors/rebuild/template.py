@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
 from facepipe.geometry.visibility import seen_from_outside
 from facepipe.parts import FaceParts, all_regions
-from facepipe.processors.database.whole_faces import Topology, whole_points
+from facepipe.processors.database.whole_faces import Topology, whole_face, whole_points
 from facepipe.processors.skin.features import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 
@@ -78,12 +78,26 @@ class Template:
         """(n, 3) whole points where those of the `body` are at `points`: other meshes go with the skin around them."""
         if body is self:
             return points
-        counts = [len(mesh.points) for mesh in self.parts.meshes]
-        known = np.repeat([mesh.name in body.topology.names for mesh in self.parts.meshes], counts)
-        result = np.array(self.points)
+        known, result = self._known(body), np.array(self.points)
         result[known] = points
         carried = self.whole(self.points, result[self.rows])
         return np.where(known[:, None], result, carried)
+
+    def dressed_shapes(self, body: Template, shapes: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+        """(n, 3) whole deltas where those of the `body` are `shapes`; other meshes keep the template's own."""
+        if body is self:
+            return shapes
+        own, known = whole_face(self.parts, self.where).deltas, self._known(body)
+        result = {}
+        for name, delta in shapes.items():
+            result[name] = np.array(own[name]) if name in own else np.zeros_like(self.points)
+            result[name][known] = delta
+        return result
+
+    def _known(self, body: Template) -> BoolArray:
+        """(n,) points that the body has too."""
+        counts = [len(mesh.points) for mesh in self.parts.meshes]
+        return np.repeat([mesh.name in body.topology.names for mesh in self.parts.meshes], counts)
 
     @cached_property
     def seen(self) -> IntArray:

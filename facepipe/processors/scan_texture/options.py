@@ -16,6 +16,7 @@ class BakeScanOptions(Ranged):
 
     colors: bool = option(True, "give the skin's textures the scan's colours, where both have some")
     even: float = option(1.0, "how much of the light in the scan's colours is taken out; 0: as scanned", 0.0, 1.0)
+    relief: bool = option(True, "give the skin's normal maps the scan's detail, where it is finer than the mesh")
     texture_size: int | None = option(
         None, "size of the skin's textures (default that of the template's)", 64, 4096, "texels"
     )

@@ -30,17 +30,25 @@ class ScanTextures:
     light: float  # what was evened, mean of the logarithm
 
 
-def bake_scan(skin: SkinSurface, scan: Scan, place: Similarity, even: float) -> ScanTextures:
-    """Textures from a scan that has colours.
+def lay_on(skin: SkinSurface, scan: Scan, place: Similarity) -> SkinOnScan:
+    """A skin on a scan.
 
     :param skin: in the pose of the scan, millimetres
     :param place: from the scan's coordinates to those of the skin
-    :param even: how much of the light in the colours is taken out, 0 to 1
     :raises InputError: a picture of the scan that can't be read
     """
     low, high = skin.points.min(axis=0) - _ROOM_MM, skin.points.max(axis=0) + _ROOM_MM
     samples = scan_samples(scan, place, low, high, max(0.8 * texel_width(skin), _FINEST_MM))
-    on_scan, baker = SkinOnScan(skin=skin, samples=samples), Baker(skin)
+    return SkinOnScan(skin=skin, samples=samples)
+
+
+def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
+    """Textures from a scan that has colours.
+
+    :param even: how much of the light in the colours is taken out, 0 to 1
+    :raises InputError: a texture of the skin that can't be read
+    """
+    skin, baker = on_scan.skin, Baker(on_scan.skin)
     observed = [on_scan.observed(number, flat) for number, flat in enumerate(baker.flats)]
     colors, trust = baker.at_points(observed)
     light = even * _light(skin, on_scan.normals, colors, trust) if even > 0 else np.zeros_like(colors)

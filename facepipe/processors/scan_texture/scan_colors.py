@@ -23,6 +23,15 @@ _COARSE = 1.5  # texels; samples further apart are mixed
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShownTexels:
+    """k texels of one texture that a scan shows."""
+
+    place: IntArray  # (k,) into the texels of the surface
+    sample: IntArray  # (k,) nearest of the scan
+    trust: Float32Array  # (k,) 0..1
+
+
+@dataclass(frozen=True, kw_only=True)
 class SkinOnScan:
     """A skin in the pose of a scan, and the scan's samples."""
 
@@ -41,7 +50,7 @@ class SkinOnScan:
         return cKDTree(self.samples.points, balanced_tree=False, compact_nodes=False)
 
     @cached_property
-    def _outward(self) -> float:
+    def outward(self) -> float:
         """1, or -1 where the scan's normals point inward."""
         distances, near = self._tree.query(self.skin.points, distance_upper_bound=_FAR_MM[1])
         hit = np.isfinite(distances) & self.skin.outside
@@ -69,40 +78,50 @@ class SkinOnScan:
         distances, near = self._tree.query(points, distance_upper_bound=_FAR_MM[1])
         hit = np.isfinite(distances)
         rows = np.where(hit, near, 0)
-        agreement = self._outward * (normals * self.samples.normals[rows]).sum(axis=1)
+        agreement = self.outward * (normals * self.samples.normals[rows]).sum(axis=1)
         trust = np.where(hit, (1 - step(np.where(hit, distances, 0), *_FAR_MM)) * step(agreement, *_TURNED), 0.0)
         return np.where(hit, near, -1), trust
 
-    def observed(self, number: int, template: FloatArray) -> Observed:
-        """What the scan shows of one of the skin's textures.
-
-        :param template: (m, 3) linear colours of the texture's texels
-        """
-        texels, colors = self.skin.textures[number].texels, self.samples.colors
-        assert colors is not None
-        shown = self.trust[texels.corners].min(axis=1) > 0
-        places, ratios, trusts = [], [], []
-        for chunk in np.array_split(np.flatnonzero(shown), -(-int(shown.sum()) // _CHUNK) or 1):
+    def shown(self, number: int) -> ShownTexels:
+        """The texels of one of the skin's textures that the scan shows."""
+        texels = self.skin.textures[number].texels
+        shown = np.flatnonzero(self.trust[texels.corners].min(axis=1) > 0)
+        places, samples, trusts = [], [], []
+        for chunk in np.array_split(shown, -(-len(shown) // _CHUNK) or 1):
             part = texels.taken(chunk)
             sample, trust = self.nearest(part.carried(self.skin.points), part.carried(self.normals))
             kept = np.flatnonzero(trust > 0)
-            seen = self._mixed(part, kept, sample[kept])
             places.append(chunk[kept])
-            ratios.append(np.log(np.maximum(seen, DARKEST)) - np.log(template[chunk[kept]]))
+            samples.append(sample[kept])
             trusts.append((trust * part.carried(self.trust[:, None])[:, 0])[kept])
-        return Observed(
+        return ShownTexels(
             place=np.concatenate(places),
-            ratio=np.concatenate(ratios).astype(np.float32),
+            sample=np.concatenate(samples),
             trust=np.concatenate(trusts).astype(np.float32),
         )
 
-    def _mixed(self, part: Texels, kept: IntArray, sample: IntArray) -> Float32Array:
+    def observed(self, number: int, template: FloatArray) -> Observed:
+        """The scan's colours on one of the skin's textures.
+
+        :param template: (m, 3) linear colours of the texture's texels
+        """
+        shown = self.shown(number)
+        seen = np.concatenate(
+            [
+                self._mixed(self.skin.textures[number].texels.taken(shown.place[chunk]), shown.sample[chunk])
+                for chunk in np.array_split(np.arange(len(shown.place)), -(-len(shown.place) // _CHUNK) or 1)
+            ]
+        )
+        ratio = np.log(np.maximum(seen, DARKEST)) - np.log(template[shown.place])
+        return Observed(place=shown.place, ratio=ratio.astype(np.float32), trust=shown.trust)
+
+    def _mixed(self, part: Texels, sample: IntArray) -> Float32Array:
         """(k, 3) colours at texels: of the nearest sample, or of some where these are far apart."""
         colors = self.samples.colors
         assert colors is not None
         if self.samples.spacing <= _COARSE * texel_width(self.skin):
             return colors[sample]
-        distances, near = self._tree.query(part.carried(self.skin.points)[kept], k=4)
+        distances, near = self._tree.query(part.carried(self.skin.points), k=4)
         near = np.minimum(near, len(colors) - 1)
         weights = 1 / (distances**2 + (0.1 * self.samples.spacing) ** 2)
         weights /= weights.sum(axis=1, keepdims=True)

@@ -51,7 +51,7 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
     corners = scan.triangles[owners]
     return ScanSamples(
         points=_mixed(points, corners, shares),
-        normals=_unit(_mixed(normals, corners, shares)),
+        normals=unit(_mixed(normals, corners, shares)),
         colors=_colors(scan, owners, corners, shares),
         spacing=spacing,
     )
@@ -137,5 +137,6 @@ def _mixed(values: FloatArray, corners: IntArray, shares: FloatArray) -> FloatAr
     return np.asarray(sum(values[corner] * share[:, None] for corner, share in zip(corners.T, shares.T, strict=True)))
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def unit(vectors: FloatArray) -> FloatArray:
+    """(m, 3) of length 1."""
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))

@@ -154,7 +154,7 @@ def test_photos_that_the_face_was_not_fitted_to_are_refused(
 def test_textures_are_put_on_layers_that_are_being_made(fitted: Path, tmp_path: Path) -> None:
     face = facepipe.open(fitted / "fitted.usda")
     with pytest.raises(facepipe.InputError, match="no layer to put textures on"):
-        face.color_texture(["M_Face"], "a.png", b"")
+        face.new_texture(["M_Face"], "a.png", b"")
     with pytest.raises(facepipe.InputError, match="M_Fase"), face.deriving(tmp_path / "out.usda") as layer:
-        layer.color_texture(["M_Fase"], "a.png", b"")
+        layer.new_texture(["M_Fase"], "a.png", b"")
     assert not list(tmp_path.iterdir())

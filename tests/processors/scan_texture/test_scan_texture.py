@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from command_line import Capsys, done, run
+from node import validate
 
+import facepipe
 from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.errors import TopologyError
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.texels import Texels
 from facepipe.heads.assembly import make
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.importers.scan_file import read_scan
-from facepipe.parts import FaceParts
-from facepipe.processors.database import whole_points
+from facepipe.importers.scan_landmarks import write_scan_landmarks
+from facepipe.parts import FaceParts, TextureInput
+from facepipe.processors.database import Topology, create_database, save_database, whole_face, whole_points
 from facepipe.processors.photo_texture import Baker, SkinSurface, inner, skin_of
-from facepipe.processors.scan_texture import ScanTextures, bake_scan
+from facepipe.processors.rebuild.template import Template
+from facepipe.processors.scan_texture import ScanTextures, bake_scan, lay_on
+from facepipe.processors.scan_texture.scan_relief import baked_relief, is_finer, median_edge
 from facepipe.processors.scan_texture.scan_samples import scan_samples
-from facepipe.scans import Scan
+from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 
 SIZE = 256  # texels
@@ -94,7 +103,7 @@ def off(actor: Actor, baked: ScanTextures, chosen: BoolArray) -> FloatArray:
 
 
 def test_a_textured_scan_gives_the_skin_its_own_colours(actor: Actor) -> None:
-    baked = bake_scan(actor.template, actor.scan, CENTIMETRES, 0.0)
+    baked = bake_scan(lay_on(actor.template, actor.scan, CENTIMETRES), 0.0)
     assert baked.coverage > 0.98
     assert np.abs(off(actor, baked, actor.template.outside)).mean() < 0.006  # sRGB, 0..1
     template = ScanTextures(pictures=tuple(pictures_of(actor.template)), coverage=0.0, light=0.0)
@@ -108,7 +117,7 @@ def pictures_of(skin: SkinSurface) -> list[FloatArray]:
 def test_colours_at_points_do_where_there_is_no_texture(actor: Actor) -> None:
     dense = scan_samples(actor.scan, AS_IT_IS, np.full(3, -1e3), np.full(3, 1e3), 0.12)
     cloud = Scan(name="cloud", points=dense.points, normals=dense.normals, colors=dense.colors)
-    baked = bake_scan(actor.template, cloud, CENTIMETRES, 0.0)
+    baked = bake_scan(lay_on(actor.template, cloud, CENTIMETRES), 0.0)
     assert np.abs(off(actor, baked, actor.template.outside)).mean() < 0.012
 
 
@@ -117,7 +126,7 @@ def test_what_half_a_scan_shows_continues_without_a_seam(actor: Actor) -> None:
     texture = actor.scan.texture
     assert texture is not None
     half = replace(actor.scan, triangles=actor.scan.triangles[kept], texture=texture.on_triangles(kept))
-    baked = bake_scan(actor.template, half, CENTIMETRES, 0.0)
+    baked = bake_scan(lay_on(actor.template, half, CENTIMETRES), 0.0)
     assert 0.4 < baked.coverage < 0.65
     skin = actor.template
     shown, hidden = skin.points[:, 0] < -10, skin.points[:, 0] > 10  # mm; between, confidence fades
@@ -135,7 +144,7 @@ def test_what_half_a_scan_shows_continues_without_a_seam(actor: Actor) -> None:
 
 def test_light_is_evened_but_not_the_persons_tone(actor: Actor) -> None:
     chosen = actor.template.outside & (inner(actor.template) > 0.5)
-    raw, evened = (bake_scan(actor.template, actor.lit, CENTIMETRES, even) for even in (0.0, 1.0))
+    raw, evened = (bake_scan(lay_on(actor.template, actor.lit, CENTIMETRES), even) for even in (0.0, 1.0))
     assert raw.light == 0.0 < evened.light
 
     def spread_of(baked: ScanTextures) -> float:
@@ -150,8 +159,62 @@ def test_light_is_evened_but_not_the_persons_tone(actor: Actor) -> None:
         return float(np.concatenate(logs).std())
 
     assert spread_of(evened) < 0.5 * spread_of(raw)
-    flat = bake_scan(actor.template, actor.scan, CENTIMETRES, 1.0)  # no light to even: hardly anything changes
+    flat = bake_scan(lay_on(actor.template, actor.scan, CENTIMETRES), 1.0)  # no light to even: hardly anything changes
     assert np.abs(off(actor, flat, chosen)).mean() < 0.02
+
+
+WAVE, HEIGHT = 6.0, 0.15  # mm, of ripples on a scan
+
+
+def rippled(skin: SkinSurface) -> Scan:
+    """The skin's face in triangles a fourth as long, with ripples across x."""
+    front = skin.triangles[(skin.points[skin.triangles][..., 2] > 60).all(axis=1)]
+    face = trimesh.Trimesh(skin.points, front, process=False).subdivide().subdivide()
+    off = HEIGHT * np.sin(2 * np.pi / WAVE * face.vertices[:, :1])
+    return Scan(
+        name="rippled", points=face.vertices + off * point_normals(face.vertices, face.faces), triangles=face.faces
+    )
+
+
+def test_ripples_that_the_mesh_is_too_coarse_for_go_to_the_normal_map(actor: Actor) -> None:
+    skin, scan = actor.truth, rippled(actor.truth)
+    on_scan, edge = lay_on(skin, scan, AS_IT_IS), median_edge(scan.points, scan.triangles)
+    assert is_finer(on_scan, edge)
+    assert not is_finer(on_scan, 4 * edge)  # as coarse as the mesh
+    level = jpeg("level", np.full((SIZE, SIZE, 3), (128, 128, 255), np.uint8))
+    own = TextureInput(texture=level, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
+    texels, relief = skin.textures[0].texels, baked_relief(on_scan, 0, own, edge)
+    within = on_scan.trust[texels.corners].min(axis=1) == 1
+    within &= (point_normals(skin.points, skin.triangles)[texels.corners][..., 2] > 0.8).all(axis=1)
+    part = texels.taken(np.flatnonzero(within))
+    x, normal = part.carried(skin.points)[:, 0], part.carried(on_scan.normals)
+    slope = HEIGHT * 2 * np.pi / WAVE * np.cos(2 * np.pi / WAVE * x)
+    true = normal - slope[:, None] * ([1, 0, 0] - normal[:, :1] * normal)
+    u, v = directions(actor, part)
+    shown = relief.reshape(-1, 3)[part.at]
+    shown = shown[:, :1] * u + shown[:, 1:2] * v + shown[:, 2:] * normal
+    turned, missed = (angles(normals, true) for normals in (shown, normal))
+    assert np.degrees(np.median(missed)) > 5.0  # without it
+    assert np.median(turned) < 0.4 * np.median(missed)
+
+
+def directions(actor: Actor, part: Texels) -> tuple[FloatArray, FloatArray]:
+    """(m, 3) unit directions of growing u and v in the triangles of texels."""
+    mesh, uvs = actor.person.meshes[0], np.zeros((len(actor.truth.points), 2))
+    (uv,) = mesh.uv_sets
+    uvs[mesh.face_vertex_indices] = np.asarray(uv.values)[uv.indices]
+    (a, b, c), (ua, ub, uc) = ([values[corner] for corner in part.corners.T] for values in (actor.truth.points, uvs))
+    uv_sides = np.stack([ub - ua, uc - ua], axis=1)  # (m, side, u v)
+    sides = np.stack([b - a, c - a], axis=1)
+    along = np.linalg.solve(uv_sides, sides)  # (m, u v, x y z)
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    return along[:, 0], along[:, 1]
+
+
+def angles(some: FloatArray, others: FloatArray) -> FloatArray:
+    """(m,) radians between vectors (m, 3)."""
+    cosines = (some * others).sum(axis=1) / np.linalg.norm(some, axis=1) / np.linalg.norm(others, axis=1)
+    return np.asarray(np.arccos(np.clip(cosines, -1, 1)))
 
 
 def test_samples_lie_densely_on_the_surface_and_have_its_colours() -> None:
@@ -168,3 +231,54 @@ def test_samples_lie_densely_on_the_surface_and_have_its_colours() -> None:
     first = samples.points[:, 2] == 0
     np.testing.assert_allclose(samples.points[first].mean(axis=0), corners[:3].mean(axis=0), atol=1e-9)
     assert first.sum() == pytest.approx(2 * whole / 0.1**2, rel=2)
+
+
+def test_a_template_is_dressed_in_what_the_database_lacks() -> None:
+    dressed = make(0, textures=64)
+    template = Template.of(dressed, "template")
+    body = template.body(Topology.of(make(0)))
+    assert {mesh.name for mesh in dressed.meshes} - set(body.topology.names) == {"Hair", "Brows", "Lashes"}
+    way = np.array([3.0, -8, 5])
+    moved = template.dressed(body, body.points + way)  # all goes with the skin
+    np.testing.assert_allclose(moved, template.points + way, atol=1e-6)
+    shapes = template.dressed_shapes(body, {"eyeBlinkLeft": np.ones_like(body.points)})
+    own = whole_face(dressed, "template").deltas["eyeBlinkLeft"]
+    known = (shapes["eyeBlinkLeft"] == 1).all(axis=1)
+    assert known.sum() == len(body.points)
+    np.testing.assert_array_equal(shapes["eyeBlinkLeft"][~known], own[~known])
+    with pytest.raises(TopologyError, match="other meshes or faces than the database has"):
+        body.body(template.topology)
+
+
+@pytest.mark.slow
+def test_one_command_makes_a_ready_head_of_a_scan_and_its_glb_is_valid(
+    actor: Actor, tmp_path: Path, capsys: Capsys
+) -> None:
+    people = (partial(whole_face, make(seed), f"{seed}") for seed in (1, 2, 3, 4))
+    save_database(create_database(list(people)).database, tmp_path / "faces.fpdb")
+    save_parts(make(0, textures=SIZE), tmp_path / "head.usda")
+    save_parts(actor.person, tmp_path / "anna.usda")
+    mesh = actor.person.meshes[0]
+    marks = ScanLandmarks(points=np.asarray(mesh.points)[mesh.landmarks["multipie68"].indices])
+    write_scan_landmarks(marks, tmp_path / "anna.landmarks.json")
+    given = ("--template", tmp_path / "head.usda", "--database", tmp_path / "faces.fpdb", "--even", 0)
+    out, glb = tmp_path / "fitted.usda", tmp_path / "fitted.glb"
+    assert run(capsys, "fit-neutral", tmp_path / "anna.usda", *given, "-o", out)[0] < 2  # 1: few people, a lax fit
+    done(capsys, "export", out, "-o", glb, quiet=False)
+    fitted = facepipe.open(out).parts()
+    (color,) = (material.diffuse_color for material in fitted.materials if material.name == "M_Face")
+    assert isinstance(color, TextureInput)
+    assert color.texture.name == "skin_face_scan.jpg"
+    skin = skin_of(fitted, whole_points(fitted), None)
+    baked = ScanTextures(pictures=tuple(pictures_of(skin)), coverage=1.0, light=0.0)
+    assert (
+        np.abs(off(actor, baked, skin.outside & (inner(skin) > 0.5))).mean() < 0.03
+    )  # points slide, colours with them
+    lids = fitted.meshes[0].points[np.asarray(fitted.meshes[0].landmarks["multipie68"].indices)[36:48]]
+    for name, corners in (("EyeballRight", lids[:6]), ("EyeballLeft", lids[6:])):
+        (ball,) = (mesh.points for mesh in fitted.meshes if mesh.name == name)
+        assert np.linalg.norm(ball.mean(axis=0) - corners.mean(axis=0)) < 1.6  # cm: behind its lids
+    assert {mesh.name for mesh in fitted.meshes} >= {"Teeth", "Lashes", "Hair"}
+    assert len(fitted.skeleton.joints) == 44
+    (report,) = validate([glb]).values()  # the Khronos validator's
+    assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0
