@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from facepipe.processors.rebuild.fit_neutral import FitNeutral, NeutralFit, NeutralReport
     from facepipe.processors.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
     from facepipe.processors.rebuild.options import (
+        BakeScanOptions,
         FitNeutralOptions,
         PersonalTemplateOptions,
         RefineNeutralOptions,
@@ -37,6 +38,7 @@ else:
 __all__ = [
     "DEFAULT_COMPOSITES",
     "AuthorNeutral",
+    "BakeScanOptions",
     "Composite",
     "CompositeReport",
     "ExpressionScan",

@@ -29,9 +29,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
-from facepipe.processors.rebuild.options import FitNeutralOptions
+from facepipe.processors.rebuild.options import BakeScanOptions, FitNeutralOptions
 from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
-from facepipe.processors.scan_texture import BakeScanOptions
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild.action_reports import FitNeutralReport

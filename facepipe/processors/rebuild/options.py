@@ -97,3 +97,18 @@ class SplitExpressionsOptions(SplitOptions):
     """
 
     noise: float = field(default=0.2, metadata=SplitOptions.__dataclass_fields__["noise"].metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeScanOptions(Ranged):
+    """How the colours of a scan are baked.
+
+    :raises InputError: an option out of range
+    """
+
+    colors: bool = option(True, "give the skin's textures the scan's colours, where both have some")
+    even: float = option(1.0, "how much of the light in the scan's colours is taken out; 0: as scanned", 0.0, 1.0)
+    relief: bool = option(True, "give the skin's normal maps the scan's detail, where it is finer than the mesh")
+    texture_size: int | None = option(
+        None, "size of the skin's textures (default that of the template's)", 64, 4096, "texels"
+    )

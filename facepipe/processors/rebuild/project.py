@@ -35,13 +35,13 @@ from facepipe.core.trust import check_writable
 from facepipe.declare import from_json, values_of
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.options import (
+    BakeScanOptions,
     FitNeutralOptions,
     PersonalTemplateOptions,
     RefineNeutralOptions,
     RegisterScansOptions,
     SplitExpressionsOptions,
 )
-from facepipe.processors.scan_texture import BakeScanOptions
 
 _MOST_BYTES = 1 << 22
 

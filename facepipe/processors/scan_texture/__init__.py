@@ -6,9 +6,8 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.processors.scan_texture.author_textures import BakeScanReport, author_scan_textures
-    from facepipe.processors.scan_texture.options import BakeScanOptions
     from facepipe.processors.scan_texture.scan_baking import ScanTextures, bake_scan, lay_on
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["BakeScanOptions", "BakeScanReport", "ScanTextures", "author_scan_textures", "bake_scan", "lay_on"]
+__all__ = ["BakeScanReport", "ScanTextures", "author_scan_textures", "bake_scan", "lay_on"]

@@ -13,7 +13,7 @@ from facepipe.geometry.similarity import Similarity
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.parts import FaceParts, Texture, TextureInput
 from facepipe.processors.photo_texture import skin_of
-from facepipe.processors.scan_texture.options import BakeScanOptions
+from facepipe.processors.rebuild import BakeScanOptions
 from facepipe.processors.scan_texture.scan_baking import bake_scan, lay_on
 from facepipe.processors.scan_texture.scan_colors import SkinOnScan
 from facepipe.processors.scan_texture.scan_relief import baked_relief, is_finer, median_edge
