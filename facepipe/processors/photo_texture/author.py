@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.vectors import transformed
 from facepipe.kinds import Watch
-from facepipe.parts import Material, Mesh, PhotoView, Recipe, TextureInput
+from facepipe.parts import Color, Material, Mesh, PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
@@ -47,8 +47,8 @@ def author_textures(
             bar.update()
         baked = Baker(skin)(exposures)
         bar.update()
-    scales = {view.name: scale for (view, _), scale in zip(photos, baked.scales, strict=True)}
-    author_changes(face, replace(face.parts(), photos=_relit(face, skin, scales), recipe=recipe))
+    relit = _relit(face, skin, [view.name for view, _ in photos], baked)
+    author_changes(face, replace(face.parts(), photos=relit, recipe=recipe))
     files = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
@@ -76,20 +76,24 @@ def _exposure(face: Face, skin: SkinSurface, view: PhotoView, photo: Photo) -> E
     return expose(skin, view, photo.pixels, face.evaluate(weights, joint_transforms=transforms))
 
 
-def _relit(face: Face, skin: SkinSurface, scales: Mapping[str, FloatArray]) -> tuple[PhotoView, ...]:
-    """The photos in the light that the textures were made with: the skin has no tint any more."""
-    baked = {name for texture in skin.textures for name in texture.materials}
-    return tuple(_scaled(view, scales[view.name], baked) if view.name in scales else view for view in face.photos)
+def _relit(face: Face, skin: SkinSurface, names: Sequence[str], baked: Baked) -> tuple[PhotoView, ...]:
+    """The photos in the light under which the textures look as they do: the skin has no tint any more."""
+    textured = {name for texture in skin.textures for name in texture.materials}
+    others = [material.name for material in face.materials if material.name not in textured]
+    found = dict(zip(names, zip(baked.scales, baked.lights, strict=True), strict=True))
+    return tuple(_in_light(view, *found[view.name], others) if view.name in found else view for view in face.photos)
 
 
-def _scaled(view: PhotoView, scale: FloatArray, baked: set[str]) -> PhotoView:
-    def times(color: tuple[float, float, float], factor: FloatArray) -> tuple[float, float, float]:
+def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray, others: Sequence[str]) -> PhotoView:
+    """A photo in other light, in which other materials than the skin's look as before."""
+
+    def times(color: Color, factor: FloatArray) -> Color:
         red, green, blue = (np.array(color) * factor).tolist()
         return red, green, blue
 
     key = None if view.key is None else replace(view.key, color=times(view.key.color, scale))
-    tint = {name: times(color, 1 / scale) for name, color in view.tint.items() if name not in baked}
-    return replace(view, light=view.light * scale, key=key, tint=tint)
+    tint = {name: times(view.tint.get(name, (1.0, 1.0, 1.0)), 1 / scale) for name in others}
+    return replace(view, light=light, key=key, tint=tint)
 
 
 def _brow_cards(

@@ -23,13 +23,14 @@ from facepipe.processors.photo_texture.evened import (
     one_sided,
     quantile,
     relief,
+    renewed,
 )
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
 
 # all lengths are shares of the eyes' distance
 _REACH = 0.02  # of the completion: what is smaller is detail
-_FAR = 0.8  # over which what is unseen goes to the skin's median colour
+_FAR = 0.4  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
 _SHARP = 2  # power of confidence by which photos are mixed
 
@@ -40,6 +41,7 @@ class Baked:
 
     pictures: tuple[FloatArray, ...]  # of each (size, size, 3) sRGB 0..1
     scales: tuple[FloatArray, ...]  # (3,) of each photo's light
+    lights: tuple[FloatArray, ...]  # (9, 3) harmonics of each photo under which the textures look as it does
     shares: tuple[float, ...]  # of the face that each photo shows
     seen: float  # share of the face that some photo shows
     trust: FloatArray  # (n,) the most confidence that a photo has at each point
@@ -53,6 +55,7 @@ class _Layer:
     colors: FloatArray  # (n, 3) at points
     trust: FloatArray  # (n,)
     scale: FloatArray  # (3,) of its light
+    light: FloatArray  # (9, 3) its harmonics
 
 
 class Baker:
@@ -79,6 +82,7 @@ class Baker:
         return Baked(
             pictures=tuple(self._pictures(layers)),
             scales=tuple(layer.scale for layer in layers),
+            lights=tuple(layer.light for layer in layers),
             shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
             seen=float(seen @ face / face.sum()),
             trust=seen,
@@ -88,6 +92,7 @@ class Baker:
         skin = self.skin
         observed = [observe(skin, photo, number, flat) for number, flat in enumerate(self.flats)]
         colors, trust = self.at_points(observed)
+        raw = colors
         light = missed_light(photo.normals, colors, trust * skin.areas * inner(skin))
         mask = is_skin(skin, colors - light, trust)
         trust = trust * mask
@@ -99,7 +104,9 @@ class Baker:
         observed = [self.evened(number, one, light, mask) for number, one in enumerate(observed)]
         observed = [self._lessened(number, one, around, np.log(scale)) for number, one in enumerate(observed)]
         colors, trust = self.at_points(observed)
-        return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale)
+        white = photo.white * np.exp(raw - colors)
+        harmonics = renewed(photo, white, trust * skin.areas, scale)
+        return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale, light=harmonics)
 
     def at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
         """(n, 3) mean colours at points, and (n,) confidence."""
@@ -137,7 +144,8 @@ class Baker:
             Observed(place=one.place, ratio=one.ratio + off.astype(np.float32), trust=one.trust)
             for one in layer.observed
         )
-        return _Layer(observed=observed, colors=layer.colors + off, trust=layer.trust, scale=layer.scale * np.exp(-off))
+        scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
+        return _Layer(observed=observed, colors=layer.colors + off, trust=layer.trust, scale=scale, light=light)
 
     def _pictures(self, layers: Sequence[_Layer]) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]

@@ -6,7 +6,7 @@ widely from one side of the face to the other, is light; true colours hardly do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,14 +22,17 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 # all lengths are shares of the eyes' distance
 _INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
-_LIDS = (0.05, 0.10)  # off the landmarks of the eyes
+_LIDS = (0.03, 0.07)  # off the landmarks of the eyes
 _WIDE = 0.25  # over which both sides of a face are made alike
 _UNEVEN = 0.5  # of what both sides vary over that, what is skin
 _LOCAL = 0.10  # over which highlights and folds stand out
 _LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
+_LOWER = 0.05  # brows lie below their landmarks
 _BROWS = (0.11, 0.17)  # off the arcs of the brows
+_FOREHEAD, _BARE = (0.10, 0.16), 0.7  # above the brows; how far it is judged as what is beside the face
 _STRANGE = (2.8, 7.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
 _EDGE = (0.02, 0.07)  # off what is no skin: where confidence begins, where it is full
+_WIDER = 1.5  # by how much more beside the face
 _GRAIN = 0.03  # what is smaller is judged with what is around it
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
@@ -80,15 +83,31 @@ def inner(skin: SkinSurface) -> FloatArray:
 def _limits(skin: SkinSurface) -> FloatArray:
     """(n,) deviations beyond which a colour is no skin.
 
-    Faces have lips and nostrils, lids are skin alone, and brows are hair that belongs there.
+    Faces have lips and nostrils, lids and foreheads are skin alone, and brows are hair that belongs there.
     """
     marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
-    arcs = (marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2)
-    eyes, brows = (cKDTree(each).query(skin.points)[0] / unit for each in (marks[36:48], np.concatenate(arcs)))
-    lids = 1 - step(eyes, *_LIDS)
+    arcs = np.concatenate([marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2])
+    up = (marks[27] - marks[8]) / np.linalg.norm(marks[27] - marks[8])  # from the chin to the root of the nose
+    arcs -= _LOWER * unit * up
+    brows, nearest = cKDTree(arcs).query(skin.points)
+    above = step((skin.points - arcs[nearest]) @ up / unit, *_FOREHEAD)
+    lids = 1 - step(cKDTree(marks[36:48]).query(skin.points)[0] / unit, *_LIDS)
     outside, face, brow = _STRANGE
-    limits = outside + (face - outside) * inner(skin) * (1 - lids)
-    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - lids))
+    limits = outside + (face - outside) * inner(skin) * (1 - lids) * (1 - _BARE * above)
+    return np.asarray(limits + brow * (1 - step(brows / unit, *_BROWS)) * (1 - lids) * (1 - above))
+
+
+def renewed(photo: Exposure, white: FloatArray, weight: FloatArray, scale: FloatArray) -> FloatArray:
+    """(9, 3) harmonics under which white points look as they do, beside the lamp: least squares, near those scaled.
+
+    :param white: (n, 3) linear light that points show, of which the stage's light may lack some
+    """
+    dark = replace(photo.view, light=np.zeros((9, 3)))
+    lamp = replace(photo.light, view=dark).white(photo.normals, photo.light.hidden, photo.light.arriving) * scale
+    shape, before = harmonics(photo.normals) + photo.light.hidden, photo.view.light * scale
+    rows = shape * weight[:, None]
+    ridge = _RIDGE * np.trace(rows.T @ shape) / 9 * np.eye(9)
+    return np.asarray(before + np.linalg.solve(rows.T @ shape + ridge, rows.T @ (white - lamp - shape @ before)))
 
 
 def missed_light(normals: FloatArray, colors: FloatArray, weight: FloatArray) -> FloatArray:
@@ -129,7 +148,8 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
     certain: FloatArray = np.ones(len(trust))
     if strange.any():
         distance = cKDTree(skin.points[strange]).query(skin.points)[0]
-        certain = step(distance / skin.eye_distance(skin.points), *_EDGE)
+        wide = 1 + _WIDER * (1 - inner(skin))
+        certain = step(distance / skin.eye_distance(skin.points) / wide, *_EDGE)
     return certain * _joined(skin, certain * trust > _FAINT, weight)
 
 
