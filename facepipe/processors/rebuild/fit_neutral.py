@@ -154,7 +154,9 @@ def neutral_fit(
     weights = dict(zip(shapes.weights, map(float, registered.weights), strict=True))
     model = identity.points(registered.coefficients)
     expression = shapes.expression(weights, len(model))
-    points = template.whole(model, registered.points - expression[template.rows])
+    base = model[template.rows]
+    moves = template.with_inside(base, registered.points - expression[template.rows] - base)
+    points = template.whole(model, base + moves)
     fit = scan_fit(scan, registered, template.face, names)
     off = np.linalg.norm(registered.residual[template.face], axis=1)
     report = NeutralReport(

@@ -21,6 +21,8 @@ from facepipe.processors.skin.features import slits_of
 from facepipe.processors.skin.surface import Surface, surface_of
 
 _LIP = 0.35  # of a slit's width: so far from its rims, points count as of the upper or lower lip or lid
+_LIPS_MM, _DEEP_MM = 1.5, 6.0  # off the skin: up to there of lips and lids, and from there inside the head
+_AROUND = 48  # points of the skin that what is inside moves with
 _NO_REGIONS = ", expected a face with regions (facepipe regions)"
 
 
@@ -109,6 +111,25 @@ class Template:
         beside = self.triangles[seen[self.triangles].sum(axis=1) >= 2]
         seen[beside.ravel()] = True
         return np.flatnonzero(seen)
+
+    def with_inside(self, base: FloatArray, moves: FloatArray) -> FloatArray:
+        """(m, 3) moves of rows from `base` (m, 3), where those of the inside, that no scan shows, are as around them.
+
+        A registration moves the mouth's inside with the lips alone: a chin that moves otherwise would uncover it.
+        """
+        from scipy.spatial import cKDTree
+
+        inside = np.setdiff1d(np.arange(len(base)), self.seen)
+        if not len(inside) or not len(self.seen):
+            return moves
+        count = min(_AROUND, len(self.seen))
+        distances, near = cKDTree(base[self.seen]).query(base[inside], k=np.arange(1, count + 1))
+        weights = 1.0 / (distances**2 + _LIPS_MM**2)
+        around = (weights[..., None] * moves[self.seen[near]]).sum(axis=1) / weights.sum(axis=1, keepdims=True)
+        deep = np.clip((distances[:, :1] - _LIPS_MM) / (_DEEP_MM - _LIPS_MM), 0.0, 1.0)
+        result = np.array(moves)
+        result[inside] += deep * (around - moves[inside])
+        return result
 
     @cached_property
     def face(self) -> BoolArray:
