@@ -161,14 +161,17 @@ def _joined(skin: SkinSurface, certain: BoolArray, weight: FloatArray) -> FloatA
     return np.asarray(~certain | (part == main), np.float64)
 
 
-def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatArray:
-    """(n, 3) what of colours (n, 3) differs widely from the other side of the face, and some of what does from both."""
+def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray, uneven: float = _UNEVEN) -> FloatArray:
+    """(n, 3) what of colours (n, 3) differs widely from the other side of the face, and some of what does from both.
+
+    :param uneven: share of what both sides vary that is skin
+    """
     other, known = skin.other_side(colors, trust)
     total = trust + known
     both = (trust[:, None] * colors + known[:, None] * other) / np.maximum(total[:, None], 1e-9)
     weight = trust * skin.areas * inner(skin)
     middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
-    even = middle + _UNEVEN * (skin.smooth(both, total, _WIDE) - middle)
+    even = middle + uneven * (skin.smooth(both, total, _WIDE) - middle)
     return np.asarray(skin.smooth(colors, trust, _WIDE) - even)
 
 

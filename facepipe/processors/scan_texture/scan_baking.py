@@ -65,7 +65,7 @@ def _light(skin: SkinSurface, normals: FloatArray, colors: FloatArray, trust: Fl
     """(n, 3) what of colours (n, 3) is light: what goes with the direction of the surface, and from side to side."""
     weight = trust * skin.areas * (_OFF_THE_FACE + (1 - _OFF_THE_FACE) * inner(skin))
     light = missed_light(normals, colors, weight)
-    return light + one_sided(skin, colors - light, trust)
+    return light + one_sided(skin, colors - light, trust, uneven=1.0)
 
 
 def _pictures(baker: Baker, observed: Sequence[Observed]) -> list[Float32Array]:
