@@ -144,6 +144,16 @@ def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_photo_texture_benchmark_finds_known_skin(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    words = ("--seeds", "5", "--size", "128", "--pixels", "320", "--json", out)
+    assert "evenness" in run(*words, benchmark="photo_texture.py")
+    mean = json.loads(out.read_text(encoding="utf-8"))["mean"]
+    assert mean["error"] < 0.06
+    assert mean["error"] < mean["template"] / 2
+
+
+@pytest.mark.slow
 def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
     """By landmarks alone, which is quick; two people."""
     pytest.importorskip("torch")

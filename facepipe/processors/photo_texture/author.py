@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.vectors import transformed
 from facepipe.kinds import Watch
-from facepipe.parts import Color, Material, Mesh, PhotoView, Recipe, TextureInput
+from facepipe.parts import Material, Mesh, PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
@@ -47,7 +47,7 @@ def author_textures(
             bar.update()
         baked = Baker(skin)(exposures)
         bar.update()
-    relit = _relit(face, skin, [view.name for view, _ in photos], baked)
+    relit = _relit(face, [view.name for view, _ in photos], baked)
     author_changes(face, replace(face.parts(), photos=relit, recipe=recipe))
     files = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
@@ -76,24 +76,17 @@ def _exposure(face: Face, skin: SkinSurface, view: PhotoView, photo: Photo) -> E
     return expose(skin, view, photo.pixels, face.evaluate(weights, joint_transforms=transforms))
 
 
-def _relit(face: Face, skin: SkinSurface, names: Sequence[str], baked: Baked) -> tuple[PhotoView, ...]:
-    """The photos in the light under which the textures look as they do: the skin has no tint any more."""
-    textured = {name for texture in skin.textures for name in texture.materials}
-    others = [material.name for material in face.materials if material.name not in textured]
+def _relit(face: Face, names: Sequence[str], baked: Baked) -> tuple[PhotoView, ...]:
+    """The photos in the light under which the textures look as they do, and materials have their own colours."""
     found = dict(zip(names, zip(baked.scales, baked.lights, strict=True), strict=True))
-    return tuple(_in_light(view, *found[view.name], others) if view.name in found else view for view in face.photos)
+    return tuple(_in_light(view, *found[view.name]) if view.name in found else view for view in face.photos)
 
 
-def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray, others: Sequence[str]) -> PhotoView:
-    """A photo in other light, in which other materials than the skin's look as before."""
-
-    def times(color: Color, factor: FloatArray) -> Color:
-        red, green, blue = (np.array(color) * factor).tolist()
-        return red, green, blue
-
-    key = None if view.key is None else replace(view.key, color=times(view.key.color, scale))
-    tint = {name: times(view.tint.get(name, (1.0, 1.0, 1.0)), 1 / scale) for name in others}
-    return replace(view, light=light, key=key, tint=tint)
+def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray) -> PhotoView:
+    if view.key is None:
+        return replace(view, light=light, tint={})
+    red, green, blue = (np.array(view.key.color) * scale).tolist()
+    return replace(view, light=light, key=replace(view.key, color=(red, green, blue)), tint={})
 
 
 def _brow_cards(

@@ -30,7 +30,7 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinText
 
 # all lengths are shares of the eyes' distance
 _REACH = 0.02  # of the completion: what is smaller is detail
-_FAR = 0.4  # over which what is unseen goes to the skin's median colour
+_FAR = 0.15  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
 _SHARP = 2  # power of confidence by which photos are mixed
 
