@@ -3,8 +3,8 @@
 usage: python benchmarks/photo_texture.py [--seeds 3 5 8 14] [--size 512] [--pixels 640] [--json out.json]
 
 Each person is photographed under four studios, from three sides in turn, with highlights and cast shadows. The stage
-has the person's shape, camera and pose, and the skin of the average head. Its light is harmonics alone, by least squares
-of the photo over that skin: what a fit that knows the shape would find, as far off in tone as the average head is.
+has the person's shape, camera and pose, and the skin of the average head. Its light is harmonics alone, by least
+squares of the photo over that skin: what a fit that knows the shape would find, as far off in tone as that head is.
 
 Columns, over the texels that the photo gives a confidence above 0.5, mean absolute differences in sRGB:
 
