@@ -26,7 +26,8 @@ from facepipe.stage.author_changes import author_changes
 from facepipe.stage.materials import author_opacity
 
 _BROWS = slice(17, 27)  # landmarks
-_SHOWN = 0.5  # mean confidence at them
+_LOWER = 0.08  # of the way from the chin to the root of the nose
+_SHOWN = 0.3  # mean confidence at brows
 _REACH = 0.25  # of the eyes' distance: cards of brows lie so near to them
 
 
@@ -95,7 +96,9 @@ def _brow_cards(
     """Materials of cards that lie on the brows, where photos show these."""
     rest = transformed(skin.mesh.points, skin.mesh.transform)
     brows = rest[skin.landmarks[_BROWS]]
-    if trust[skin.landmarks[_BROWS]].mean() < _SHOWN:
+    marks = skin.points[skin.landmarks]
+    below = marks[_BROWS] - _LOWER * (marks[27] - marks[8])  # brows lie below their landmarks
+    if trust[cKDTree(skin.points).query(below)[1]].mean() < _SHOWN:
         return ()
     cut = {material.name for material in materials if isinstance(material.opacity, TextureInput)}
     reach = _REACH * skin.eye_distance(rest)
