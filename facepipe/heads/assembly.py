@@ -31,6 +31,7 @@ from facepipe.parts import (
 )
 
 Controls = Literal["measures", "bones"]
+BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 
 
 @one_thread()
@@ -150,3 +151,33 @@ def _bone_limits(joints: tuple[str, ...]) -> BoneLimits:
         elif name.startswith(("eye", "lid")):
             lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
     return BoneLimits(lower=lower, upper=upper)
+
+
+@one_thread()
+def average() -> FaceParts:
+    """The bare average head, without materials."""
+    return make_head(np.zeros(len(asset().modes)))
+
+
+def modes() -> FloatArray:
+    """(m, n, 3) offsets in centimetres of a standard deviation each, of all meshes' points one after another."""
+    return np.asarray(asset().modes, dtype=np.float64)
+
+
+@one_thread()
+def with_parts_fitted(points: FloatArray) -> FloatArray:
+    """Points (n, 3) of a person in centimetres, with eyeballs that fit the lids, a mouth's inside behind the skin."""
+    return fit_eyes(fit_mouth(points), asset().shapes)[0]
+
+
+@one_thread()
+def with_own_blinks(parts: FaceParts, points: FloatArray) -> FaceParts:
+    """A face of the built-in head's topology, whose blinks close the lids of points (n, 3), in centimetres."""
+    shapes = fit_eyes(points, asset().shapes)[1]
+    own = {name: shapes[name] for name in BLINKS}
+    meshes = []
+    for mesh in parts.meshes:
+        part = asset().parts.get(mesh.name)
+        blinks = {} if part is None else {shape.name: shape for shape in blendshapes_of(part, own)}
+        meshes.append(replace(mesh, blendshapes=tuple(blinks.get(shape.name, shape) for shape in mesh.blendshapes)))
+    return replace(parts, meshes=tuple(meshes))

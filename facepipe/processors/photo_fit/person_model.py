@@ -98,7 +98,7 @@ class PersonModel:
         points = np.asarray(self.mean + np.tensordot(weights, self.modes, axes=1))
         if not self.built_in:
             return points
-        from facepipe.heads.identity import with_parts_fitted
+        from facepipe.heads.assembly import with_parts_fitted
 
         return np.concatenate([10 * with_parts_fitted(points[: self.count] / 10), points[self.count :]])
 
@@ -117,7 +117,7 @@ class PersonModel:
         for _ in range(_ROUNDS if values else 0):
             parts = change(self.parts, person - _Sliders.from_parts(parts, sliders).moved(values))
         if self.built_in:
-            from facepipe.heads.identity import with_own_blinks
+            from facepipe.heads.assembly import with_own_blinks
 
             parts = with_own_blinks(parts, person[: self.count] / 10)
         meshes = {mesh.name: mesh for mesh in parts.meshes}
@@ -195,8 +195,8 @@ def person_model(parts: FaceParts, where: str, database: Path | None = None) -> 
     head = asset()
     if any(name not in {mesh.name for mesh in parts.meshes} for name in head.parts):
         return None
-    from facepipe.heads.identity import average
-    from facepipe.heads.identity import modes as own_modes
+    from facepipe.heads.assembly import average
+    from facepipe.heads.assembly import modes as own_modes
 
     try:
         return _on(parts, where, average(), 10 * own_modes(), built_in=True)

@@ -14,8 +14,8 @@ from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, Slider, SliderNetwork
-from facepipe.processors.sliders.effects import channel_effects
 from facepipe.processors.sliders.options import DistilOptions
+from facepipe.processors.sliders.shape_fits import channel_effects
 from facepipe.rig import CHANNELS, Rig, build, slide
 from facepipe.rig.sliders import channel_entries, shape_entries
 
