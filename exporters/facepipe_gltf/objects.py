@@ -100,8 +100,12 @@ def _stated(value: Any) -> Json:
     if not _is_dataclass(kind):
         return {name: one for name, one in vars(value).items() if one is not None}
     stated = {field.name: getattr(value, field.name) for field in _fields(kind)}
-    return {name: one for name, one in stated.items() if one not in (None, [], {})}
+    return {name: one for name, one in stated.items() if one is not None and not _is_empty(one)}
 
 
 def _is_dataclass(kind: Any) -> bool:
     return hasattr(kind, "__dataclass_fields__")
+
+
+def _is_empty(value: object) -> bool:
+    return isinstance(value, list | dict) and not value
