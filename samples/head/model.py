@@ -43,18 +43,19 @@ def read(data: Path) -> Model:
     """The model out of ``data/ict_facekit/ict_facekit.npz``."""
     source = data / "ict_facekit" / "ict_facekit.npz"
     model = read_model(source, {}, EXPRESSIONS)
-    counts = model.face_vertex_counts[:FACES]
+    base = model.neutral
+    counts = base.face_vertex_counts[:FACES]
     corners = int(counts.sum())
-    uvs, uv_indices = np.unique(model.uv_indices[:corners], return_inverse=True)
+    uvs, uv_indices = np.unique(base.uv_indices[:corners], return_inverse=True)
     with np.load(source) as arrays:
         modes = arrays["identity_deltas"][:, :POINTS]
     return Model(
-        points=model.neutral[:POINTS],
+        points=base.points[:POINTS],
         modes=modes,
         shapes=_arkit({name: shape[:POINTS].astype(np.float64) for name, shape in model.shapes.items()}),
         counts=counts,
-        indices=model.face_vertex_indices[:corners],
-        uvs=model.uvs[uvs],
+        indices=base.face_vertex_indices[:corners],
+        uvs=base.uvs[uvs],
         uv_indices=uv_indices.reshape(-1).astype(np.int32),
         materials=face_materials(model)[:FACES].astype(np.int32),
     )
