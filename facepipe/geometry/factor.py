@@ -30,7 +30,8 @@ def factorise(matrix: Any, solver: Solver = "auto") -> Factor:
     """Factor a scipy sparse matrix, symmetric positive definite, by Cholesky.
 
     :param solver: ``auto`` takes CHOLMOD through cholespy where it is installed, otherwise scipy's SuperLU with a
-        symmetric minimum degree ordering (its default ordering fills in far more)
+        symmetric minimum degree ordering (its default ordering fills in far more). CHOLMOD's METIS orders by random
+        numbers of the whole process: where another thread draws some, the last digits are others
     :raises InputError: cholespy asked for and not installed
     :raises RuntimeError, ValueError: the matrix is not positive definite
     """

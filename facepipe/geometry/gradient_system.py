@@ -107,7 +107,7 @@ class GradientSystem:
         main: BoolArray,
         bridges: Bridges,
         anchor: int,
-        solver: Solver = "auto",
+        solver: Solver = "splu",
     ) -> None:
         self.edges, self.bridges, self.anchor, self.solver = edges, bridges, anchor, solver
         nothing = Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))

@@ -40,5 +40,5 @@ class BlendOptions:
         None, "MESH:POINT that stays where it is in the first source; default its authored anchor"
     )
     solver: Literal["auto", "cholespy", "splu"] = option(
-        "auto", "sparse factorisation: cholespy where installed, otherwise splu (scipy)"
+        "splu", "sparse factorisation: scipy's, or cholespy, whose last digits may differ from run to run"
     )
