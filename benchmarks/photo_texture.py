@@ -1,4 +1,4 @@
-"""How well `facepipe bake-photo` finds the colours of skin that is known, under light that it isn't told.
+"""How well `facepipe bake-photo` finds the colours of skin that is known, under light that it has to find.
 
 usage: python benchmarks/photo_texture.py [--seeds 3 5 8 14] [--size 512] [--pixels 640] [--json out.json]
 
