@@ -15,7 +15,8 @@ from facepipe.processors.database import FaceDatabase, Quality, quality_from
 from facepipe.processors.rebuild.fit_steps import FitSteps
 from facepipe.processors.rebuild.personal_template import PersonalTemplate
 from facepipe.processors.rebuild.project import Project, expression_weights
-from facepipe.processors.rebuild.step_results import Fitted, FittedNeutral
+from facepipe.processors.rebuild.scan_check import ScanCheck, ScanChecks, misfits
+from facepipe.processors.rebuild.step_results import Fitted, FittedExpression, FittedNeutral
 from facepipe.processors.rebuild.steps import Steps
 from facepipe.processors.rebuild.template import Template, region_weights
 
@@ -32,6 +33,8 @@ class Rebuilt:
     personal: Mapping[str, FloatArray]  # name -> (n, 3) whole delta of the personal template
     shown: FloatArray  # (n, 3) whole points of the neutral as its scan shows them, with closed eyes for example
     composites: Mapping[str, FloatArray]  # expression -> (n, 3) whole points
+    checks: Mapping[str, ScanCheck]  # expression -> whether its scan belongs
+    left_out: Mapping[str, str]  # expression -> why its scan does not belong
     places: Mapping[str, Similarity]  # step of a scan -> from the scan's coordinates to those of the points
     quality: Quality  # of neutral and shapes, for a database
     reused: tuple[str, ...]  # steps whose results were there
@@ -63,6 +66,8 @@ class Rebuild:
     ) -> None:
         self._project, self._template = project, template
         self._steps = Steps(project, template, began)
+        self._checks: dict[str, ScanCheck] = {}
+        self._left_out: dict[str, str] = {}
 
     def __call__(self) -> Rebuilt:
         """All steps.
@@ -80,10 +85,9 @@ class Rebuild:
         expressions = {scan.name: fits.expression(scan, neutral.scan, shapes) for scan in self._project.expressions}
         steps |= {f"expressions/{name}": one for name, one in expressions.items()}
         reports = {name: one.report for name, one in steps.items()}
-        if expressions:
-            shapes, reports["shapes"] = fits.split(
-                points, shapes, {name: one.composite for name, one in expressions.items()}
-            )
+        composites = {name: one.composite for name, one in self._belonging(points, shapes, expressions).items()}
+        if composites:
+            shapes, reports["shapes"] = fits.split(points, shapes, composites)
         shapes = fits.corrected_shapes(points, shapes)
         lines = [line for report in reports.values() for line in report.get("warnings", ())]
         return Rebuilt(
@@ -93,6 +97,8 @@ class Rebuild:
             personal=start,
             shown=neutral.scan.shown,
             composites={name: one.composite.points for name, one in expressions.items()},
+            checks=self._checks,
+            left_out=self._left_out,
             places={name: one.place for name, one in steps.items()},
             quality=self._quality(neutral, start, shapes),
             reused=tuple(self._steps.reused),
@@ -108,7 +114,22 @@ class Rebuild:
         first = alone.neutral()
         shapes = alone.personal(first.scan.points)
         found = {scan.name: alone.expression(scan, first.scan, shapes) for scan in self._project.expressions}
-        return fits.together(first, shapes, found)
+        belonging = self._belonging(first.scan.points, shapes, found)
+        return fits.together(first, shapes, belonging) if belonging else fits.neutral()
+
+    def _belonging(
+        self, neutral: FloatArray, shapes: Mapping[str, FloatArray], found: Mapping[str, FittedExpression]
+    ) -> dict[str, FittedExpression]:
+        """Those of the expressions whose scans belong to the actor, now and before, or that an artist has corrected."""
+        checks = ScanChecks(self._template, neutral, shapes)
+        self._checks |= {name: checks.check(one.composite, one.report["fit"]) for name, one in found.items()}
+        asked = {name: one.composite.weights for name, one in found.items()}
+        self._left_out |= {
+            name: reason
+            for name, reason in misfits(self._checks, asked).items()
+            if not self._steps.has_correction(f"expressions/{name}")
+        }
+        return {name: one for name, one in found.items() if name not in self._left_out}
 
     def _quality(
         self, neutral: FittedNeutral, start: Mapping[str, FloatArray], shapes: Mapping[str, FloatArray]

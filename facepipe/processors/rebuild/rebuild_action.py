@@ -24,8 +24,9 @@ With --joint the neutral is refined on all scans together, from fits to each alo
 in about twice the time.
 
 OUT is an override layer over the template. --report makes a folder of pictures: each scan beside what was registered to
-it, and how much of each shape the scans show. Exit code 1: done, but a limit of the quality gate of `facepipe database
-add` is missed.
+it, and how much of each shape the scans show. A scan that does not belong, of another person or another expression, is
+named and left out; one whose mesh lies in corrections/ never is. Exit code 1: done, but a scan was left out, or a limit
+of the quality gate of `facepipe database add` is missed.
 
 examples:
   facepipe rebuild anna.toml -o anna.usda --report anna_report
@@ -96,6 +97,7 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
+        from facepipe.processors.rebuild.scan_check import left_out_lines
         from facepipe.processors.rebuild.template import Template
         from facepipe.processors.scan_texture import author_scan_textures
 
@@ -104,7 +106,8 @@ class RebuildAction(StageAction["RebuildReport"]):
         body = template.body(load_database(project.database).topology)
         with job.watch("rebuild", step_count(project)) as bar, apart():  # steps stay where a later one fails
             rebuilt = Rebuild(project, body, _named_steps(bar))()
-        quality, missed = to_json(rebuilt.quality), misses(rebuilt.quality, QualityLimits())
+        quality = to_json(rebuilt.quality)
+        missed = (*left_out_lines(project, rebuilt.left_out), *misses(rebuilt.quality, QualityLimits()))
         neutral, shapes = template.dressed(body, rebuilt.neutral), template.dressed_shapes(body, rebuilt.shapes)
         authored = AuthorNeutral(shapes=shapes)(face, neutral, recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
@@ -115,6 +118,8 @@ class RebuildAction(StageAction["RebuildReport"]):
             quality=quality,
             reused=rebuilt.reused,
             corrected=rebuilt.corrected,
+            checks={name: check.figures() for name, check in rebuilt.checks.items()},
+            left_out=rebuilt.left_out,
             missed=missed,
             warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *missed),
             textures=baked.textures,

@@ -95,7 +95,9 @@ class RebuildReport(Report):
     quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
     reused: tuple[str, ...] = ()  # steps whose results were there
     corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
-    missed: tuple[str, ...] = ()  # a line for each limit
+    checks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # expression -> whether its scan belongs
+    left_out: Mapping[str, str] = field(default_factory=dict)  # expression -> why its scan does not belong
+    missed: tuple[str, ...] = ()  # a line for each limit, and each scan that was left out
     textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
     colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows
     pictures: RebuildPictures | None = not_in_json()
@@ -111,6 +113,8 @@ class RebuildReport(Report):
             lines.append(_refined_line(self.stages["refined"]))
         if "shapes" in self.stages:
             lines += _shape_lines(**{name: self.stages["shapes"][name] for name in ("shapes", "unseen")})
+        if self.left_out:
+            lines.append(f"left out: {', '.join(self.left_out)}")
         if self.textures:
             lines.append(f"skin in the scan's colours: {100 * self.colored:.1f} %")
         if self.reused:
@@ -232,6 +236,8 @@ class RebuildPictures:
             f"distance from the scan: mean {fit['surface_mean_mm']:.3f} mm, 95 % below {fit['surface_p95_mm']:.3f} mm; "
             f"{100 * fit['coverage']:.0f} % of the face seen; landmarks {fit['landmark_mean_mm']:.2f} mm off"
         ]
+        if (name := step.removeprefix("expressions/")) in self.rebuilt.left_out:
+            lines.append(f"left out: {self.rebuilt.left_out[name]}")
         if fit["outliers"]:
             lines.append(f"ignored as outliers: {', '.join(fit['outliers'])}")
         if step == "neutral" and "refined" in self.rebuilt.reports:

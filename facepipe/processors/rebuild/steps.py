@@ -194,6 +194,13 @@ class Steps:
         self.corrected.append(name)
         return whole_face(_face(path), str(path), self.template.topology, self.template.where).points
 
+    def has_correction(self, name: str) -> bool:
+        """Whether an artist put a mesh in the place of a step's result.
+
+        :raises InputError: more than one
+        """
+        return self._folder.correction(name) is not None
+
     def idle_corrections(self) -> tuple[str, ...]:
         """A line for each mesh that corrects nothing."""
         idle = [name for name in self._folder.corrections() if name not in self.corrected]

@@ -1,0 +1,155 @@
+"""A scan that does not belong to the actor of a rebuild: it is named and left out."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import expression_domes
+import numpy as np
+import pytest
+import scan_domes
+from command_line import run
+from expression_domes import OWN, SIDE
+
+import facepipe
+from facepipe.processors.database import save_database, whole_face
+from facepipe.processors.rebuild.scan_check import ScanCheck, misfits
+from facepipe.stage import save_parts
+
+PROJECT = """
+template = "head.usda"
+database = "faces.fpdb"
+[neutral]
+scan = "anna.ply"
+[expressions.open]
+scan = "open.ply"
+weights = { jawOpen = 0.8 }
+[expressions.brows]
+scan = "brows.ply"
+weights = { browUp = 1 }
+[expressions.both]
+scan = "both.ply"
+weights = { jawOpen = 0.4, browUp = 0.9 }
+[options.neutral]
+unit = "cm"
+"""
+SHOWN = {"anna": {}, "open": {"jawOpen": 0.8}, "brows": {"browUp": 1.0}, "both": {"jawOpen": 0.4, "browUp": 0.9}}
+
+
+@pytest.fixture(scope="module")
+def drawer(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project of right scans, rebuilt."""
+    folder = tmp_path_factory.mktemp("actor")
+    save_parts(expression_domes.face(), folder / "head.usda")
+    save_database(scan_domes.database(), folder / "faces.fpdb")
+    for name, weights in SHOWN.items():
+        expression_domes.put(folder / f"{name}.ply", weights)
+    (folder / "anna.toml").write_text(PROJECT)
+    return folder
+
+
+@pytest.fixture
+def folder(drawer: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(drawer, tmp_path / "actor"))
+
+
+def rebuilt(capsys: pytest.CaptureFixture[str], folder: Path, *more: str) -> tuple[int, dict[str, Any], str]:
+    code, out, err = run(
+        capsys, "rebuild", folder / "anna.toml", "-o", folder / "anna.usda", "--json", "--force", *more
+    )
+    return code, json.loads(out), err
+
+
+def errors(folder: Path) -> dict[str, tuple[float, float]]:
+    """Shape -> mean error of its deltas on the skin, and that of the template's."""
+    deltas = whole_face(facepipe.open(folder / "anna.usda").parts(), "anna").deltas
+    found = {}
+    for name, gain in OWN.items():
+        template = expression_domes.template_motion(name)
+        off = [np.linalg.norm(one - gain * template, axis=1).mean() for one in (deltas[name][: SIDE**2], template)]
+        found[name] = (off[0], off[1])
+    return found
+
+
+def test_right_scans_all_count(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, printed, err = rebuilt(capsys, folder)
+    assert (code, printed["left_out"], "left out" in err) == (0, {}, False)
+    assert {name: round(check["unexplained"], 1) for name, check in printed["checks"].items()} == {
+        "open": 0.0,
+        "brows": 0.0,
+        "both": 0.0,
+    }
+    assert all(own < 0.6 * template for own, template in errors(folder).values())
+
+
+@pytest.mark.parametrize("wrong", ["person", "expression"])
+def test_a_wrong_scan_is_named_and_left_out(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, wrong: str
+) -> None:
+    """Another person's scan where each is fitted alone, another expression's where all are fitted together."""
+    if wrong == "person":
+        monkeypatch.setattr(expression_domes, "PERSON", 14)
+    expression_domes.put(folder / "open.ply", SHOWN["open" if wrong == "person" else "brows"])
+    code, printed, err = rebuilt(capsys, folder, *(["--joint"] if wrong == "expression" else []))
+    assert code == 1
+    assert list(printed["left_out"]) == ["open"]
+    guess = "it may be another person's" if wrong == "person" else "it shows browUp"
+    assert printed["left_out"]["open"].startswith(guess)
+    assert f"warning: open: open.ply does not belong and is left out: {guess}" in err
+    assert "open" not in printed["stages"]["shapes"]["weights"]
+    assert all(own < template for own, template in errors(folder).values())
+
+
+def test_a_scan_that_an_artist_took_counts(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its mesh, looked at and put among the corrections, is not judged."""
+    expression_domes.put(folder / "open.ply", SHOWN["brows"])
+    assert rebuilt(capsys, folder)[0] == 1
+    taken = folder / "anna/corrections/expressions/open.usdc"
+    taken.parent.mkdir()
+    shutil.copyfile(folder / "anna/expressions/open.usdc", taken)
+    _, printed, _ = rebuilt(capsys, folder)
+    assert printed["left_out"] == {}
+    assert "open" in printed["stages"]["shapes"]["weights"]
+
+
+def test_a_neutral_that_no_other_scan_is_like(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Most of them are left out, and a line is about the neutral."""
+    monkeypatch.setattr(expression_domes, "PERSON", 184)
+    expression_domes.put(folder / "anna.ply", {})
+    code, printed, err = rebuilt(capsys, folder)
+    assert code == 1
+    assert {"brows", "both"} <= set(printed["left_out"])
+    assert "of 3 expressions are left out: anna.ply may be another person's" in err
+
+
+def test_limits_follow_what_the_other_scans_show() -> None:
+    """Two others and more show what is usual; where they are off themselves, a scan may be off as they are."""
+
+    def check(off_mm: float, unexplained: float = 0.05, landmark_mm: float = 1.0, coverage: float = 0.9) -> ScanCheck:
+        return ScanCheck(
+            off_mm=off_mm,
+            unexplained=unexplained,
+            coverage=coverage,
+            landmark_mm=landmark_mm,
+            nearest={},
+            nearest_off_mm=0.1,
+            nearest_unexplained=0.04,
+        )
+
+    def left_out(*checks: ScanCheck) -> list[str]:
+        named = dict(zip("abcdef", checks, strict=False))
+        return list(misfits(named, {name: {"jawOpen": 1.0} for name in named}))
+
+    assert left_out(check(0.8)) == []
+    assert left_out(check(1.1)) == ["a"]
+    assert left_out(check(0.8), check(0.1), check(0.2)) == ["a"]
+    assert left_out(check(0.8), check(0.6), check(0.5), check(0.7)) == []
+    assert left_out(check(1.1), check(1.2), check(0.9), check(1.3)) == ["a", "b", "d"]
+    assert left_out(check(0.1, unexplained=0.3), check(0.1), check(0.1, unexplained=0.1)) == ["a"]
+    assert left_out(check(0.1, landmark_mm=3.0), check(0.1), check(0.1)) == ["a"]
+    assert left_out(check(0.1, coverage=0.2), check(0.1)) == ["a"]
