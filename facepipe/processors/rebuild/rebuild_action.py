@@ -35,9 +35,11 @@ examples:
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from facepipe.processors.rebuild.rebuild_report import RebuildReport
     from facepipe.stage import Face
 
+_log = logging.getLogger(__name__)
 _NAMES = r"report\.(html|json)|neutral\.png|expressions(/\w+\.png)?"
 
 
@@ -104,8 +107,9 @@ class RebuildAction(StageAction["RebuildReport"]):
         parts, project = face.parts(), self._project
         template = Template.of(parts, str(self.base))
         body = template.body(load_database(project.database).topology)
-        with job.watch("rebuild", step_count(project)) as bar, apart():  # steps stay where a later one fails
-            rebuilt = Rebuild(project, body, _named_steps(bar))()
+        steps = step_count(project)
+        with job.watch("rebuild", steps) as bar, apart():  # steps stay where a later one fails
+            rebuilt = Rebuild(project, body, _named_steps(bar, steps))()
         quality = to_json(rebuilt.quality)
         missed = (*left_out_lines(project, rebuilt.left_out), *misses(rebuilt.quality, QualityLimits()))
         neutral, shapes = template.dressed(body, rebuilt.neutral), template.dressed_shapes(body, rebuilt.shapes)
@@ -136,10 +140,12 @@ class RebuildAction(StageAction["RebuildReport"]):
                 report.pictures.write(path, result, bar.update)
 
 
-def _named_steps(bar: Any) -> Callable[[str], None]:
-    """Count steps as they begin, with their names where the bar can show them."""
+def _named_steps(bar: Any, steps: int) -> Callable[[str], None]:
+    """Count steps as they begin, with their names where the bar can show them, and in logs."""
+    numbers = count(1)
 
     def began(name: str) -> None:
+        _log.info("rebuild: step %d of %d: %s", next(numbers), steps, name)
         if hasattr(bar, "set_postfix_str"):
             bar.set_postfix_str(name)
         bar.update()

@@ -67,6 +67,13 @@ def test_only_what_changed_is_done_again(project: Path, capsys: pytest.CaptureFi
     assert rebuilt(capsys, project)["reused"] == [*stages[:2], "shapes"]
 
 
+def test_each_step_has_a_line_in_logs(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "rebuild", project, "-o", project.parent / "anna.usda", "--verbose")
+    assert code == 0
+    steps = [line.partition(" ms: rebuild: step ")[2] for line in err.splitlines() if ": rebuild: step " in line]
+    assert steps == ["1 of 4: neutral", "2 of 4: template", "3 of 4: expressions/open", "4 of 4: shapes"]
+
+
 def test_expressions_follow_the_place_of_a_corrected_neutral(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The size of the neutral's scan is that of the expressions' too."""
     rebuilt(capsys, project)
