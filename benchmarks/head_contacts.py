@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 from arguments import positive
-from contacts import Contact, Sheet, Subject
+from contacts import Subject
 
+from facepipe.geometry.contacts import Contact, Sheet
 from facepipe.importers.ict import shape_name
 from facepipe.importers.ict_topology import EXPRESSIONS
 from facepipe.rig.conventions import ARKIT_SHAPES

@@ -40,7 +40,9 @@ _COLUMNS = {
     "template p95": "p95",
     "shapes": "shapes / generic",
     "worse": "worse of 53",
+    "worst": "worst / generic",
 }
+_WRONG = "pucker"
 
 
 class Actor:
@@ -58,7 +60,7 @@ class Actor:
             name: (truth, simulate(truth, 100 * seed + number)) for number, (name, truth) in enumerate(truths.items())
         }
 
-    def figures(self, *, joint: bool) -> dict[str, dict[str, float]]:
+    def figures(self, *, joint: bool, wrong: bool) -> dict[str, dict[str, float]]:
         """All of its rows."""
         from facepipe.processors.rebuild import FitNeutral, NeutralScan
 
@@ -67,9 +69,36 @@ class Actor:
         base = NeutralScan(points=fit.points, place=fit.place, landmarks=landmarks)
         rows, (shapes, registered) = {}, self._expressions(base)
         rows["alone"] = self._row(base, shapes, registered)
+        if wrong:
+            rows |= self._with_wrong(base, shapes, registered)
         if joint:
             base = self._together(scan, base, np.array(fit.report.coefficients), shapes, registered)
             rows["joint"] = self._row(base, *self._expressions(base))
+        return rows
+
+    def _with_wrong(
+        self, base: Any, shapes: dict[str, FloatArray], registered: dict[str, Any]
+    ) -> dict[str, dict[str, float]]:
+        """Rows with another's scan of an expression and with the neutral's, and the same with what belongs."""
+        from scan_actors import Actor
+        from scan_simulator import simulate
+
+        from facepipe.processors.rebuild import RegisterScans
+        from facepipe.processors.rebuild.scan_check import ScanChecks, misfits
+
+        other, checks = Actor(self._seed + 1), ScanChecks(self._template, base.points, shapes)
+        truths = {"person": other.composite(self._composites[_WRONG]), "neutral": self._who.neutral}
+        rows, self._place = {}, base.place
+        for kind, truth in truths.items():
+            given = self._given(_WRONG, simulate(truth, 100 * self._seed + 99))
+            found = registered | {_WRONG: RegisterScans()(self._template, base, shapes, given)}
+            composites = self._given_weights(found)
+            judged = {name: checks.check(composites[name], vars(one.report.fit)) for name, one in found.items()}
+            left_out = misfits(judged, {name: one.weights for name, one in composites.items()})
+            print(f"{self._seed}: {kind}: left out: {left_out}", file=sys.stderr)
+            rows[f"wrong {kind}"] = self._row(base, shapes, found)
+            belonging = {name: one for name, one in found.items() if name not in left_out}
+            rows[f"wrong {kind} left out"] = self._row(base, shapes, belonging)
         return rows
 
     def _expressions(self, base: Any) -> tuple[dict[str, FloatArray], dict[str, Any]]:
@@ -121,21 +150,30 @@ class Actor:
             "template p95": np.percentile(before, 95),
         }
 
-    def _given(self, name: str) -> Any:
+    def _given(self, name: str, scanned: Any = None) -> Any:
         """A scanned expression as a project gives it."""
         from facepipe.processors.rebuild import ExpressionScan
 
-        scan, landmarks = self._read(name, self._scans[name][1])
+        scan, landmarks = self._read(name, scanned or self._scans[name][1])
         weights = {_ours(shape): weight for shape, weight in self._composites[name].items()}
         return ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
 
     def _split(
         self, neutral: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> dict[str, float]:
-        from facepipe.processors.rebuild.register_scans import Composite
         from facepipe.processors.rebuild.split_expressions import SplitExpressions
 
-        composites = {
+        found = SplitExpressions()(self._template, neutral, shapes, self._given_weights(registered)).shapes
+        errors = np.array([[self._off(one, name) for name in self._model.names] for one in (found, shapes)])
+        worse = int((errors[0] > errors[1] * (1.0 + 1e-6)).sum())
+        worst = float((errors[0] / errors[1]).max())
+        return {"shapes": errors[0].sum() / errors[1].sum(), "worse": worse, "worst": worst}
+
+    def _given_weights(self, registered: dict[str, Any]) -> dict[str, Any]:
+        """Registered expressions with the weights that were asked for."""
+        from facepipe.processors.rebuild.register_scans import Composite
+
+        return {
             name: Composite(
                 points=one.points,
                 weights={_ours(shape): weight for shape, weight in self._composites[name].items()},
@@ -143,10 +181,6 @@ class Actor:
             )
             for name, one in registered.items()
         }
-        found = SplitExpressions()(self._template, neutral, shapes, composites).shapes
-        errors = np.array([[self._off(one, name) for name in self._model.names] for one in (found, shapes)])
-        worse = int((errors[0] > errors[1] * (1.0 + 1e-6)).sum())
-        return {"shapes": errors[0].sum() / errors[1].sum(), "worse": worse}
 
     def _off(self, shapes: Any, name: str) -> float:
         """Mean distance of a shape's deltas from the truth."""
@@ -200,12 +234,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--actors", type=positive, default=6, help="how many, of other seeds each (default 6)")
     parser.add_argument("--joint", action="store_true", help="also from a neutral refined on all scans")
+    parser.add_argument("--wrong", action="store_true", help="also with a scan that does not belong")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
     template, database = _prepared()
     found: dict[str, dict[str, dict[str, float]]] = {}
     for seed in range(_FIRST, _FIRST + arguments.actors):
-        for way, row in Actor(seed, template, database).figures(joint=arguments.joint).items():
+        for way, row in Actor(seed, template, database).figures(joint=arguments.joint, wrong=arguments.wrong).items():
             found.setdefault(way, {})[str(seed)] = row
             print(f"{way} {seed}: " + ", ".join(f"{key} {row[key]:.3f}" for key in _COLUMNS), file=sys.stderr)
     table = [("", "actor", *_COLUMNS.values())]

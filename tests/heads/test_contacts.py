@@ -5,11 +5,12 @@ from __future__ import annotations
 import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from contacts import STEP, Sheet, Subject
+from contacts import Subject
 from head_contacts import blink, eye_sheets, mouth_sheet
 from import_data import shared
 from solids import ball
 
+from facepipe.geometry.contacts import STEP, Sheet
 from facepipe.importers import ict, load
 
 RADIUS = 10.0

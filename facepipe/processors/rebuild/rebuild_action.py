@@ -96,8 +96,9 @@ class RebuildAction(StageAction["RebuildReport"]):
     def author(self, face: Face, job: Job) -> RebuildReport:
         from facepipe.core.atomic import apart
         from facepipe.importers.scan_file import read_scan
-        from facepipe.processors.database import QualityLimits, load_database, misses
+        from facepipe.processors.database import QualityLimits, load_database, misses, whole_face
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+        from facepipe.processors.rebuild.mouth_contacts import mouth_contacts, mouth_lines
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
         from facepipe.processors.rebuild.scan_check import left_out_lines
@@ -117,6 +118,7 @@ class RebuildAction(StageAction["RebuildReport"]):
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])
         baked = author_scan_textures(face, parts, shown, scan, place, project.texture_options)
+        contacts = mouth_contacts(body, rebuilt.neutral, rebuilt.shapes, whole_face(body.parts, body.where).deltas)
         return RebuildReport(
             stages=rebuilt.reports,
             quality=quality,
@@ -124,8 +126,9 @@ class RebuildAction(StageAction["RebuildReport"]):
             corrected=rebuilt.corrected,
             checks={name: check.figures() for name, check in rebuilt.checks.items()},
             left_out=rebuilt.left_out,
+            mouth={name: to_json(contact) for name, contact in contacts.items()},
             missed=missed,
-            warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *missed),
+            warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *mouth_lines(contacts), *missed),
             textures=baked.textures,
             colored=baked.colored,
             pictures=RebuildPictures(project=project, template=body, rebuilt=rebuilt),

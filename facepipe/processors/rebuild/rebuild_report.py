@@ -97,6 +97,7 @@ class RebuildReport(Report):
     corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
     checks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # expression -> whether its scan belongs
     left_out: Mapping[str, str] = field(default_factory=dict)  # expression -> why its scan does not belong
+    mouth: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # shape -> how its inside comes through skin
     missed: tuple[str, ...] = ()  # a line for each limit, and each scan that was left out
     textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
     colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows

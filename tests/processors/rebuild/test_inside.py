@@ -1,4 +1,5 @@
-"""What lies inside a head, and no scan shows, goes with the skin around it when a neutral is fitted."""
+"""What lies inside a head, and no scan shows, goes with the skin around it when a neutral is fitted; what does not is
+found."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ import numpy as np
 import pytest
 
 from facepipe.heads.assembly import make
+from facepipe.processors.database import whole_face
+from facepipe.processors.rebuild.mouth_contacts import mouth_contacts, mouth_lines
 from facepipe.processors.rebuild.template import Template
 
 
@@ -33,3 +36,24 @@ def test_the_mouths_inside_goes_back_with_the_chin(template: Template) -> None:
 def test_one_move_of_all_is_everyones(template: Template) -> None:
     base, way = template.points[template.rows], np.array([1.0, -2, 3])
     np.testing.assert_allclose(template.with_inside(base, np.tile(way, (len(base), 1))), np.tile(way, (len(base), 1)))
+
+
+def test_teeth_through_lips_are_found(template: Template) -> None:
+    """By how far they come through; of a shape that leaves them where they are, nothing is found."""
+    own = whole_face(template.parts, "head").deltas
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in template.parts.meshes)])
+    names = [mesh.name for mesh in template.parts.meshes]
+    teeth = slice(*starts[names.index("Teeth") :][:2])
+    pushed = own["mouthSmileLeft"].copy()
+    pushed[teeth, 2] += 12.0  # mm
+    shapes = {"mouthSmileLeft": pushed, "jawOpen": own["jawOpen"]}
+    found = mouth_contacts(template, template.points, shapes, own)
+    assert set(found) == {"mouthSmileLeft"}
+    contact = found["mouthSmileLeft"]
+    assert contact.template_mm < 0.3
+    assert 2.0 < contact.depth_mm < 12.0
+    assert contact.cells > 1000
+    assert list(mouth_lines(found)) == [
+        f"mouthSmileLeft: teeth, gums or tongue come through the skin by {contact.depth_mm:.1f} mm (the template's by "
+        f"{contact.template_mm:.1f} mm)"
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,17 @@ import pytest
 import scan_domes
 from command_line import run
 from expression_domes import OWN, SIDE
+from ict_people import ict_database, ict_template, ours, read
+from scan_actors import COMPOSITES, Actor, ict
+from scan_simulator import SimulatedScan, simulate
 
 import facepipe
+from facepipe.importers.scan_landmarks import write_scan_landmarks
+from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import save_database, whole_face
+from facepipe.processors.rebuild import Rebuild, Template, read_project
 from facepipe.processors.rebuild.scan_check import ScanCheck, misfits
-from facepipe.stage import save_parts
+from facepipe.stage import open_face, save_parts
 
 PROJECT = """
 template = "head.usda"
@@ -153,3 +160,44 @@ def test_limits_follow_what_the_other_scans_show() -> None:
     assert left_out(check(0.1, unexplained=0.3), check(0.1), check(0.1, unexplained=0.1)) == ["a"]
     assert left_out(check(0.1, landmark_mm=3.0), check(0.1), check(0.1)) == ["a"]
     assert left_out(check(0.1, coverage=0.2), check(0.1)) == ["a"]
+
+
+@pytest.mark.slow
+def test_a_fresh_actor_with_one_wrong_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another person's pucker: its shapes stay the template's, and no shape of a real head is worse than that."""
+    actor, other, wrong = Actor(207), Actor(208), "pucker"
+    template = ict_template()
+    save_parts(template.parts, tmp_path / "head.usda")
+    save_database(ict_database(template), tmp_path / "faces.fpdb")
+    lines = ['template = "head.usda"', 'database = "faces.fpdb"', "[neutral]", 'scan = "neutral.ply"']
+    pose = put_scan(tmp_path, "neutral", actor.neutral, 207).pose
+    for number, (name, shown) in enumerate(COMPOSITES.items()):
+        put_scan(tmp_path, name, (other if name == wrong else actor).composite(shown), 20700 + number)
+        weights = ", ".join(f"{shape} = {weight}" for shape, weight in ours(shown).items())
+        lines += [f"[expressions.{name}]", f'scan = "{name}.ply"', f"weights = {{ {weights} }}"]
+    (tmp_path / "anna.toml").write_text("\n".join(lines))
+    code, printed, err = rebuilt(capsys, tmp_path)
+    assert (code, list(printed["left_out"])) == (1, [wrong])
+    assert f"{wrong}: {wrong}.ply does not belong and is left out: it may be another person's" in err
+    found = Rebuild(
+        read_project(tmp_path / "anna.toml"), Template.of(open_face(tmp_path / "head.usda").parts(), "head")
+    )()
+    assert "neutral" in found.reused
+
+    def off(shapes: Mapping[str, np.ndarray], name: str) -> float:
+        place, ((shape, _),) = found.places["neutral"], ours({name: 1.0}).items()
+        home = pose.undo(place.undo(found.neutral + shapes[shape])) - pose.undo(place.undo(found.neutral))
+        return float(np.linalg.norm((home - actor.shape(name))[: ict().full_face], axis=1).mean())
+
+    ratios = {name: off(found.shapes, name) / off(found.personal, name) for name in ict().names}
+    print({name: round(ratio, 3) for name, ratio in sorted(ratios.items(), key=lambda item: -item[1])})
+    assert max(ratios.values()) <= 1.0 + 1e-6
+    assert np.mean(list(ratios.values())) < 0.75
+
+
+def put_scan(folder: Path, name: str, truth: np.ndarray, seed: int) -> SimulatedScan:
+    scanned = simulate(truth, seed)
+    scan, landmarks = read(name, scanned)
+    write_ply(scan, folder / f"{name}.ply")
+    write_scan_landmarks(landmarks, folder / f"{name}.landmarks.json")
+    return scanned
