@@ -1,0 +1,164 @@
+"""The people that `facepipe fit-photo` and `bake-photo` make of portraits, and the pictures of them that are judged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from likeness_portraits import Portrait
+from PIL import Image
+
+import facepipe
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
+from facepipe.geometry.similarity import fit_similarity
+from facepipe.heads import make
+from facepipe.parts import FaceParts, PhotoView
+from facepipe.pictures import PictureOptions
+from facepipe.pictures.face_picture import pictures
+from facepipe.processors.photo_fit import read_photo
+from facepipe.processors.photo_texture import inner, skin_of
+from facepipe.processors.photo_texture.seen_skin import to_camera, to_pixels
+from facepipe.stage import Face
+
+TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN = "textured", "untextured", "mean head, textured", "mean head"
+LOOKS = (TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN)
+CAMERA, MASKED, PHOTO = "camera", "camera, masked", "photo, masked"
+YAWS = {"front": 0.0, "yaw -30": -30.0, "yaw +30": 30.0}
+NARROW = 6706  # points of the narrow face of ICT-FaceKit, the first of the head's
+SIZE = 512  # pixels a side in studio light
+_GREY = 0.5  # sRGB, around a face
+_SAMPLES = 2
+_TEXELS = 64  # hardly any are wanted where the mask is made
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """A person made of a portrait."""
+
+    portrait: Portrait
+    photo: Path  # upright, sRGB
+    pictures: Mapping[tuple[str, str], Path]  # by line of the table and look
+    narrow: FloatArray  # (m, 3) millimetres, the neutral
+    seconds: Mapping[str, float]  # of processor time
+
+
+def made(portrait: Portrait, head: Path, folder: Path, size: int) -> Made:
+    """Fit, bake and picture a person; a fit that is in the folder stays.
+
+    :param head: stage of the average head
+    :param size: texels a side of what is baked
+    """
+    fit, baked, seconds = folder / f"{portrait.name}.usda", folder / f"{portrait.name}.baked.usda", {}
+    if not fit.is_file():
+        start = time.process_time()
+        facepipe.fit_photo(head, photos=[portrait.path], out=fit)
+        seconds["fit-photo"] = time.process_time() - start
+    start = time.process_time()
+    facepipe.bake_photo(fit, photos=[portrait.path], out=baked, size=size, overwrite=True)
+    seconds["bake-photo"] = time.process_time() - start
+    photo = folder / f"{portrait.name}.photo.png"
+    pixels = read_photo(portrait.path).pixels
+    _image(pixels).save(photo)
+    neutral, mean = facepipe.open(fit).evaluate(pose="set"), facepipe.open(head).evaluate()
+    shown: dict[tuple[str, str], Path] = {}
+    for look, stage in zip(LOOKS, (baked, fit, baked, fit), strict=True):
+        person = _Person(facepipe.open(stage), neutral, mean if look in (MEAN_TEXTURED, MEAN) else None)
+        for line, picture in person.pictures(pixels):
+            path = folder / f"{portrait.name}.{look}.{line}.png".replace(", ", "-").replace(" ", "-")
+            picture.save(path)
+            shown[line, look] = path
+    mm = 1000 * facepipe.open(fit).meters_per_unit
+    return Made(portrait=portrait, photo=photo, pictures=shown, narrow=neutral[:NARROW] * mm, seconds=seconds)
+
+
+class _Person:
+    """A face on a stage, or instead of it the average head with its skin and expression.
+
+    :param neutral: (n, 3) points of the person
+    :param mean: (n, 3) of the average head, where that is shown
+    """
+
+    def __init__(self, face: Face, neutral: FloatArray, mean: FloatArray | None) -> None:
+        self.parts, self.view = face.parts(), face.photos[0]
+        assert self.view.animation is not None
+        transforms, weights = face.sample(self.view.animation)
+        self.posed = face.evaluate(weights, joint_transforms=transforms)
+        self.neutral = neutral
+        if mean is not None:
+            self.neutral = fit_similarity(mean[:NARROW], neutral[:NARROW]).apply(mean)
+            self.posed = self.neutral + self.posed - neutral
+
+    def pictures(self, photo: FloatArray) -> Iterator[tuple[str, Image.Image]]:
+        """By line of the table; the masked photo too."""
+        from facepipe.learn.face_model import FaceModel
+        from facepipe.learn.photo.view_image import photo_image
+
+        image = photo_image(FaceModel(self.parts), self.view, self.posed)
+        cover = image[..., 3:].clip(0, 1)
+        render = to_srgb((image[..., :3] + (1 - cover) * _GREY**2.2).clip(0, 1))
+        mask = _face_mask(self.parts, self.view, self.neutral, self.posed)
+        yield CAMERA, _image(render)
+        yield MASKED, _masked(render, mask)
+        yield PHOTO, _masked(photo, mask)
+        options = [PictureOptions(size=SIZE, samples=_SAMPLES, view=(np.radians(yaw), 0.0)) for yaw in YAWS.values()]
+        yield from zip(YAWS, pictures(self.parts, self.neutral, options), strict=True)
+
+
+def _face_mask(parts: FaceParts, view: PhotoView, neutral: FloatArray, posed: FloatArray) -> FloatArray:
+    """(h, w) 1 where a photo shows the face, 0 off it and on hair, ears and neck, with a soft border."""
+    skin = skin_of(parts, neutral, _TEXELS)
+    values = np.ones(len(posed))
+    values[skin.span] = inner(skin)
+    pixels, depth = to_pixels(view, to_camera(view, posed))
+    screen = np.column_stack([pixels * depth[:, None], np.ones(len(posed)), depth])
+    raster = rasterise(screen_triangles(screen, skin.opaque), view.width, view.height)
+    row, column = np.nonzero(raster.key)
+    chosen = raster.triangle[row, column]
+    shares = barycentrics(screen, skin.opaque, chosen, column + 0.5, row + 0.5)
+    mask = np.zeros((view.height, view.width))
+    mask[row, column] = np.clip(2 * (values[skin.opaque[chosen]] * shares).sum(axis=1), 0, 1)
+    return mask
+
+
+def _masked(pixels: FloatArray, mask: FloatArray) -> Image.Image:
+    """Pixels (h, w, 3) under a mask (h, w), of a photo that may be larger: that is reduced."""
+    size = min(pixels.shape[1], mask.shape[1]), min(pixels.shape[0], mask.shape[0])
+    levels = _image(pixels).resize(size, Image.Resampling.LANCZOS)
+    share = Image.fromarray((mask * 255 + 0.5).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR)
+    grey = Image.new("RGB", size, (round(255 * _GREY),) * 3)
+    return Image.composite(levels, grey, share)
+
+
+def _image(pixels: FloatArray) -> Image.Image:
+    return Image.fromarray((np.clip(pixels, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+def other(seed: int, folder: Path, size: int) -> dict[str, Path]:
+    """Front pictures of a person drawn from the head in the box, with that person's looks and with the average ones."""
+    person, average = make(seed, textures=size), _average(size)
+    plain = {material.name: material for material in average.materials}
+    skinned = replace(person, materials=tuple(plain.get(each.name, each) for each in person.materials))
+    shown = {}
+    for look, parts in ((TEXTURED, person), (UNTEXTURED, skinned)):
+        shown[look] = folder / f"seed{seed}.{look}.front.png"
+        pictures(parts, None, [PictureOptions(size=SIZE, samples=_SAMPLES)])[0].save(shown[look])
+    return shown
+
+
+def head_triangles() -> IntArray:
+    """(t, 3) of the narrow face."""
+    mesh = make(0, textures=0).meshes[0]
+    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    return np.asarray(triangles[(triangles < NARROW).all(axis=1)])
+
+
+@cache
+def _average(size: int) -> FaceParts:
+    return make(0, textures=size)
