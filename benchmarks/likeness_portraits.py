@@ -1,6 +1,6 @@
 """Portraits of real people for `likeness.py`, in the public domain.
 
-One is NASA's, of scikit-image; the others are test pictures in the source package of face_recognition, which pip fetches.
+One is NASA's; the others are test pictures in the source package of face_recognition, which pip fetches.
 """
 
 from __future__ import annotations
