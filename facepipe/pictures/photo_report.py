@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,11 +13,14 @@ from facepipe.geometry.rasterise import NEAR
 from facepipe.parts import FaceParts, Slider
 from facepipe.pictures import photo_pictures as pictures
 from facepipe.pictures.camera import View
-from facepipe.pictures.face_picture import PictureOptions, picture
+from facepipe.pictures.face_picture import PictureOptions
+from facepipe.pictures.face_picture import pictures as face_pictures
 from facepipe.pictures.figures import TOTAL, bar, figure, loss_chart, table_of_bars
 
 SIZE = 640  # pixels of a picture
 ACTIVE = 0.02  # share of the range (of 1 for a weight) beyond which a control counts as moved
+HIDDEN = 0.05  # share of a region that is in no photo, from which on it is listed
+SIDES: tuple[View, ...] = ("front", "three-quarter", "side")  # that the neutral is seen from
 FRAMED = 0.85  # a crop smaller than this share of the photo is framed in it
 
 
@@ -34,6 +37,7 @@ class SheetPhoto:
     landmark_error: float  # mean, pixels
     eye_distance: float  # pixels between the outer eye corners, what the error is a percentage of
     expressions: Mapping[str, float]  # shape -> weight, of the shapes that were free
+    similarity: float | None = None  # of photo and render to a recognition network, cosine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +51,7 @@ class PhotoSheet:
     history: Sequence[Mapping[str, float]]  # by step: "total" and each weighted term; NaN: not known
     kept: int = 0  # step that the face is of
     note: str = ""  # how the fit ended
+    unseen: Mapping[str, float] = field(default_factory=dict)  # region -> share of it that no photo shows
 
 
 def photo_page(sheet: PhotoSheet) -> bytes:
@@ -56,7 +61,7 @@ def photo_page(sheet: PhotoSheet) -> bytes:
     found = tag("section", *_expressions(sheet)), tag("section", *losses)
     beside = tag("div", *found, class_="columns" if len(sheet.photos) == 1 else None)
     head = joined(tag("h1", title), tag("p", "  ·  ".join(facts(sheet)), class_="muted"))
-    return page(title, head, *_pictures(sheet), beside, *_sliders(sheet))
+    return page(title, head, *_pictures(sheet), beside, *_unseen(sheet), *_sliders(sheet))
 
 
 def facts(sheet: PhotoSheet) -> list[str]:
@@ -78,10 +83,10 @@ def _count(number: int, what: str) -> str:
 
 
 def _pictures(sheet: PhotoSheet) -> Iterator[Markup]:
-    """One photo: two rows of three with the neutral. Several: the neutral, and a row of five for each."""
-    neutral = [_neutral(sheet, "front"), _neutral(sheet, "three-quarter")]
+    """One photo: two rows of four with the neutral. Several: a row of five for each, and the neutral."""
+    neutral = _neutral(sheet)
     if len(sheet.photos) == 1:
-        yield _grid([*_of_photo(sheet, sheet.photos[0]), neutral[0]], 3)
+        yield _grid([*_of_photo(sheet, sheet.photos[0]), *neutral], 4)
         return
     yield from (_grid(_of_photo(sheet, photo), 5) for photo in sheet.photos)
     yield joined(heading("Without expression"), _grid(neutral, 5))
@@ -104,11 +109,12 @@ def _of_photo(sheet: PhotoSheet, photo: SheetPhoto) -> list[Markup]:
         image = pictures.framed(image, whole, near)
     landmarks = pictures.landmark_picture(photo.photo, close, photo.targets, photo.landmarks)
     error = f"{photo.landmark_error:.2f} px, {photo.landmark_error / photo.eye_distance:.1%}"
+    alike = "" if photo.similarity is None else f"similarity {photo.similarity:.3f}"
     return [
         figure(image, photo.name, f"{width} x {height}"),
         figure(landmarks, joined(_mark(given=True), " given ", _mark(given=False), " fitted"), error),
         figure(pictures.wireframe_picture(photo.photo, near, sheet.parts, photo.screen), "fitted mesh"),
-        figure(pictures.render_picture(photo.render, photo.photo, near, on_photo=False), "render, same camera"),
+        figure(pictures.render_picture(photo.render, photo.photo, near, on_photo=False), "render, same camera", alike),
         figure(pictures.render_picture(photo.render, photo.photo, near, on_photo=True), "render on the photo"),
     ]
 
@@ -121,10 +127,24 @@ def _mark(*, given: bool) -> Markup:
     return tag("svg", *((casing, ring) if given else (dot,)), width=14, height=14, style="vertical-align:-2px")
 
 
-def _neutral(sheet: PhotoSheet, view: View) -> Markup:
+def _neutral(sheet: PhotoSheet) -> list[Markup]:
+    """The person in studio light, from three sides."""
     ground = (pictures.GROUND[0] / 255, pictures.GROUND[1] / 255, pictures.GROUND[2] / 255)
-    options = PictureOptions(size=SIZE, view=view, background=ground, samples=2)
-    return figure(picture(sheet.parts, sheet.neutral, options), "without expression")
+    options = [PictureOptions(size=SIZE, view=view, background=ground, samples=2) for view in SIDES]
+    images = face_pictures(sheet.parts, sheet.neutral, options)
+    return [figure(image, "without expression", str(view)) for view, image in zip(SIDES, images, strict=True)]
+
+
+def _unseen(sheet: PhotoSheet) -> Iterator[Markup]:
+    """Regions of which a part is in no photo: that part is what is likeliest given the rest."""
+    shares = {name: share for name, share in sheet.unseen.items() if share >= HIDDEN}
+    if not shares:
+        return
+    yield heading("In no photo", "share of the region, turned away, hidden by the face itself or cut off")
+    order = sorted(shares, key=lambda name: (-shares[name], name))
+    yield tag(
+        "section", table_of_bars([(name, [(bar((0.0, 1.0), 0.0, shares[name]), shares[name])]) for name in order])
+    )
 
 
 def _expressions(sheet: PhotoSheet) -> Iterator[Markup]:

@@ -107,14 +107,23 @@ def test_every_photo_is_shown(count: int) -> None:
         for number, color in enumerate(plain)
     ]
     drawn = images(sheet(*photos))
-    assert len(drawn) == 5 * count + (1 if count == 1 else 2)
+    assert len(drawn) == 5 * count + 3
     for color, picture in zip(plain, drawn[::5], strict=False):
         assert near(picture, color, 6)[120:520, 40:-40].mean() > 0.8
 
 
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (4000, 60), (48, 900), (4000, 3000)])
 def test_photos_of_any_shape(width: int, height: int) -> None:
-    assert len(images(sheet(one_photo(width, height)))) == 6
+    assert len(images(sheet(one_photo(width, height)))) == 8
+
+
+def test_likeness_and_what_no_photo_shows() -> None:
+    page = shown(replace(sheet(replace(one_photo(), similarity=0.8125)), unseen={"ears": 0.75, "nose": 0.01}))
+    assert "similarity 0.812" in page
+    assert page.index("In no photo") < page.index("<td>ears</td>")
+    assert "<td>nose</td>" not in page
+    assert "similarity" not in shown(sheet())
+    assert "In no photo" not in shown(sheet())
 
 
 def test_a_face_that_is_out_of_sight() -> None:

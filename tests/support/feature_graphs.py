@@ -101,6 +101,13 @@ def arcface_like(size: int = 16, **options: Any) -> Any:
     return net.model(size, ["embedding"], **options)
 
 
+def coarse_picture(size: int = 32) -> Any:
+    """The picture itself, in cells of four pixels, as an embedding: grey is nothing."""
+    net = Network()
+    net.add("Flatten", net.add("AveragePool", "image", kernel_shape=[4, 4], strides=[4, 4]), output="embedding")
+    return net.model(size, ["embedding"])
+
+
 def bisenet_like(size: int = 32, classes: int = 11, softmax: bool = True, **options: Any) -> Any:
     """A trunk, attention by global pooling, two upsamplings: features (b, 6, s/4, s/4), classes (b, c, s, s)."""
     net = Network()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from facepipe.learn.features.extractor import Extractor
     from facepipe.learn.photo.landmark_fit import State
     from facepipe.learn.photo.result import PhotoFit
+    from facepipe.pictures import PhotoSheet
     from facepipe.processors.photo_fit.fit_photo_action import FitPhoto
     from facepipe.processors.photo_fit.person_model import IdentityReport, PersonModel
     from facepipe.stage import Face
@@ -40,12 +42,20 @@ class PhotoInputs(NamedTuple):
     warnings: tuple[str, ...]
 
 
-class Fitted(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
     """A fit, for what is written of it."""
 
     parts: FaceParts  # of the face that was fitted
     fit: PhotoFit
     inputs: PhotoInputs
+
+    @cached_property
+    def sheet(self) -> PhotoSheet:
+        """What the report page shows of it."""
+        from facepipe.processors.photo_fit.report_folder import report_sheet
+
+        return report_sheet(self.parts, self.fit, self.inputs.photos)
 
 
 def read_inputs(action: FitPhoto) -> PhotoInputs:

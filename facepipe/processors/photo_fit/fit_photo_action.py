@@ -13,14 +13,16 @@ is over these, and what no photo shows stays what is likeliest. FACE's own slide
 most of the person, and its neutral what they leave. Other faces, and those with --start, are fitted by their sliders.
 
 Features that photo and render are compared by come from facepipe's own networks, trained on synthetic heads, or from
-models of yours: ONNX, or torch.export programs from people you trust.
+models of yours: ONNX, or torch.export programs from people you trust. With an --identity-model the report says how
+like each photo the render in its camera and light is to that network, where both show the face; --identity 0 keeps it
+out of the fit, as a judge.
 
 OUT is an override layer over FACE and needs that file; hand on what --flatten writes. It holds the slider values, which
 can be set further (`facepipe sliders`), the neutral, which its skeleton plays, and for each photo a camera and the pose
 with the photo's expression. --report makes a folder: report.html, report.json, and for each photo the render from its
 camera, the overlay of mesh and landmarks, and the landmarks as JSON for --landmarks, to be mended by hand. Exit code 1:
-done, but the landmarks are off by more than the threshold, the person is like hardly anyone, or the loss was not
-finite and the best until then is kept.
+done, but landmarks or similarity miss their threshold, the person is like hardly anyone, or the loss was not finite and
+the best until then is kept.
 
 The recipe stays on the result. --edit fits again from it with what the line changes: FACE alone is another face, PHOTO
 ... FACE also other photos. Without -o that is in place (with --force), and anything else authored in that file is lost.
@@ -108,6 +110,13 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         1e6,
         metavar="PERCENT",
     )
+    similarity_threshold: float | None = option(
+        None,
+        "similarity of each photo and the render of it to --identity-model (cosine), below which the exit code is 1",
+        -1.0,
+        1.0,
+        metavar="COSINE",
+    )
     landmark_weight: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
     report: Path | None = beside("folder to make: report, pictures, landmarks", "", "write_report", holds=_REPORT)
 
@@ -149,6 +158,8 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
             raise InputError("--landmarks", "given with --landmarker, expected only one of them")
         if self.start is not None and self.database is not None:
             raise InputError("--start", "given with --database, expected only one of them: it guesses FACE's sliders")
+        if self.similarity_threshold is not None and self.identity_model is None:
+            raise InputError("--similarity-threshold", "given without --identity-model, expected a network that judges")
         if len(self.landmarks) not in (0, count):
             expected = f"expected {count}: one for each photo, in their order"
             raise InputError("--landmarks", f"{len(self.landmarks)} given, {expected}")
@@ -158,8 +169,8 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
     def author(self, face: Face, job: Job) -> PhotoFitReport:
         from facepipe.processors.photo_fit.author import AuthorPhotoFit
         from facepipe.processors.photo_fit.fit_face import Fitted, fit_face, fit_person, read_inputs
+        from facepipe.processors.photo_fit.likeness import sliders_at_limit, unseen_regions, with_similarities
         from facepipe.processors.photo_fit.person_model import person_model
-        from facepipe.processors.photo_fit.report import implausible, off_landmarks
         from facepipe.stage import Face
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
@@ -170,16 +181,30 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         else:
             fit, identity = fit_person(self, model, face, inputs, job.watch)
             face = Face(face.stage, face.prim)  # with the person
-        report = replace(AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe), identity=identity)
-        missed = (*off_landmarks(report, self.landmark_threshold), *implausible(report))
-        warnings = (*inputs.warnings, *report.warnings, *missed)
-        fitted = Fitted(parts if model is None else face.parts(), fit, inputs)
-        return replace(report, warnings=warnings, fitted=fitted, seconds=time.perf_counter() - begin)
+        report = AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe)
+        fitted = Fitted(parts=parts if model is None else face.parts(), fit=fit, inputs=inputs)
+        report = replace(
+            report,
+            identity=identity,
+            unseen=unseen_regions(fitted),
+            at_limit=sliders_at_limit(parts.sliders, report),
+            fitted=fitted,
+        )
+        if self.identity_model is not None:
+            report = with_similarities(report, fitted, inputs.extractors["identity"])
+            report = replace(report, similarity_fitted=bool(self.identity and fit.steps))
+        warnings = (*inputs.warnings, *report.warnings, *self._misses(report))
+        return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
 
     def missed(self, report: PhotoFitReport) -> bool:
-        from facepipe.processors.photo_fit.report import implausible, off_landmarks
+        return report.missed or bool(self._misses(report))
 
-        return report.missed or bool(off_landmarks(report, self.landmark_threshold) or implausible(report))
+    def _misses(self, report: PhotoFitReport) -> list[str]:
+        """A line for each threshold that is missed."""
+        from facepipe.processors.photo_fit.report import implausible, off_landmarks, unlike
+
+        off = off_landmarks(report, self.landmark_threshold)
+        return [*off, *implausible(report), *unlike(report, self.similarity_threshold)]
 
     def write_report(self, face: Face, report: PhotoFitReport, path: Path) -> None:
         """The folder of the report."""

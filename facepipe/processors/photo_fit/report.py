@@ -23,6 +23,7 @@ ENDS = {
     "not-finite": "ended by a loss that was not finite",
 }
 _SHOWN = 5  # names of a list
+_HIDDEN = 0.5  # share of a region from which on it is named
 _OFF = 0.01  # of a slider's range, or a weight: what counts as set
 
 
@@ -33,10 +34,19 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str
     loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
     steps = f"{report.steps} steps in {report.seconds:.1f} s"
     head = f"{out}: {count} photo{'s' * (count != 1)}, {steps}, {ENDS[report.stopped]}{loss}"
-    rows: list[list[object]] = [["landmarks off by", "pixels", "of the outer eye corners' distance", "expression"]]
+    judged = any(photo.similarity is not None for photo in report.photos.values())
+    titles = [
+        "landmarks off by",
+        "pixels",
+        "of the outer eye corners' distance",
+        *["similarity"] * judged,
+        "expression",
+    ]
+    rows: list[list[object]] = [[*titles]]
     for name, photo in report.photos.items():
-        share = f"{percent(photo):.1f} %"
-        rows.append([name, f"{photo.landmark_error_px:.2f}", share, _largest(photo.expressions, {})])
+        alike = [] if not judged else ["none" if photo.similarity is None else f"{photo.similarity:.3f}"]
+        figures = (f"{photo.landmark_error_px:.2f}", f"{percent(photo):.1f} %", *alike)
+        rows.append([name, *figures, _largest(photo.expressions, {})])
     ranges = {slider.name: slider for slider in sliders}
     off = {name: value - ranges[name].default for name, value in report.sliders.items()}
     spans = {name: ranges[name].maximum - ranges[name].minimum for name in off}
@@ -48,9 +58,20 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str
             f"sliders leave {report.identity.beyond_sliders_mean_mm:.2f} mm of the person (mean), at most "
             f"{report.identity.beyond_sliders_max_mm:.2f} mm, which is in the neutral"
         )
+    if judged and report.similarity_fitted:
+        lines.append("the similarity is to a network that the fit was drawn to: --identity 0 keeps them apart")
+    if report.at_limit:
+        lines.append(f"sliders at a limit: {_some(report.at_limit)}")
+    hidden = [f"{name} {share:.0%}" for name, share in report.unseen.items() if share >= _HIDDEN]
+    if hidden:
+        lines.append(f"no photo shows: {', '.join(hidden)}")
     if report.beyond_limits:
-        lines.append(f"beyond bone limits: {', '.join(report.beyond_limits[:_SHOWN])}")
+        lines.append(f"beyond bone limits: {_some(report.beyond_limits)}")
     return "\n".join(lines)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
 
 
 def _largest(off: Mapping[str, float], spans: Mapping[str, float], values: Mapping[str, float] | None = None) -> str:
@@ -70,6 +91,7 @@ class PhotoReport:
     expressions: Mapping[str, float]  # shape -> weight, beside what sliders drive
     landmark_error_px: float  # mean distance of the face's landmarks from the photo's
     eye_distance_px: float  # between the outer corners of the eyes in the photo
+    similarity: float | None = None  # of photo and render to the identity network given: cosine, 1 for the same person
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +116,9 @@ class PhotoFitReport(Report):
     authored: tuple[str, ...] = ()
     seconds: float = 0.0
     identity: IdentityReport | None = None  # where the face has identity modes
+    similarity_fitted: bool = False  # the network of the similarities was a term of the fit too
+    unseen: Mapping[str, float] = field(default_factory=dict)  # region -> share of it that no photo shows
+    at_limit: tuple[str, ...] = ()  # sliders
     fitted: Fitted = not_in_json()  # of the report of an action
 
     @property
@@ -109,6 +134,18 @@ def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
         f"expected at most {threshold:g} %"
         for name, photo in report.photos.items()
         if percent(photo) > threshold
+    ]
+
+
+def unlike(report: PhotoFitReport, threshold: float | None) -> list[str]:
+    """A line for each photo that the fitted face is less like than a threshold."""
+    if threshold is None:
+        return []
+    found = {name: photo.similarity for name, photo in report.photos.items()}
+    return [
+        f"{name}: similarity of {'no number' if value is None else f'{value:.3f}'}, expected at least {threshold:g}"
+        for name, value in found.items()
+        if value is None or value < threshold
     ]
 
 

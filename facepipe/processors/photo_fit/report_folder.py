@@ -50,7 +50,7 @@ def report_sheet(parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo]) -> Ph
     rig, model = build(tinted), FaceModel(tinted)
     return PhotoSheet(
         parts=tinted,
-        neutral=_points(rig, tinted, fit),
+        neutral=fitted_points(rig, tinted, fit),
         photos=tuple(_photo(rig, tinted, fit, model, *one) for one in zip(photos, fit.views, strict=True)),
         sliders=fit.sliders,
         history=fit.history,
@@ -59,7 +59,7 @@ def report_sheet(parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo]) -> Ph
     )
 
 
-def _points(rig: Rig, parts: FaceParts, fit: PhotoFit, view: FittedView | None = None) -> FloatArray:
+def fitted_points(rig: Rig, parts: FaceParts, fit: PhotoFit, view: FittedView | None = None) -> FloatArray:
     """(n, 3) world points of the neutral, or of the person in a view."""
     coefficients, weights = slide(parts.sliders, rig.joints, fit.sliders)
     for name, weight in (view.expressions if view else {}).items():
@@ -72,7 +72,7 @@ def _photo(rig: Rig, parts: FaceParts, fit: PhotoFit, model: FaceModel, photo: P
     from facepipe.learn.photo.view_image import project, view_image
     from facepipe.pictures import SheetPhoto
 
-    points = _points(rig, parts, fit, view)
+    points = fitted_points(rig, parts, fit, view)
     height, width = photo.pixels.shape[:2]
     return SheetPhoto(
         name=photo.name,
@@ -105,7 +105,11 @@ def _product(color: tuple[float, float, float], tint: tuple[float, float, float]
 def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
     """Write report.html, report.json and, called as the poses of the photos, their renders, overlays and landmarks."""
     photos, names = fitted.inputs.photos, [one.animation for one in report.photos.values()]
-    sheet = report_sheet(fitted.parts, fitted.fit, photos)
+    alike = [photo.similarity for photo in report.photos.values()]
+    both = zip(fitted.sheet.photos, alike, strict=True)
+    sheet = replace(
+        fitted.sheet, photos=tuple(replace(photo, similarity=one) for photo, one in both), unseen=report.unseen
+    )
     for name, one, photo, marks in zip(names, sheet.photos, photos, fitted.inputs.landmarks, strict=True):
         save_png(render_image(one), folder / f"{name}.render.png")
         save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")

@@ -16,6 +16,7 @@ import photo_files
 import pytest
 from command_line import exit_code, failed
 from faces import with_meshes
+from feature_graphs import coarse_picture, save
 from onnx import TensorProto, helper
 from photographed_face import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
 from PIL import Image
@@ -209,6 +210,31 @@ def test_edit_fits_again_from_the_recipe(person: Path, capsys: pytest.CaptureFix
     assert (person / "person.usda").read_bytes() == (person / "anew.usda").read_bytes()
 
 
+def test_likeness_is_judged_by_a_network_of_the_caller(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save(coarse_picture(32), studio / "net.onnx")
+    words = (*ONE, *SOON, "--identity-model", "net.onnx", "--force")
+    found = fit_json(capsys, *words, "-o", "person.usda", "--report", "report")
+    alike = found["photos"]["front.png"]["similarity"]
+    assert 0.5 < alike < 0.99999
+    assert not found["similarity_fitted"], "the network was no term of the fit"
+    assert f"similarity {alike:.3f}" in Path("report/report.html").read_text(encoding="utf-8")
+    assert fit_photo(*words, "-o", "again.usda", "--similarity-threshold", str(alike - 1e-4)) == 0
+    assert fit_photo(*words, "-o", "again.usda", "--similarity-threshold", str(alike + 1e-4)) == 1
+    out, err = capsys.readouterr()
+    assert f"front.png: similarity of {alike:.3f}, expected at least" in err
+    assert f"  {alike:.3f}  " in out
+    drawn = fit_json(capsys, *words, "-o", "again.usda", "--identity", "0.1", "--iterations", "1")
+    assert drawn["similarity_fitted"]
+
+
+def test_what_no_photo_shows_is_reported(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the frontal photo the nose is seen, and a part of the ears is not; a photo from the side shows more."""
+    front, both = (fit_json(capsys, *words, "-o", "person.usda", "--force", *SOON)["unseen"] for words in (ONE, TWO))
+    assert front["nose"] < 0.2 < front["ears"]
+    assert both["ears"] < front["ears"]
+    assert all(both[name] <= share for name, share in front.items())
+
+
 def test_a_loss_that_is_not_finite_keeps_the_best(person: Path, capsys: pytest.CaptureFixture[str]) -> None:
     brightness_network(person / "bright.onnx")
     words = ("--identity-model", "bright.onnx", "--identity", "1", "--iterations", "3")
@@ -365,6 +391,9 @@ BAD_INPUTS: dict[str, tuple[Callable[[], Any] | None, tuple[str, ...], str]] = {
     "no model": (_save("bad.onnx", b"no model"), (*ONE, "--content-model", "bad.onnx"), "bad.onnx"),
     "iterations": (None, (*ONE, "--iterations", "-1"), "iterations: is -1, expected a number from 0"),
     "threshold": (None, (*ONE, "--landmark-threshold", "nan"), "landmark_threshold: is nan, expected a number"),
+    "no judge": (
+        None, (*ONE, "--similarity-threshold", "0.5"), "--similarity-threshold: given without --identity-model",
+    ),
     "suffix": (None, (*ONE, "-o", "out.obj"), "out.obj"),
     "input as output": (None, (*ONE, "-o", "head.usdc", "--force"), "head.usdc: is an input"),
     "report in use": (None, (*ONE, "--report", "."), "holds head.usdc, which is read or written too"),
