@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Literal
 
+from facepipe.core.errors import InputError
 from facepipe.declare import Ranged, option
 
 Optimiser = Literal["adam", "gradient-descent"]
@@ -49,6 +51,24 @@ class PhotoTermOptions(Ranged):
     focal_sigma: float = option(
         0.35, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LikenessOptions(Ranged):
+    """What a network that judges likeness is asked for."""
+
+    similarity_threshold: float | None = option(
+        None,
+        "similarity of each photo and the render of it to --identity-model (cosine), below which the exit code is 1",
+        -1.0,
+        1.0,
+        metavar="COSINE",
+    )
+
+    def check_judge(self, model: Path | None) -> None:
+        """:raises InputError: a threshold without a network"""
+        if self.similarity_threshold is not None and model is None:
+            raise InputError("--similarity-threshold", "given without --identity-model, expected a network that judges")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,15 +84,16 @@ def _count(number: int, what: str) -> str:
 
 def _pictures(sheet: PhotoSheet) -> Iterator[Markup]:
     """One photo: two rows of four with the neutral. Several: a row of five for each, and the neutral."""
-    neutral = _neutral(sheet)
+    neutral = three_sides(sheet.parts, sheet.neutral)
     if len(sheet.photos) == 1:
-        yield _grid([*_of_photo(sheet, sheet.photos[0]), *neutral], 4)
+        yield grid([*_of_photo(sheet, sheet.photos[0]), *neutral], 4)
         return
-    yield from (_grid(_of_photo(sheet, photo), 5) for photo in sheet.photos)
-    yield joined(heading("Without expression"), _grid(neutral, 5))
+    yield from (grid(_of_photo(sheet, photo), 5) for photo in sheet.photos)
+    yield joined(heading("Without expression"), grid(neutral, 5))
 
 
-def _grid(figures: Sequence[Markup], columns: int) -> Markup:
+def grid(figures: Sequence[Markup], columns: int) -> Markup:
+    """Figures in rows."""
     style = f"grid-template-columns:repeat({columns},minmax(0,1fr));margin-top:24px"
     return tag("div", *figures, class_="grid", style=style)
 
@@ -127,11 +128,11 @@ def _mark(*, given: bool) -> Markup:
     return tag("svg", *((casing, ring) if given else (dot,)), width=14, height=14, style="vertical-align:-2px")
 
 
-def _neutral(sheet: PhotoSheet) -> list[Markup]:
-    """The person in studio light, from three sides."""
+def three_sides(parts: FaceParts, neutral: FloatArray) -> list[Markup]:
+    """The person without expression in studio light."""
     ground = (pictures.GROUND[0] / 255, pictures.GROUND[1] / 255, pictures.GROUND[2] / 255)
     options = [PictureOptions(size=SIZE, view=view, background=ground, samples=2) for view in SIDES]
-    images = face_pictures(sheet.parts, sheet.neutral, options)
+    images = face_pictures(parts, neutral, options)
     return [figure(image, "without expression", str(view)) for view, image in zip(SIDES, images, strict=True)]
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
@@ -16,7 +17,18 @@ from facepipe.core import __version__, tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import did_you_mean, unknown
-from facepipe.parts import Animation, FaceParts, Landmarks, Material, Mesh, PhotoView, Skeleton, Slider, SliderNetwork
+from facepipe.parts import (
+    Animation,
+    FaceParts,
+    Landmarks,
+    Material,
+    Mesh,
+    PhotoView,
+    Skeleton,
+    Slider,
+    SliderNetwork,
+    Texture,
+)
 from facepipe.rig import (
     Person,
     Rig,
@@ -415,6 +427,19 @@ class Face:
         asset = self._new_textures.add(name, data)
         for material in materials:
             author_texture(self.stage.GetPrimAtPath(paths[material]), field, asset)
+            self._new_textures.shown[material, field] = Texture(name=name, data=data)
+
+    def parts_so_far(self) -> FaceParts:
+        """The parts with what is authored so far within `deriving`, new textures too."""
+        parts, shown = (
+            Face(self.stage, self.prim).parts(),
+            {} if self._new_textures is None else self._new_textures.shown,
+        )
+        changes: dict[str, dict[str, Any]] = {material.name: {} for material in parts.materials}
+        for (material, field), texture in shown.items():
+            source = next(getattr(one, field) for one in parts.materials if one.name == material)
+            changes[material][field] = replace(source, texture=texture)
+        return replace(parts, materials=tuple(replace(one, **changes[one.name]) for one in parts.materials))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""

@@ -15,6 +15,7 @@ from facepipe.core.atomic import collect, hidden_folder, replacing_folder, toget
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.trust import check_beside
+from facepipe.parts import Texture
 from facepipe.stage.assets import images_of, name_of
 from facepipe.stage.files import check_suffix, relative_path, save_layer
 from facepipe.stage.levels import flattened
@@ -75,6 +76,7 @@ class NewTextures:
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
         self.files: dict[str, bytes] = {}  # by the asset path
+        self.shown: dict[tuple[str, str], Texture] = {}  # by material and its field
 
     def __enter__(self) -> NewTextures:
         return self

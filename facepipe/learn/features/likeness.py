@@ -15,8 +15,8 @@ from facepipe.learn.features.extractor import Extractor
 _GREY = 0.5  # sRGB, off the render
 
 
-def similarity(network: Extractor, photo: FloatArray, render: FloatArray, landmarks: FloatArray) -> float:
-    """Cosine of the angle between the embeddings of a photo and a render, 1 for the same person; NaN where one is.
+def similarity(network: Extractor, photo: FloatArray, render: FloatArray, landmarks: FloatArray) -> float | None:
+    """Cosine of the angle between the embeddings of a photo and a render, 1 for the same person; None: they are NaN.
 
     Both are cut at the same place, and are the same grey where the render shows nothing, so that neither background
     nor clothes count.
@@ -35,7 +35,8 @@ def similarity(network: Extractor, photo: FloatArray, render: FloatArray, landma
         shown, share = (_cut(pixels, reduced, network.size) for pixels in (color * cover, cover))
         both = (shown, _cut(photo, matrix, network.size) * share)
         first, second = (network((each + _GREY * (1 - share)).clamp(0, 1)) for each in both)
-    return float(cosine_similarity(first.flatten(1), second.flatten(1))[0])
+    cosine = float(cosine_similarity(first.flatten(1), second.flatten(1))[0])
+    return cosine if np.isfinite(cosine) else None
 
 
 def _cut(pixels: FloatArray, matrix: FloatArray, size: int) -> Tensor:

@@ -44,7 +44,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe.core.errors import InputError
 from facepipe.declare import beside, option, source
 from facepipe.kinds import Job, StageAction, action
-from facepipe.photo_options import PhotoFitOptions, PhotoTermOptions
+from facepipe.photo_options import LikenessOptions, PhotoFitOptions, PhotoTermOptions
 
 if TYPE_CHECKING:
     from facepipe.processors.photo_fit.report import PhotoFitReport
@@ -62,7 +62,7 @@ def _indices(words: Sequence[str]) -> tuple[int, ...]:
 
 @action("fit-photo", "find a person's sliders in photos")
 @dataclass(frozen=True, kw_only=True)
-class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
+class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"]):
     """The action."""
 
     face: Path = source("face stage, after the photos")
@@ -110,13 +110,6 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         1e6,
         metavar="PERCENT",
     )
-    similarity_threshold: float | None = option(
-        None,
-        "similarity of each photo and the render of it to --identity-model (cosine), below which the exit code is 1",
-        -1.0,
-        1.0,
-        metavar="COSINE",
-    )
     landmark_weight: float = option(1.0, "weight of the landmarks", 0.0, 1e6)
     report: Path | None = beside("folder to make: report, pictures, landmarks", "", "write_report", holds=_REPORT)
 
@@ -158,8 +151,7 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
             raise InputError("--landmarks", "given with --landmarker, expected only one of them")
         if self.start is not None and self.database is not None:
             raise InputError("--start", "given with --database, expected only one of them: it guesses FACE's sliders")
-        if self.similarity_threshold is not None and self.identity_model is None:
-            raise InputError("--similarity-threshold", "given without --identity-model, expected a network that judges")
+        self.check_judge(self.identity_model)
         if len(self.landmarks) not in (0, count):
             expected = f"expected {count}: one for each photo, in their order"
             raise InputError("--landmarks", f"{len(self.landmarks)} given, {expected}")
@@ -204,7 +196,7 @@ class FitPhoto(PhotoTermOptions, StageAction["PhotoFitReport"]):
         from facepipe.processors.photo_fit.report import implausible, off_landmarks, unlike
 
         off = off_landmarks(report, self.landmark_threshold)
-        return [*off, *implausible(report), *unlike(report, self.similarity_threshold)]
+        return [*off, *implausible(report), *unlike(report.similarities, self.similarity_threshold)]
 
     def write_report(self, face: Face, report: PhotoFitReport, path: Path) -> None:
         """The folder of the report."""

@@ -30,12 +30,13 @@ _AT_LIMIT = 0.005  # of a slider's range
 
 
 def with_similarities(report: PhotoFitReport, fitted: Fitted, network: Extractor) -> PhotoFitReport:
-    """The report with how like each photo the render in its camera and light is; without a number where it is NaN."""
+    """The report with how like each photo the render in its camera and light is."""
     from facepipe.learn.features.likeness import similarity
 
-    found = [similarity(network, photo.photo, photo.render, photo.targets) for photo in fitted.sheet.photos]
-    pairs = zip(report.photos.items(), found, strict=True)
-    photos = {name: replace(photo, similarity=value if np.isfinite(value) else None) for (name, photo), value in pairs}
+    photos = {
+        name: replace(photo, similarity=similarity(network, shown.photo, shown.render, shown.targets))
+        for (name, photo), shown in zip(report.photos.items(), fitted.sheet.photos, strict=True)
+    }
     return replace(report, photos=photos)
 
 

@@ -34,7 +34,7 @@ def as_text(out: Path, report: PhotoFitReport, sliders: Sequence[Slider]) -> str
     loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
     steps = f"{report.steps} steps in {report.seconds:.1f} s"
     head = f"{out}: {count} photo{'s' * (count != 1)}, {steps}, {ENDS[report.stopped]}{loss}"
-    judged = any(photo.similarity is not None for photo in report.photos.values())
+    judged = any(value is not None for value in report.similarities.values())
     titles = [
         "landmarks off by",
         "pixels",
@@ -122,6 +122,11 @@ class PhotoFitReport(Report):
     fitted: Fitted = not_in_json()  # of the report of an action
 
     @property
+    def similarities(self) -> dict[str, float | None]:
+        """Of each photo."""
+        return {name: photo.similarity for name, photo in self.photos.items()}
+
+    @property
     def missed(self) -> bool:
         """Whether the fit ended before its time."""
         return self.stopped == "not-finite"
@@ -137,15 +142,12 @@ def off_landmarks(report: PhotoFitReport, threshold: float) -> list[str]:
     ]
 
 
-def unlike(report: PhotoFitReport, threshold: float | None) -> list[str]:
-    """A line for each photo that the fitted face is less like than a threshold."""
-    if threshold is None:
-        return []
-    found = {name: photo.similarity for name, photo in report.photos.items()}
+def unlike(similarities: Mapping[str, float | None], threshold: float | None) -> list[str]:
+    """A line for each photo that the face is less like than a threshold."""
     return [
         f"{name}: similarity of {'no number' if value is None else f'{value:.3f}'}, expected at least {threshold:g}"
-        for name, value in found.items()
-        if value is None or value < threshold
+        for name, value in similarities.items()
+        if threshold is not None and (value is None or value < threshold)
     ]
 
 

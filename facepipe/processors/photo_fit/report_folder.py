@@ -111,7 +111,7 @@ def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
         fitted.sheet, photos=tuple(replace(photo, similarity=one) for photo, one in both), unseen=report.unseen
     )
     for name, one, photo, marks in zip(names, sheet.photos, photos, fitted.inputs.landmarks, strict=True):
-        save_png(render_image(one), folder / f"{name}.render.png")
+        save_png(render_image(one.render), folder / f"{name}.render.png")
         save_png(overlay_image(one, sheet), folder / f"{name}.overlay.png")
         write_landmarks(folder / f"{name}.landmarks.json", marks, photo)
     write_bytes(folder / "report.html", photo_page(sheet))
@@ -120,10 +120,10 @@ def write_folder(folder: Path, fitted: Fitted, report: PhotoFitReport) -> None:
     write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
 
 
-def render_image(photo: SheetPhoto) -> Image.Image:
-    """The face as the camera of the photo sees it, sRGB, transparent around it."""
-    cover = np.clip(photo.render[..., 3:], 0, 1)
-    color = to_srgb(np.clip(photo.render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
+def render_image(render: FloatArray) -> Image.Image:
+    """An 8-bit picture, transparent around the face, of linear colour on black and coverage (h, w, 4)."""
+    cover = np.clip(render[..., 3:], 0, 1)
+    color = to_srgb(np.clip(render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
     return Image.fromarray((np.concatenate([color * (cover > 0), cover], axis=2) * 255 + 0.5).astype(np.uint8))
 
 

@@ -9,9 +9,14 @@ OUT is an override layer over STAGE, with PNGs beside it for the materials of th
 that which the colours were found with, as bright and as white as photos are exposed. Cards of brows are made
 transparent where the photos' brows are on the skin.
 
+--report makes a folder: report.html with each photo beside the textured face in its camera and light, the neutral in
+studio light from three sides and the textures; report.json; and these renders. With an --identity-model the report says
+how like its photo each render is to that network. Exit code 1: done, but that misses the threshold.
+
 examples:
   facepipe bake-photo person.usda portrait.jpg -o textured.usda
   facepipe bake-photo person.usda front.jpg left.jpg right.jpg -o textured.usda --size 1024
+  facepipe bake-photo person.usda portrait.jpg -o textured.usda --report textured --identity-model arcface.onnx
   facepipe export textured.usda -o person.glb
 """
 
@@ -23,26 +28,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
-from facepipe.declare import option, source
+from facepipe.declare import beside, option, source
 from facepipe.kinds import Job, StageAction, action
+from facepipe.photo_options import LikenessOptions
 
 if TYPE_CHECKING:
+    from facepipe.learn.features.extractor import Extractor
     from facepipe.parts import PhotoView
     from facepipe.processors.photo_texture.report import BakePhotoReport
     from facepipe.stage import Face
 
+_REPORT = r"report\.(html|json)|[^/]+\.render\.png"
+
 
 @action("bake-photo", "bake the colours of photos to a fitted face")
 @dataclass(frozen=True, kw_only=True)
-class BakePhoto(StageAction["BakePhotoReport"]):
+class BakePhoto(LikenessOptions, StageAction["BakePhotoReport"]):
     """The action."""
 
     stage: Path = source("face stage that was fitted to the photos")
     photos: tuple[Path, ...] = source("photos that it was fitted to, one or more")
     size: int | None = option(None, "size of the textures (default that of those they replace)", 64, 4096, "texels")
 
+    identity_model: Path | None = source(
+        "recognition network that judges how like the photos the result is, .onnx or .pt2",
+        default=None,
+        flag="--identity-model",
+        metavar="FILE",
+    )
+    report: Path | None = beside("folder to make: report and pictures", "", "write_report", holds=_REPORT)
+
     def check(self) -> None:
         super().check()
+        self.check_judge(self.identity_model)
         names = [photo.name for photo in self.photos]
         if not names:
             raise InputError("PHOTO", "none given, expected one or more")
@@ -54,9 +72,37 @@ class BakePhoto(StageAction["BakePhotoReport"]):
         from facepipe.processors.photo_texture.author import author_textures
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
+        network = self._judge()
         pairs = [(self._view(face, photo), photo) for photo in self.photos]
         report = author_textures(face, pairs, self.size, recipe, job.watch)
-        return replace(report, seconds=time.perf_counter() - begin)
+        if network is not None or self.report is not None:
+            from facepipe.processors.photo_texture.report_folder import bake_sheet, with_similarities
+
+            report = replace(report, sheet=bake_sheet(face, pairs))
+            report = report if network is None else with_similarities(report, network)
+        warnings = (*report.warnings, *self._unlike(report))
+        return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
+
+    def _judge(self) -> Extractor | None:
+        if self.identity_model is None:
+            return None
+        from facepipe.learn.features.extractor import load_extractor
+
+        return load_extractor(self.identity_model, "identity")
+
+    def missed(self, report: BakePhotoReport) -> bool:
+        return bool(self._unlike(report))
+
+    def _unlike(self, report: BakePhotoReport) -> list[str]:
+        from facepipe.processors.photo_fit.report import unlike
+
+        return unlike(report.similarities, self.similarity_threshold)
+
+    def write_report(self, face: Face, report: BakePhotoReport, path: Path) -> None:
+        """The folder of the report."""
+        from facepipe.processors.photo_texture.report_folder import write_folder
+
+        write_folder(path, report)
 
     def _view(self, face: Face, photo: Path) -> PhotoView:
         views = [view for view in face.photos if view.image == photo.name]

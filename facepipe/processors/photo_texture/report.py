@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from facepipe.core.reports import Report, table
+from facepipe.core.reports import Report, not_in_json, table
+
+if TYPE_CHECKING:
+    from facepipe.processors.photo_texture.report_folder import BakeSheet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,10 +21,14 @@ class BakePhotoReport(Report):
     photos: Mapping[str, float]  # file name -> share of the face that it shows
     seen: float  # share of the face that some photo shows
     hidden: tuple[str, ...] = ()  # materials of brow cards that are transparent now
+    similarities: Mapping[str, float | None] = field(default_factory=dict)  # file name -> of photo and render, cosine
     seconds: float = 0.0
+    sheet: BakeSheet = not_in_json()  # where a report or a similarity is asked for
 
 
 def as_text(out: Path, report: BakePhotoReport) -> str:
     """The textures, and what each photo gave."""
-    rows = [("photo", "face that it shows"), *((name, f"{share:.0%}") for name, share in report.photos.items())]
+    alike = {name: "none" if value is None else f"{value:.3f}" for name, value in report.similarities.items()}
+    rows = [("photo", "face that it shows", *(["similarity"] if alike else []))]
+    rows += [(name, f"{share:.0%}", *([alike[name]] if alike else [])) for name, share in report.photos.items()]
     return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from baked_face import SKIN, person, put_fitted, wearing, with_cards
-from command_line import Capsys, content, done, failed
+from command_line import Capsys, content, done, exit_code, failed
+from feature_graphs import coarse_picture, save
 from PIL import Image
 
 import facepipe
@@ -123,6 +125,26 @@ def test_the_command_writes_the_same_again_and_exports_it(fitted: Path, capsys: 
             done(capsys, *words, "-o", fitted / name)
         for found, expected in zip(skin(facepipe.read(fitted / name).parts()), made, strict=True):
             np.testing.assert_array_equal(found, expected)
+
+
+def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted: Path, capsys: Capsys) -> None:
+    """The render of the report has the photo's colours where the face is."""
+    pytest.importorskip("torch")
+    save(coarse_picture(), fitted / "net.onnx")
+    folder = fitted / "report"
+    words = ("bake-photo", fitted / "fitted.usda", fitted / "front.png", "--identity-model", fitted / "net.onnx")
+    words = (*words, "--report", folder, "--force", "-o", fitted / "judged.usda", "--similarity-threshold")
+    assert "similarity" in done(capsys, *words, 0.95)
+    assert exit_code(*words, 0.9999999) == 1
+    assert "front.png: similarity of 0.9" in capsys.readouterr().err
+    assert {path.name for path in folder.iterdir()} == {"front.render.png", "report.html", "report.json"}
+    assert (folder / "report.html").read_text(encoding="utf-8").count("<figure>") == 3 + 3 + 2
+    assert json.loads((folder / "report.json").read_text())["similarities"]["front.png"] > 0.95
+    photo = np.asarray(Image.open(fitted / "front.png").convert("RGB"), np.float64)
+    render = np.asarray(Image.open(folder / "front.render.png"), np.float64)
+    shown = render[..., 3] == 255
+    assert shown.mean() > 0.1
+    assert np.median(np.abs(render[..., :3] - photo)[shown]) < 10
 
 
 def test_cards_of_brows_go_where_the_photo_has_brows(tmp_path: Path) -> None:
