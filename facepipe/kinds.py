@@ -28,7 +28,7 @@ from facepipe.declare import check_ranges, fields_of
 
 if TYPE_CHECKING:
     from facepipe.core.reports import Report
-    from facepipe.parts import Recipe
+    from facepipe.parts import FaceParts, Recipe
     from facepipe.stage import Face
 
 FOUND = "found"  # key of a recipe's options for what the action found
@@ -145,6 +145,10 @@ class StageAction(Action[R]):
         :param arguments: what was parsed
         """
         return ()
+
+    def start(self) -> FaceParts | None:
+        """The face to put the layer over where that is no file's; None: it is that of `base`."""
+        return None
 
     @abstractmethod
     def author(self, face: Face, job: Job) -> R:

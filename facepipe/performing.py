@@ -73,7 +73,7 @@ def _staged(
     action: StageAction[Any], out: Path, files: ExitStack, temporary: Temporary, *, flatten: bool, watch: Watch
 ) -> Performed:
     job = job_of(action, out, watch)
-    base, standalone = files.enter_context(_opened(action.base))
+    base, standalone = files.enter_context(_opened(action))
     stage, exported = files.enter_context(_stage_of(out))
     if exported:
         files.enter_context(apart())  # the stage is exported before the rest takes its place
@@ -148,17 +148,20 @@ def _stage_of(out: Path) -> Iterator[tuple[Path, bool]]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[tuple[Face, bool]]:
-    """The face to put a layer over, and whether its file can't be that layer's: it is imported."""
-    if path.suffix.lower() in SUFFIXES:
-        yield open_face(path), False
-        return
-    face = read_face(path)
+def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
+    """The face to put a layer over, and whether its file can't be that layer's: it is imported, or made."""
+    path, parts, warnings = action.base, action.start(), tuple[str, ...]()
+    if parts is None:
+        if path.suffix.lower() in SUFFIXES:
+            yield open_face(path), False
+            return
+        face = read_face(path)
+        parts, warnings = face.parts(), face.warnings
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         with apart():
-            save_parts(face.parts(), Path(folder) / f"{path.stem}.usdc")
+            save_parts(parts, Path(folder) / f"{path.stem}.usdc")
         opened = open_face(Path(folder) / f"{path.stem}.usdc")
-        opened.warnings = face.warnings
+        opened.warnings = warnings
         yield opened, True
 
 

@@ -37,6 +37,15 @@ class IdentityModel:
         mean = rows.mean(axis=0)
         return _from_spread(mean, rows - mean, len(faces))
 
+    @classmethod
+    def from_modes(cls, mean: FloatArray, modes: FloatArray) -> IdentityModel:
+        """The model of faces `mean` (n, 3) plus modes (k, n, 3) by independent standard normal weights.
+
+        :raises InputError: modes that are all zero
+        """
+        rows = np.asarray(modes, dtype=np.float64).reshape(len(modes), -1)
+        return _from_spread(np.asarray(mean, np.float64).ravel(), np.sqrt(len(rows)) * rows, len(rows) + 1)
+
     def with_faces(self, faces: FloatArray) -> IdentityModel:
         """The model of its own faces and of more (m, n, 3): that of all of them together, where no component was cut.
 

@@ -15,7 +15,7 @@ from facepipe.heads.controls import bone_sliders, identity_shapes, identity_slid
 from facepipe.heads.expressions import TALK, animations, sliders
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
 from facepipe.heads.people import draw
-from facepipe.heads.surfaces import dressed
+from facepipe.heads.surfaces import dressed, laid_again
 from facepipe.parts import (
     Blendshape,
     BoneLimits,
@@ -180,4 +180,20 @@ def with_own_blinks(parts: FaceParts, points: FloatArray) -> FaceParts:
         part = asset().parts.get(mesh.name)
         blinks = {} if part is None else {shape.name: shape for shape in blendshapes_of(part, own)}
         meshes.append(replace(mesh, blendshapes=tuple(blinks.get(shape.name, shape) for shape in mesh.blendshapes)))
+    return replace(parts, meshes=tuple(meshes))
+
+
+@one_thread()
+def with_own_cards(parts: FaceParts, before: FaceParts) -> FaceParts:
+    """A face of the built-in head's topology, whose hair, brows and lashes lie on its skin as they did `before`.
+
+    Cards that somebody has changed stay as they are.
+    """
+    old, new = (next(mesh for mesh in face.meshes if mesh.name == "Head") for face in (before, parts))
+    cards = {mesh.name: laid_again(mesh, old, new) for mesh in before.meshes}
+    meshes = []
+    for mesh in parts.meshes:
+        laid = cards.get(mesh.name)
+        own = {} if laid is None else {"points": laid.points, "normals": laid.normals, "blendshapes": laid.blendshapes}
+        meshes.append(replace(mesh, **own))
     return replace(parts, meshes=tuple(meshes))

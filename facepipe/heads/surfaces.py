@@ -32,6 +32,7 @@ _LASHES = np.array([0.012, 0.009, 0.008])
 _STILL = 2e-3  # cm: smaller moves are none
 _FAR = 0.3  # cm: cards that turn further beside what holds them may dip into other skin
 _HANGING = 4.0  # cm off what holds it, where hair hangs
+_AS_LAID = 1e-3  # cm: cards that lie farther off were moved
 _CLEAR = 0.04  # cm that each row of a card stays farther off the skin than the one before
 
 
@@ -176,6 +177,18 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         material=name,
         double_sided=True,
     )
+
+
+def laid_again(mesh: Mesh, before: Mesh, head: Mesh) -> Mesh | None:
+    """A mesh of cards on another head; None where it is none, or does not lie on the head as it was `before`."""
+    for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
+        held = cards(kind)
+        if len(mesh.points) == len(held.uv):
+            off = np.abs(held.carry(before.points) + held.offsets - mesh.points)
+            if off.max() < _AS_LAID:
+                region = next(name for name, mask in mesh.regions.items() if np.any(mask))
+                return card_mesh(mesh.name, held, head, region)
+    return None
 
 
 def _normals(held: Cards, skin: FloatArray, triangles: IntArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,10 +44,12 @@ class AuthorNeutral:
     :param shapes: blendshapes by name, (n, 3) whole deltas in millimetres, in place of those of the same name or
         beside them; the others keep their offsets
     :param primvars: (n,) values of whole points to author beside it all, by primvar name
+    :param settled: the changed face with what else follows from its points
     """
 
     shapes: Mapping[str, FloatArray] = field(default_factory=dict)
     primvars: Mapping[str, FloatArray] = field(default_factory=dict)
+    settled: Callable[[FaceParts], FaceParts] = lambda changed: changed
 
     def __call__(self, face: Face, points: FloatArray, *, recipe: Recipe | None = None) -> AuthorNeutralReport:
         """Author whole `points` (n, 3), millimetres and Y up, on `face`, which stands over the template.
@@ -57,7 +59,8 @@ class AuthorNeutral:
         """
         parts = face.parts()
         self._check(face, parts, points)
-        authored = author_changes(face, replace(self.changed(parts, points), recipe=recipe), self.primvars)
+        changed = self.settled(self.changed(parts, points))
+        authored = author_changes(face, replace(changed, recipe=recipe), self.primvars)
         return AuthorNeutralReport(authored=authored, warnings=tuple(self._warnings(parts)))
 
     def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:

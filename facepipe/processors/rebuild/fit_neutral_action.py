@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from facepipe.core.errors import InputError
 from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
@@ -33,10 +34,14 @@ from facepipe.processors.rebuild.options import BakeScanOptions, FitNeutralOptio
 from facepipe.processors.rebuild.scan_input import ScanAction, landmark_file
 
 if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
+    from facepipe.processors.database import FaceDatabase
     from facepipe.processors.rebuild.action_reports import FitNeutralReport
+    from facepipe.processors.rebuild.built_in_head import BuiltInHead
     from facepipe.stage import Face
 
 _STEPS = 18  # of a fit, at most
+_TEXTURES = 2048  # texels a side of the built-in head's
 
 
 @action("fit-neutral", "fit a face to the scan of a person")
@@ -44,9 +49,19 @@ _STEPS = 18  # of a fit, at most
 class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
     """The action."""
 
-    template: Path = source("face stage with multipie68 landmarks", flag="--template", metavar="FACE")
+    template: Path | None = source(
+        "face stage with multipie68 landmarks (default the built-in head)",
+        default=None,
+        flag="--template",
+        metavar="FACE",
+    )
     scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD")
-    database: Path = source("faces of the template's topology: .fpdb", flag="--database", metavar="FPDB")
+    database: Path | None = source(
+        "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
+        default=None,
+        flag="--database",
+        metavar="FPDB",
+    )
     landmarks: Path | None = source(
         "landmarks of the scan (default SCAN's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
     )
@@ -57,33 +72,47 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         metavar="SHAPE=WEIGHT",
         words=True,
     )
+    open_eyes: bool = option(True, "open eyes whose lids the landmarks show shut, where no --weights are given")
     picture: Path | None = beside("draw scan, face and their distance", ".png", "draw")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "landmarks", landmark_file(self.scan, self.landmarks))
 
+    @property
+    def base(self) -> Path:
+        return Path(self.scan if self.template is None else self.template)
+
+    def start(self) -> FaceParts | None:
+        from facepipe.heads import make
+
+        return make(textures=_TEXTURES) if self.template is None else None
+
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.importers.scan_file import read_scan
-        from facepipe.processors.database import QualityLimits, load_database, misses
+        from facepipe.processors.database import QualityLimits, misses
         from facepipe.processors.rebuild.action_reports import FitNeutralReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+        from facepipe.processors.rebuild.built_in_head import BuiltInHead
         from facepipe.processors.rebuild.fit_neutral import FitNeutral
         from facepipe.processors.rebuild.scan_fit import FaceOnScan
-        from facepipe.processors.rebuild.scan_input import landmarks_of, named
+        from facepipe.processors.rebuild.scan_input import landmarks_of, named, shut_eyes
         from facepipe.processors.rebuild.template import Template
         from facepipe.processors.scan_texture import author_scan_textures
 
-        parts, database, scan = face.parts(), load_database(self.database), read_scan(self.scan)
-        template = Template.of(parts, str(self.template))
+        parts, scan = face.parts(), read_scan(self.scan)
+        template, own = Template.of(parts, str(self.template or face.where)), BuiltInHead.of(parts)
+        database = self._people(own)
         body = template.body(database.topology)
         landmarks, notes = landmarks_of(self.landmarks, scan)
+        weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
-            fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), self.weights)
-        report, points = fit.report, template.dressed(body, fit.points)
+            fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
+        report, points = fit.report, template.dressed(body, fit.points if own is None else own.fitted(fit.points))
         shown = template.dressed(body, fit.points + fit.expression)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
-        authored = AuthorNeutral()(face, points, recipe=recipe)
+        settled = {} if own is None else {"settled": own.settled}
+        authored = AuthorNeutral(**settled)(face, points, recipe=recipe)
         with named(self.scan):
             baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
         neutral = points if report.weights else None
@@ -92,6 +121,16 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         warnings = (*notes, *report.warnings, *authored.warnings, *baked.warnings)
         made = {"textures": baked.textures, "colored": baked.colored}
         return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
+
+    def _people(self, own: BuiltInHead | None) -> FaceDatabase:
+        from facepipe.processors.database import load_database
+
+        if self.database is not None:
+            return load_database(self.database)
+        if own is None:
+            what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
+            raise InputError("--database", what)
+        return own.people()
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
         fit, quality = report.fit, report.quality

@@ -1,0 +1,119 @@
+"""`facepipe fit-neutral` without a template: the built-in head on a scan, ready for use."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
+import numpy as np
+import pytest
+from command_line import Capsys, done, failed, run
+from contacts import Subject
+from head_contacts import BLINKS, blink, eye_sheets, person
+from import_data import shared
+from node import validate
+
+import facepipe
+from facepipe.heads import make
+from facepipe.heads.asset import asset
+from facepipe.importers.scan_ply import write_ply
+from facepipe.performing import read_kept
+from facepipe.processors.database import Topology, whole_points
+from facepipe.processors.rebuild import AuthorNeutral
+from facepipe.processors.rebuild.built_in_head import BuiltInHead
+from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
+from facepipe.processors.rebuild.scan_input import shut_eyes
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import save_parts
+
+SIZE = 64  # texels
+CARDS = {"Brows", "Lashes", "Hair"}
+
+
+@cache
+def built_in() -> BuiltInHead:
+    head = BuiltInHead.of(make(0, textures=SIZE))
+    assert head is not None
+    return head
+
+
+def test_other_faces_are_no_built_in_heads() -> None:
+    parts = built_in().parts
+    assert BuiltInHead.of(replace(parts, meshes=parts.meshes[1:])) is None
+    assert BuiltInHead.of(replace(parts, meters_per_unit=0.001)) is None
+    bare = BuiltInHead.of(make(5))
+    assert bare is not None
+    assert Topology.of(bare.body).digest == Topology.of(built_in().body).digest
+
+
+def test_people_are_those_of_the_modes() -> None:
+    identity = built_in().people().identity
+    assert len(identity.deviations) == len(asset().modes)
+    spread = np.einsum("knc,k->nc", identity.components**2, identity.deviations**2)  # variance of each coordinate
+    np.testing.assert_allclose(spread, ((10 * asset().modes.astype(np.float64)) ** 2).sum(axis=0), rtol=1e-6, atol=1e-6)
+
+
+def test_eyes_blinks_and_cards_are_those_of_the_person() -> None:
+    """Given a drawn person's skin, all that goes with it comes out as that person has it."""
+    truth, head = make(21, textures=SIZE), built_in()
+    count = Topology.of(head.body).point_count
+    points = np.concatenate([whole_points(truth)[:count], whole_points(head.parts)[count:]])
+    settled = head.settled(AuthorNeutral().changed(head.parts, points))
+    for mesh, own in zip(settled.meshes, truth.meshes, strict=True):
+        if len(mesh.points) != len(own.points):
+            continue  # hair of another style
+        np.testing.assert_allclose(mesh.points, own.points, atol=1e-6)
+        offsets = {shape.name: shape.offsets for shape in own.blendshapes}
+        for shape in mesh.blendshapes:
+            if mesh.name in CARDS or shape.name in BLINKS:
+                assert np.abs(shape.offsets - offsets[shape.name]).mean() < 3e-3, shape.name  # cm
+
+
+def test_shut_eyes_are_seen_by_their_landmarks() -> None:
+    shapes, blinks = asset().shapes, ("eyeBlink_L", "eyeBlink_R")
+    rest = asset().points
+    left = rest + shapes["eyeBlinkLeft"][1.0]
+    both = left + shapes["eyeBlinkRight"][1.0]
+    marks = [ScanLandmarks(points=points[asset().landmarks]) for points in (rest, left, both)]
+    assert [shut_eyes(one, BLINKS) for one in marks] == [{}, {BLINKS[0]: 1.0}, dict.fromkeys(BLINKS, 1.0)]
+    assert shut_eyes(marks[2], blinks) == dict.fromkeys(blinks, 1.0)
+    assert shut_eyes(marks[2], ("jawOpen",)) == {}
+    assert shut_eyes(ScanLandmarks(), BLINKS) == {}  # none is known
+
+
+def test_other_templates_need_a_database(tmp_path: Path, capsys: Capsys) -> None:
+    parts = make(0)
+    save_parts(replace(parts, meshes=parts.meshes[:1], animations=(), played=None, sliders=()), tmp_path / "head.usda")
+    mesh = parts.meshes[0]
+    write_ply(Scan(name="scan", points=np.asarray(mesh.points, np.float64)), tmp_path / "scan.ply")
+    words = ("fit-neutral", tmp_path / "scan.ply", "--template", tmp_path / "head.usda", "-o", tmp_path / "out.usda")
+    assert "--database: none given, expected faces of the template's topology" in failed(
+        capsys, *words, folder=tmp_path
+    )
+
+
+@pytest.mark.slow
+def test_a_real_scan_becomes_a_ready_face_by_one_command(tmp_path: Path, capsys: Capsys) -> None:
+    """Its eyes are shut, it has no unit, and nothing but the scan is given."""
+    pytest.importorskip("torch")
+    scan = shared("scans/LeePerrySmith.glb")
+    out, glb = tmp_path / "face.usda", tmp_path / "face.glb"
+    code, printed, err = run(capsys, "fit-neutral", scan, "-o", out, "--json")
+    assert code == 0, err
+    report = json.loads(printed)
+    assert report["quality"]["surface_mean_mm"] < 0.2
+    assert set(report["weights"]) == set(BLINKS)
+    kept = read_kept(out, FitNeutralAction)
+    assert (kept.values["template"], kept.values["database"], kept.standalone) == (None, None, True)
+    face = facepipe.open(out).parts()
+    assert {mesh.name for mesh in face.meshes} >= {"Teeth", *CARDS}
+    assert len(face.skeleton.joints) == 44
+    found = blink(Subject(face), eye_sheets(person(0)))
+    assert found.shown <= 0.01
+    assert found.through.cells == 0
+    done(capsys, "export", out, "-o", glb, quiet=False)
+    (checked,) = validate([glb]).values()  # the Khronos validator's
+    assert checked["issues"]["numErrors"] == checked["issues"]["numWarnings"] == 0
