@@ -25,6 +25,7 @@ from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 
 _FEWEST_LANDMARKS = 6
+_ODD_SIZE = 0.1  # logarithm: a scan that has grown or shrunk by more is held at the size that its landmarks have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +89,11 @@ class FitNeutral:
         surface = identity_surface(template, database.identity, self.options)
         anchors = landmark_anchors(template, landmarks)
         shown = shapes.prior(template, self.options.weight_sigma)
+        options = self.options.registration
         try:
-            registered = register(surface, target, anchors, start, self.options.registration, progress, shown)
+            registered = register(surface, target, anchors, start, options, progress, shown)
+            if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
+                registered = register(surface, target, anchors, start, replace(options, scale=False), progress, shown)
         except FitError as error:
             raise error.under(scan.name) from None
         lines = (*scan.warnings, *mended, *warnings)

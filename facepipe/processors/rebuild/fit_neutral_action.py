@@ -1,22 +1,22 @@
 """Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
 
 SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of any pose and unit, whole or in part.
+Without --template it becomes the built-in head, textured and ready for use: with -o person.glb for the engine at once.
 Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
 scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
 which needs `pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
 
-The neutral has open eyes and a mouth at rest. Where SCAN shows something else, such as closed eyes, --weights says so
-with the template's shapes; the neutral is without them, the picture with them.
+The neutral has open eyes and a mouth at rest. Shut eyes are seen by their landmarks and opened. Where SCAN shows
+something else, --weights says so with the template's shapes; the neutral is without them, the picture with them.
 
 OUT is an override layer over the template, whose blendshapes, rig, regions, materials and sliders it keeps; joints
-move with the skin. --flatten writes a standalone file. --picture shows scan, face and their distance. Exit code 1:
-done, but a limit of the quality gate of `facepipe database add` is missed.
+move with the skin. --flatten writes a standalone file, as one on the built-in head is. --picture shows scan, face and
+their distance. Exit code 1: done, but a limit of the quality gate of `facepipe database add` is missed.
 
 examples:
+  facepipe fit-neutral anna.glb -o anna_face.glb
   facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
-  facepipe fit-neutral anna.glb --template head.usda --database faces.fpdb --landmarks marks.json --unit cm -o a.usda
-  facepipe fit-neutral ben.ply --template head.usda --database faces.fpdb -o ben.usda \\
-      --weights eyeBlinkLeft=1 eyeBlinkRight=1
+  facepipe fit-neutral ben.ply -o ben.usda --unit cm --weights mouthSmileLeft=0.5 mouthSmileRight=0.5
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         words=True,
     )
     open_eyes: bool = option(True, "open eyes whose lids the landmarks show shut, where no --weights are given")
+    close_lips: bool = option(True, "close lips whose landmarks meet: of their rims, scans show nothing")
     picture: Path | None = beside("draw scan, face and their distance", ".png", "draw")
 
     def __post_init__(self) -> None:
@@ -96,7 +97,8 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         from facepipe.processors.rebuild.built_in_head import BuiltInHead
         from facepipe.processors.rebuild.fit_neutral import FitNeutral
         from facepipe.processors.rebuild.scan_fit import FaceOnScan
-        from facepipe.processors.rebuild.scan_input import landmarks_of, named, shut_eyes
+        from facepipe.processors.rebuild.scan_input import landmarks_of, named
+        from facepipe.processors.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
         from facepipe.processors.rebuild.template import Template
         from facepipe.processors.scan_texture import author_scan_textures
 
@@ -108,7 +110,10 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
             fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
-        report, points = fit.report, template.dressed(body, fit.points if own is None else own.fitted(fit.points))
+        report, points = fit.report, fit.points
+        if self.close_lips and are_sealed(landmarks):
+            points = with_sealed_lips(body, points)
+        points = template.dressed(body, points if own is None else own.fitted(points))
         shown = template.dressed(body, fit.points + fit.expression)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
         settled = {} if own is None else {"settled": own.settled}

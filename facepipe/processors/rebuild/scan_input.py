@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-
 from facepipe.core.errors import FacepipeError
 from facepipe.kinds import StageAction
 
@@ -18,7 +16,6 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
 
 J = TypeVar("J", bound="Judged")
-_SHUT = 0.17  # of an eye's width, that lids' landmarks are apart; on shut eyes those found are 0.13, on open ones 0.3
 
 
 class ScanAction(StageAction[J]):
@@ -58,18 +55,6 @@ def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[st
 
     found = FindScanLandmarks(draw=draw_surface)(scan)
     return found.landmarks, found.report.warnings
-
-
-def shut_eyes(landmarks: ScanLandmarks, shapes: Collection[str]) -> dict[str, float]:
-    """The blinks among a face's shapes of the eyes whose lids' landmarks meet, with weight 1."""
-    shut = {}
-    for side, first in (("Left", 42), ("Right", 36)):
-        outer, *upper, inner, low_inner, low_outer = landmarks.points[first : first + 6]
-        open_mm = sum(np.linalg.norm(one - low) for one, low in zip(upper, (low_outer, low_inner), strict=True))
-        name = next((name for name in (f"eyeBlink{side}", f"eyeBlink_{side[0]}") if name in shapes), None)
-        if name is not None and open_mm < 2 * _SHUT * np.linalg.norm(inner - outer):  # not where one is unknown
-            shut[name] = 1.0
-    return shut
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def slits_of(surface: Surface) -> tuple[Slit, ...]:
 
 def _slit(surface: Surface, landmarks: IntArray, name: str) -> Slit:
     upper, lower, corners = _RIMS[name]
-    rows = [_row(surface, landmarks[list(rim)]) for rim in (upper, lower)]
+    rows = [points_between(surface, landmarks[list(rim)]) for rim in (upper, lower)]
     above, below = graph_distances(surface.graph, rows)
     width = float(np.linalg.norm(np.subtract(*surface.points[landmarks[list(corners)]])))
     reached = np.isfinite(above) & np.isfinite(below)
@@ -71,7 +71,7 @@ def _slit(surface: Surface, landmarks: IntArray, name: str) -> Slit:
     return Slit(name=name, width=width, side=side, distance=np.minimum(above, below))
 
 
-def _row(surface: Surface, stations: IntArray) -> IntArray:
+def points_between(surface: Surface, stations: IntArray) -> IntArray:
     """Points on the shortest paths from station to station."""
     away = graph_distances(surface.graph, [stations[[i]] for i in range(len(stations))])
     pieces = [stations]

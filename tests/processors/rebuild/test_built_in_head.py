@@ -25,7 +25,8 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.rebuild import AuthorNeutral
 from facepipe.processors.rebuild.built_in_head import BuiltInHead
 from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.processors.rebuild.scan_input import shut_eyes
+from facepipe.processors.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
+from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 
@@ -82,6 +83,25 @@ def test_shut_eyes_are_seen_by_their_landmarks() -> None:
     assert shut_eyes(marks[2], blinks) == dict.fromkeys(blinks, 1.0)
     assert shut_eyes(marks[2], ("jawOpen",)) == {}
     assert shut_eyes(ScanLandmarks(), BLINKS) == {}  # none is known
+
+
+def test_lips_that_the_landmarks_show_shut_meet() -> None:
+    template = Template.of(built_in().body, "head")
+    points, marks = template.points, template.rows[template.landmarks]
+    parted, met = np.array(points[marks]), np.array(points[marks])
+    met[[61, 62, 63]] = met[[67, 66, 65]]
+    parted[[61, 62, 63], 1] += 2.0  # mm
+    assert not are_sealed(ScanLandmarks(points=parted))
+    assert are_sealed(ScanLandmarks(points=met))
+    assert not are_sealed(ScanLandmarks())
+    moved = points + 2.0 * (points[:, [1]] > points[marks[62], 1] - 0.01) * [0.0, 1.0, 0.0]  # lips 2 mm farther apart
+    sealed = with_sealed_lips(template, moved)
+    before, after = ((one[marks[62]] - one[marks[66]])[1] for one in (moved, sealed))
+    assert before > 2.0
+    assert abs(after) < 0.3
+    width = np.linalg.norm(points[marks[64]] - points[marks[60]])
+    far = np.linalg.norm(points - points[marks[60:68]].mean(axis=0), axis=1) > width
+    np.testing.assert_array_equal(sealed[far], moved[far])
 
 
 def test_other_templates_need_a_database(tmp_path: Path, capsys: Capsys) -> None:
