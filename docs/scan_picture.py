@@ -14,19 +14,19 @@ from PIL import Image
 
 import facepipe
 from facepipe.cli import main
-from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import robust_similarity
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
-from facepipe.pictures.camera import View
+from facepipe.pictures.camera import View, portrait
 from facepipe.stage import Face
 
 HERE = Path(__file__).resolve().parent
 SCAN = HERE.parent.parent / "shared" / "data" / "scans" / "LeePerrySmith.glb"
 SIZE = 300  # pixels a side of each picture
-VIEWS: tuple[View, ...] = ("front", "three-quarter")
+NECK = 3.0  # cm below the chin that pictures show
+VIEWS: tuple[View, ...] = ("front", "three-quarter", "side")
 POSES = {
     "jawOpen": {"jawOpen": 0.7},
     "smile": {f"{name}{side}": 0.8 for name in ("mouthSmile", "cheekSquint") for side in ("Left", "Right")},
@@ -55,16 +55,18 @@ def made(folder: Path) -> tuple[FaceParts, Face]:
 
 def draw(scan: FaceParts, face: Face) -> Image.Image:
     """The sheet."""
-    framing: FloatArray = face.evaluate()
+    rest, parts = face.evaluate(), face.parts()
+    chin = face.meshes[0].points[face.meshes[0].landmarks["multipie68"].indices[8], 1]
+    framed = rest[rest[:, 1] > chin - NECK]
+    cameras = {view: PictureOptions(size=SIZE, camera=portrait(framed, view, SIZE, SIZE)) for view in VIEWS}
     pictures = []
-    for view in VIEWS:
-        options = PictureOptions(size=SIZE, view=view, framing=framing)
-        pictures.append(("the scan", picture(scan, None, options)))
-        pictures.append(("the face", picture(face.parts(), framing, options)))
-    pictures.append(("from the side", picture(face.parts(), framing, PictureOptions(size=SIZE, view="side"))))
+    for view in ("front", "three-quarter"):
+        pictures.append(("the scan", picture(scan, None, cameras[view])))
+        pictures.append(("the face", picture(parts, rest, cameras[view])))
+    pictures.append(("from the side", picture(parts, rest, cameras["side"])))
     for name, weights in POSES.items():
-        options = PictureOptions(size=SIZE, view="three-quarter" if name == "smile" else "front", framing=framing)
-        pictures.append((name, picture(face.parts(), face.evaluate(weights), options)))
+        view = "three-quarter" if name == "smile" else "front"
+        pictures.append((name, picture(parts, face.evaluate(weights), cameras[view])))
     return contact_sheet(pictures, columns=4)
 
 

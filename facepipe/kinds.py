@@ -146,7 +146,7 @@ class StageAction(Action[R]):
         """
         return ()
 
-    def start(self) -> FaceParts | None:
+    def made_base(self) -> FaceParts | None:
         """The face to put the layer over where that is no file's; None: it is that of `base`."""
         return None
 

@@ -150,7 +150,7 @@ def _stage_of(out: Path) -> Iterator[tuple[Path, bool]]:
 @contextmanager
 def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
     """The face to put a layer over, and whether its file can't be that layer's: it is imported, or made."""
-    path, parts, warnings = action.base, action.start(), tuple[str, ...]()
+    path, parts, warnings = action.base, action.made_base(), tuple[str, ...]()
     if parts is None:
         if path.suffix.lower() in SUFFIXES:
             yield open_face(path), False

@@ -194,6 +194,7 @@ def with_own_cards(parts: FaceParts, before: FaceParts) -> FaceParts:
     meshes = []
     for mesh in parts.meshes:
         laid = cards.get(mesh.name)
-        own = {} if laid is None else {"points": laid.points, "normals": laid.normals, "blendshapes": laid.blendshapes}
-        meshes.append(replace(mesh, **own))
+        if laid is not None:
+            mesh = replace(mesh, points=laid.points, normals=laid.normals, blendshapes=laid.blendshapes)
+        meshes.append(mesh)
     return replace(parts, meshes=tuple(meshes))

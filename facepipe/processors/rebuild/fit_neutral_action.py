@@ -84,7 +84,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
     def base(self) -> Path:
         return Path(self.scan if self.template is None else self.template)
 
-    def start(self) -> FaceParts | None:
+    def made_base(self) -> FaceParts | None:
         from facepipe.heads import make
 
         return make(textures=_TEXTURES) if self.template is None else None
@@ -116,8 +116,8 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         points = template.dressed(body, points if own is None else own.fitted(points))
         shown = template.dressed(body, fit.points + fit.expression)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
-        settled = {} if own is None else {"settled": own.settled}
-        authored = AuthorNeutral(**settled)(face, points, recipe=recipe)
+        author = AuthorNeutral() if own is None else AuthorNeutral(settled=own.settled)
+        authored = author(face, points, recipe=recipe)
         with named(self.scan):
             baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
         neutral = points if report.weights else None
