@@ -28,7 +28,6 @@ from tables import aligned
 
 from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.geometry.colors import from_srgb, to_srgb
-from facepipe.geometry.harmonics import harmonics
 from facepipe.heads import make
 from facepipe.parts import FaceParts, PhotoView, TextureInput
 from facepipe.pictures import PictureOptions, picture
@@ -36,6 +35,7 @@ from facepipe.pictures.camera import Camera
 from facepipe.pictures.lighting import Light, Studio
 from facepipe.processors.photo_texture.bake import Baker, template_texels
 from facepipe.processors.photo_texture.observed import Exposure, expose, sampled
+from facepipe.processors.photo_texture.photo_light import harmonics
 from facepipe.processors.photo_texture.seen_skin import to_pixels
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.rig import build

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.harmonics import harmonics
 from facepipe.parts import KeyLamp, PhotoView
 from facepipe.pictures.occlusion import depth_map, visible_sky
 
@@ -63,3 +62,24 @@ class PhotoLight:
 def _towards(key: KeyLamp) -> FloatArray:
     direction = np.array(key.direction)
     return np.asarray(direction / np.linalg.norm(direction))
+
+
+def harmonics(normals: FloatArray) -> FloatArray:
+    """(..., 9) real spherical harmonics of unit vectors (..., 3): 1, y, z, x, xy, yz, 3 z^2 - 1, zx, x^2 - y^2.
+
+    Source: Ramamoorthi and Hanrahan, An efficient representation for irradiance environment maps (2001).
+    """
+    x, y, z = np.moveaxis(np.asarray(normals), -1, 0)
+    zeroth, first, second = np.sqrt(1 / (4 * np.pi)), np.sqrt(3 / (4 * np.pi)), np.sqrt(15 / (4 * np.pi))
+    rows = [
+        np.full_like(x, zeroth),
+        first * y,
+        first * z,
+        first * x,
+        second * x * y,
+        second * y * z,
+        second / np.sqrt(12) * (3 * z * z - 1),
+        second * z * x,
+        second / 2 * (x * x - y * y),
+    ]
+    return np.stack(rows, axis=-1)

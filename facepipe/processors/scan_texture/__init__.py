@@ -5,8 +5,13 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.processors.scan_texture.author_textures import BakeScanReport, author_scan_textures
-    from facepipe.processors.scan_texture.scan_baking import ScanTextures, bake_scan, lay_on
+    from facepipe.processors.scan_texture.scan_baking import (
+        BakeScanReport,
+        ScanTextures,
+        author_scan_textures,
+        bake_scan,
+        lay_on,
+    )
 else:
     __getattr__, __dir__ = lazy(__name__)
 
