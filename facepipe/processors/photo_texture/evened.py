@@ -29,8 +29,9 @@ _LOCAL = 0.10  # over which highlights and folds stand out
 _LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
 _LOWER = 0.05  # brows lie below their landmarks
 _BROWS = (0.12, 0.18)  # off the arcs of the brows
-_FOREHEAD, _BARE = (0.05, 0.09), 0.7  # above the brows; how far it is judged as what is beside the face
-_STRANGE = (2.8, 7.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
+_FOREHEAD, _BARE = (0.05, 0.09), 0.95  # above the brows; how far it is judged as what is beside the face
+_CORE = (0.7, 1.0)  # of what `inner` gives: within the face, where nothing but glasses and hands hides skin
+_STRANGE = (2.8, 30.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
 _EDGE = (0.02, 0.07)  # off what is no skin: where confidence begins, where it is full
 _WIDER = 1.5  # by how much more beside the face
 _GRAIN = 0.03  # what is smaller is judged with what is around it
@@ -40,7 +41,7 @@ _FAINT = 0.3  # confidence that doesn't join patches of skin
 _HIGHLIGHT = (0.06, 0.25)  # limits of what skin itself may be brighter than around it
 _FOLD = 0.04  # that it may be darker
 _STRAIN = (0.06, 0.25)  # logarithm of stretching: where folds begin to be the expression's, where they all are
-_LESS = 0.75  # of highlights and of an expression's folds that goes
+_LESS, _FLATTER = 0.4, 0.75  # of highlights, and of an expression's folds, that goes
 _BRIGHTEST = 1.1  # light of the brightest skin of a well exposed photo
 _LIGHT_SPREAD, _SKIN_SPREAD = np.array([0.35, 0.12]), 0.1  # deviations: of brightness and hue of light, and of skin
 
@@ -93,7 +94,7 @@ def _limits(skin: SkinSurface) -> FloatArray:
     above = step((skin.points - arcs[nearest]) @ up / unit, *_FOREHEAD)
     lids = 1 - step(cKDTree(marks[36:48]).query(skin.points)[0] / unit, *_LIDS)
     outside, face, brow = _STRANGE
-    limits = outside + (face - outside) * inner(skin) * (1 - lids) * (1 - _BARE * above)
+    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
     return np.asarray(limits + brow * (1 - step(brows / unit, *_BROWS)) * (1 - lids) * (1 - above))
 
 
@@ -187,7 +188,7 @@ class Relief:
         """(m, 1) what of colours (m, 3) of texels is highlights, and an expression's folds."""
         above = (colors @ GREY)[:, None] - texels.carried(self.level)
         dark = np.minimum(above + _FOLD, 0) * texels.carried(self.folds)
-        return np.asarray(_LESS * (np.maximum(above - self.usual, 0) + dark), np.float32)
+        return np.asarray(_LESS * np.maximum(above - self.usual, 0) + _FLATTER * dark, np.float32)
 
 
 def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> Relief:

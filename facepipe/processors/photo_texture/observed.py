@@ -17,7 +17,7 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 GREY = np.array([0.2126, 0.7152, 0.0722])  # brightness of linear light
 DARKEST = 0.004  # linear: of texels and photos, below which a ratio means nothing
-_DIM = (0.12, 0.4)  # of the light where much arrives: where confidence begins, where it is full
+_DIM = (0.03, 0.15)  # of the light where much arrives: where confidence begins, where it is full
 _BLOWN = (0.955, 0.995)  # sRGB: full confidence up to here, none from here
 
 

@@ -14,9 +14,9 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 _JUMP = 0.07  # of the eyes' distance, in depth: an outline
 _SLACK = 0.03  # of the eyes' distance, in depth: a point so far behind the surface still is on it
-_OUTLINE = (0.02, 0.10)  # of the eyes' distance off an outline: where confidence begins, where it is full
-_OPENING = (0.015, 0.05)  # the same off eyes, teeth and the mouth's inside
-_FACING = (0.20, 0.65)  # cosine to the viewer
+_OUTLINE = (0.015, 0.08)  # of the eyes' distance off an outline: where confidence begins, where it is full
+_OPENING = (0.004, 0.02)  # the same off eyes, teeth and the mouth's inside
+_FACING = (0.10, 0.40)  # cosine to the viewer
 _FRAME = 4.0  # pixels off the photo's border
 
 
