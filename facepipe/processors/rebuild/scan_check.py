@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.names import first_names
 from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.geometry.polygons import point_areas
 from facepipe.processors.rebuild.project import Project
@@ -20,19 +21,25 @@ _OWN_WAY = 0.25
 # Asked weights may be found smaller or larger by these factors: about three times how much people's motion differs.
 _LEAST, _MOST = 0.5, 1.75
 _ANY = 1.5  # largest weight of a shape that a scan may show instead
-_SLIGHT_MM = 0.05  # of motion that is not worth a shape: RMS over the face, at weight 1
+_SLIGHT_MM = 0.2  # RMS over the face that is not worth a shape at weight 1
+_STILL_MM = 0.05  # the same of no motion
 _PLACED_MM, _HALF_HEAD_MM = 20.0, 100.0  # how far a scan may be misplaced, and the points that turns move by that
 _POINTS = 4000  # of the face area, evenly taken: enough for a median
 _NAMED, _WORTH_NAMING = 3, 0.2  # shapes that a scan shows instead: how many a line names, and from which weight
 
 # A scan is left out beyond the first number, and beyond the second where it stands out among the actor's others. On
-# simulated people right scans are 0.0 mm off and leave up to 0.1 of their motion, scans of other people are 2 to 4 mm
-# off, and other expressions leave 0.5 to 3. Landmarks that are found on right scans are 2 to 3 mm off.
-_LIMITS = {"off_mm": (1.0, 0.5), "unexplained": (0.5, 0.25), "landmark_mm": (6.0, 2.0)}
-_SAME_PERSON_MM = 0.3  # half of the face is nearer to some mixture: simulated 0.0 to 0.2, other people's 0.6
+# simulated people right scans are 0.0 mm off and leave up to 0.04 of their motion, scans of other people are 2 to 3 mm
+# off, and other expressions leave 0.35 and more. Landmarks that are found on right scans may be 2 to 3 mm off.
+_LIMITS = {"off_mm": (1.0, 0.5), "unexplained": (0.5, 0.25), "landmark_mm": (6.0, 3.0)}
+# Of the actor, half of the face is nearer than that to some mixture of no more shapes than that, all weights summed:
+# simulated 0.0 to 0.2 mm and 4, other people 0.3 to 0.7 mm and 9 or more.
+_SAME_PERSON_MM, _SHAPES = 0.3, 8.0
 _LEAST_COVERAGE = 0.25  # less of the face does not hold a scan in its place
 _SPREADS = 6.0  # robust standard deviations from the median of the others: what stands out
 _FEWEST = 2  # other scans that show what is usual
+
+
+Guess = Literal["place", "expression", "person"]  # of the actor in another place or size, or showing another expression
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +51,7 @@ class ScanCheck:
     coverage: float  # share 0..1 of the face area that has a match
     landmark_mm: float  # mean distance
     nearest: Mapping[str, float]  # the mixture of all shapes that comes nearest: the largest weights
-    nearest_off_mm: float
-    nearest_unexplained: float
+    guess: Guess  # of a scan that does not belong: what it may be of
 
     def figures(self) -> dict[str, Any]:
         """For a report."""
@@ -77,17 +83,22 @@ class ScanChecks:
         neutral = self._neutral[rows]
         fitted = _Mixtures(self._deltas[:, seen], neutral, self._areas[seen], composite.points[rows] - neutral)
         asked = np.array([max(composite.weights.get(name, 0.0), 0.0) for name in self._names])
-        own, start = fitted.weights(asked, _LEAST * asked, _MOST * asked), np.zeros_like(asked)
-        nearest = fitted.weights(start, start, np.maximum(_ANY, _MOST * asked), placed=True)
+        own, placed = (fitted.weights(asked, _LEAST * asked, _MOST * asked, placed=one) for one in (False, True))
+        nothing = np.zeros_like(asked)
+        nearest = fitted.weights(nothing, nothing, np.maximum(_ANY, _MOST * asked), placed=True)
         largest = sorted(zip(-nearest[: len(asked)], self._names, strict=True))[:_NAMED]
+        guess: Guess = "person"
+        if fitted.off_mm(placed) <= _LIMITS["off_mm"][1] and fitted.unexplained(placed) <= _LIMITS["unexplained"][1]:
+            guess = "place"
+        elif fitted.off_mm(nearest) <= _SAME_PERSON_MM and nearest[: len(asked)].sum() <= _SHAPES:
+            guess = "expression"
         return ScanCheck(
             off_mm=fitted.off_mm(own),
             unexplained=fitted.unexplained(own),
             coverage=fit["coverage"],
             landmark_mm=fit["landmark_mean_mm"],
             nearest={name: float(-less) for less, name in largest if -less >= _WORTH_NAMING},
-            nearest_off_mm=fitted.off_mm(nearest),
-            nearest_unexplained=fitted.unexplained(nearest),
+            guess=guess,
         )
 
 
@@ -132,7 +143,7 @@ class _Mixtures:
         left, moved = (
             float((self._shares * (one**2).sum(axis=1)).sum()) for one in (self._left(weights), self._motion)
         )
-        return left / max(moved, _SLIGHT_MM**2)
+        return left / max(moved, _STILL_MM**2)
 
     def _left(self, weights: FloatArray) -> FloatArray:
         return np.asarray(self._motion - np.tensordot(weights, self._deltas, axes=1))
@@ -168,9 +179,9 @@ def _reason(check: ScanCheck, others: list[ScanCheck], asked: Mapping[str, float
         return f"it shows {100 * check.coverage:.0f} % of the face, expected {100 * _LEAST_COVERAGE:.0f} % or more"
     if check.off_mm > off or check.unexplained > left:
         return (
-            f"{_guess(check)}; with {', '.join(asked)} half of the face is {check.off_mm:.1f} mm off or more (expected "
-            f"{off:.1f} at most), and {100 * min(check.unexplained, 1.0):.0f} % of the motion is left (expected "
-            f"{100 * left:.0f} % at most)"
+            f"{_guess(check)}; half of the face is {check.off_mm:.1f} mm or more from the neutral with "
+            f"{first_names(tuple(asked), 3)} (expected {off:.1f} mm at most), which leaves "
+            f"{100 * min(check.unexplained, 1.0):.0f} % of the motion (expected {100 * left:.0f} % at most)"
         )
     if check.landmark_mm > landmarks:
         return f"landmarks are {check.landmark_mm:.1f} mm off, expected {landmarks:.1f} mm at most"
@@ -178,11 +189,11 @@ def _reason(check: ScanCheck, others: list[ScanCheck], asked: Mapping[str, float
 
 
 def _guess(check: ScanCheck) -> str:
-    """What a scan may be instead."""
-    if check.nearest_off_mm > _SAME_PERSON_MM:
-        return "it may be another person's, of another size, or misplaced"
-    instead = ", ".join(f"{name} {weight:.2f}" for name, weight in check.nearest.items())
-    return f"it shows {instead or 'hardly any motion'}"
+    """What a scan may be of."""
+    if check.guess == "expression":
+        instead = ", ".join(f"{name} {weight:.2f}" for name, weight in check.nearest.items())
+        return f"it shows {instead or 'no shape clearly'}"
+    return "it may be of another size, or misplaced" if check.guess == "place" else "it may be another person's"
 
 
 def _most(name: str, others: list[ScanCheck]) -> float:

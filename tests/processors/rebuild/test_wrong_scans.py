@@ -144,8 +144,7 @@ def test_limits_follow_what_the_other_scans_show() -> None:
             coverage=coverage,
             landmark_mm=landmark_mm,
             nearest={},
-            nearest_off_mm=0.1,
-            nearest_unexplained=0.04,
+            guess="person",
         )
 
     def left_out(*checks: ScanCheck) -> list[str]:
@@ -158,7 +157,7 @@ def test_limits_follow_what_the_other_scans_show() -> None:
     assert left_out(check(0.8), check(0.6), check(0.5), check(0.7)) == []
     assert left_out(check(1.1), check(1.2), check(0.9), check(1.3)) == ["a", "b", "d"]
     assert left_out(check(0.1, unexplained=0.3), check(0.1), check(0.1, unexplained=0.1)) == ["a"]
-    assert left_out(check(0.1, landmark_mm=3.0), check(0.1), check(0.1)) == ["a"]
+    assert left_out(check(0.1, landmark_mm=4.0), check(0.1), check(0.1)) == ["a"]
     assert left_out(check(0.1, coverage=0.2), check(0.1)) == ["a"]
 
 
