@@ -1,4 +1,4 @@
-"""Measures of landmarks: how far apart the eyes are, and whether left and right are changed over."""
+"""Measures of landmarks: how far apart the eyes are, which way is down, whether left and right are changed over."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import fit_similarity
 
 OUTER_CORNERS = (36, 45)  # of the eyes, in the Multi-PIE scheme
+_UPPER = [*range(17, 28), *range(36, 48)]  # brows, eyes and the bridge of the nose
+_LOWER = [*range(5, 12), *range(48, 68)]  # chin and mouth
 
 
 def eye_distance(landmarks: FloatArray) -> float:
@@ -17,6 +19,30 @@ def eye_distance(landmarks: FloatArray) -> float:
     """
     one, other = np.asarray(landmarks, dtype=np.float64)[list(OUTER_CORNERS)]
     return float(np.linalg.norm(one - other))
+
+
+def downward(landmarks: FloatArray) -> FloatArray:
+    """(2,) from the middle of brows and eyes to that of mouth and chin, of (68, 2) landmarks, in their units."""
+    return np.asarray(landmarks[_LOWER].mean(axis=0) - landmarks[_UPPER].mean(axis=0))
+
+
+def quarters_to_upright(landmarks: FloatArray) -> int:
+    """Quarter turns by `numpy.rot90` after which a picture shows the face with (68, 2) landmarks within 45 degrees of
+    upright, 0 to 3; landmarks with y down."""
+    right, down = downward(landmarks)
+    return round(float(np.arctan2(-right, down)) / (np.pi / 2)) % 4
+
+
+def quarter_turned(places: FloatArray, quarters: int, size: tuple[float, float]) -> FloatArray:
+    """Places (..., 2) of a picture once it is turned by `numpy.rot90`; x right, y down from its top left corner.
+
+    :param quarters: any whole number
+    :param size: width and height of the picture before
+    """
+    width, height = size
+    x, y = places[..., 0], places[..., 1]
+    turned = ((x, y), (y, width - x), (width - x, height - y), (height - y, x))
+    return np.stack(turned[quarters % 4], axis=-1)
 
 
 def mirrored(points: FloatArray, reference: FloatArray) -> bool:

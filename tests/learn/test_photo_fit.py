@@ -16,15 +16,19 @@ from faces import tiny_face, with_meshes
 from photo_people import joint_loss, moved, portrait, sample, subject
 from recovery_landmarks import FaceLandmarks
 from recovery_measures import recovery
+from scipy.spatial.transform import Rotation
 from with_torch import torch
 
 from facepipe.core.errors import InputError
+from facepipe.geometry.landmarks import quarter_turned
 from facepipe.learn.features.extractor import load_extractor
+from facepipe.learn.light import shade
 from facepipe.learn.photo.descent import descend
-from facepipe.learn.photo.fit import fit_photos
+from facepipe.learn.photo.fit import fit_photos, pose_space
 from facepipe.learn.photo.fit_input import check_photos
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.result import PhotoFit
+from facepipe.learn.photo.upright import UprightPhotos
 from facepipe.learn.photo.view_image import project
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.photo_options import PhotoFitOptions
@@ -153,6 +157,53 @@ def test_each_term_will_do_alone(term: str) -> None:
     found = descend(joint_loss(own, **{**ALONE, term: 1.0}), start, options)
     assert sorted(found.history[0]) == sorted([term, "total"])
     assert min(each["total"] for each in found.history) < found.history[0]["total"]
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_photo_on_its_side_shows_the_same_person_in_the_same_light(quarters: int) -> None:
+    own = portrait()
+    image, marks = own.images[0][:, 6:], own.landmarks[0] - [6.0, 0.0]  # not square
+    turned = np.ascontiguousarray(np.rot90(image, quarters))
+    places = quarter_turned(marks, quarters, (image.shape[1], image.shape[0]))
+    options = PhotoFitOptions(size=64, iterations=2)
+    fit, other = (
+        fit_photos(sample(), [one], [at], options, extractors={}) for one, at in ((image, marks), (turned, places))
+    )
+    assert other.sliders == pytest.approx(fit.sliders, abs=1e-6)
+    (view,), (there,) = fit.views, other.views
+    assert there.expressions == pytest.approx(view.expressions, abs=1e-6)
+    np.testing.assert_allclose(there.targets, places, atol=1e-9)
+    size = image.shape[1], image.shape[0]
+    points = subject().rig.points[::50]
+    shown, seen = (project(one.camera, points) for one in (view, there))
+    np.testing.assert_allclose(seen[:, :2], quarter_turned(shown[:, :2], quarters, size), atol=1e-4)
+    np.testing.assert_allclose(seen[:, 2], shown[:, 2], rtol=1e-6)
+    normals = torch.tensor(np.random.default_rng(0).normal(size=(20, 3)))
+    about = torch.tensor(Rotation.from_rotvec([0, 0, quarters * np.pi / 2]).as_matrix())
+    lights = (torch.as_tensor(one.light) for one in (view, there))
+    first, second = (shade(n, light) for n, light in zip((normals, normals @ about.T), lights, strict=True))
+    np.testing.assert_allclose(second, first, atol=1e-5)
+    np.testing.assert_allclose(there.key[:3], about.numpy() @ view.key[:3], atol=1e-5)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_starts_are_turned_with_their_photos(quarters: int) -> None:
+    own = portrait(seed=3)
+    width, height = 90, 120
+    places = quarter_turned(own.landmarks[0], -quarters, (width, height))
+    before = (height, width) if quarters % 2 else (width, height)
+    upright = UprightPhotos.from_photos([np.zeros((before[1], before[0], 3), np.float32)], [places])
+    assert upright.quarters == (quarters,)
+    np.testing.assert_allclose(upright.landmarks[0], own.landmarks[0])
+    start = replace(own.state, poses=own.state.poses - np.array([0, 0, quarters * np.pi / 2, 0.1, 0, 0, 0]))
+    points = torch.as_tensor(subject().rig.points[::50])
+
+    def seen(state: State, size: tuple[int, int]) -> np.ndarray:
+        space = pose_space(subject(), *size)
+        return np.asarray(space.camera(torch.as_tensor(state.poses[0])).project(points).numpy()[:, :2])
+
+    expected = quarter_turned(seen(start, before), quarters, before)
+    np.testing.assert_allclose(seen(upright.start(start), (width, height)), expected, atol=1e-6)
 
 
 def test_without_any_term_landmarks_decide() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.landmarks import quarter_turned
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.files import LandmarkSession, landmark_model
 
@@ -54,12 +55,11 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
     network = LandmarkSession(model or landmark_model())
     for quarters in range(4):
-        faces = _upright_faces(network, np.ascontiguousarray(np.rot90(pixels, quarters)))
+        turned = np.ascontiguousarray(np.rot90(pixels, quarters))
+        size = turned.shape[1], turned.shape[0]
+        faces = _upright_faces(network, turned)
         if faces:
-            return [
-                FoundFace(landmarks=_before_turns(face.landmarks, quarters, pixels.shape), presence=face.presence)
-                for face in faces
-            ]
+            return [replace(face, landmarks=quarter_turned(face.landmarks, -quarters, size)) for face in faces]
     return []
 
 
@@ -68,14 +68,6 @@ def _upright_faces(network: LandmarkSession, pixels: FloatArray) -> list[FoundFa
     judged = [_judged(network, photo, landmarks) for landmarks in _settled(network, photo, _candidates(network, photo))]
     faces = _apart([face for face in judged if face is not None])
     return [FoundFace(landmarks=face.landmarks * scale, presence=face.presence) for face in faces]
-
-
-def _before_turns(places: FloatArray, quarters: int, shape: tuple[int, ...]) -> FloatArray:
-    """Places (k, 2) in a photo (h, w) that lie at `places` once it is turned by `numpy.rot90`."""
-    height, width = shape[:2]
-    x, y = places.T
-    turned = ((x, y), (width - y, x), (width - x, height - y), (y, height - x))
-    return np.stack(turned[quarters], axis=1)
 
 
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:

@@ -24,6 +24,7 @@ from facepipe.learn.photo.lighting import in_better_light, lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.learn.photo.subject import Subject
+from facepipe.learn.photo.upright import UprightPhotos
 from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
@@ -98,6 +99,7 @@ def fit_photos(
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
 
+    Photos are fitted by quarter turns that bring the face nearest to upright, and cameras and light turned back.
     Stage one fits landmarks, stage two descends on the joint loss from there; or from `start` itself, if its joint loss
     is less: landmarks alone don't show what a guess has seen in the pictures.
 
@@ -114,15 +116,16 @@ def fit_photos(
     """
     landmarks = check_photos(photos, landmarks)
     check_extractors(extractors or {})
+    upright = UprightPhotos.from_photos(photos, landmarks)
     with one_thread():
         priors = priors_of(options, slider_sigma)
-        return _fit(parts, photos, landmarks, options, priors, expressions, extractors, start, done)
+        fit = _fit(parts, upright, options, priors, expressions, extractors, start, done)
+    return replace(fit, views=upright.turned_back(fit.views))
 
 
 def _fit(
     parts: FaceParts,
-    photos: Sequence[FloatArray],
-    landmarks: Sequence[FloatArray],
+    upright: UprightPhotos,
     options: PhotoFitOptions,
     priors: Priors,
     expressions: Sequence[str] | None,
@@ -131,13 +134,15 @@ def _fit(
     done: Callable[[int], None] | None,
 ) -> PhotoFit:
     subject = Subject.of(parts, expressions)
-    spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in photos]
-    start = None if start is None else check_start(start, subject, spaces)
-    fit = LandmarkFit(subject, landmarks, spaces, priors)
+    spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in upright.photos]
+    start = None if start is None else upright.start(check_start(start, subject, spaces))
+    fit = LandmarkFit(subject, upright.landmarks, spaces, priors)
     state = fit.solve(fit.start() if start is None else start)
     networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
-    working = [WorkingPhoto.from_photo(*pair, options.size) for pair in zip(photos, landmarks, strict=True)]
+    working = [
+        WorkingPhoto.from_photo(*pair, options.size) for pair in zip(upright.photos, upright.landmarks, strict=True)
+    ]
     loss = JointLoss(model, fit, working, networks, options)
     begin = lit(loss, state)
     loss.calibrate(begin)

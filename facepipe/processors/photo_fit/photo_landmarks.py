@@ -28,6 +28,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes, read_json
+from facepipe.geometry.landmarks import downward
 from facepipe.processors.photo_fit.photo_file import Photo
 
 # Vertices of MediaPipe's face mesh (numbered as in canonical_face_model.obj of google-ai-edge/mediapipe) that lie where
@@ -56,8 +57,6 @@ _MIRRORED = -0.1  # 1 from the front, 0 in profile, -1 for a mirrored face
 _PARTS = ((0, 5), (5, 12), (12, 17), (17, 22), (22, 27), (27, 31), (31, 36), (36, 42), (42, 48), (48, 68))
 _RIGHT = [*range(8), *range(17, 22), *range(36, 42)]  # of the person
 _LEFT = [*range(9, 17), *range(22, 27), *range(42, 48)]
-_UPPER = [*range(17, 28), *range(36, 48)]  # brows, eyes and the bridge of the nose
-_LOWER = [*range(5, 12), *range(48, 68)]  # chin and mouth
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
@@ -143,7 +142,7 @@ def _check_face(points: FloatArray, where: str) -> None:
 def _handedness(points: FloatArray) -> float:
     """1 for a face from the front however it is turned in the picture, 0 in profile, -1 when mirrored."""
     right = points[_LEFT].mean(axis=0) - points[_RIGHT].mean(axis=0)
-    down = points[_LOWER].mean(axis=0) - points[_UPPER].mean(axis=0)
+    down = downward(points)
     return float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300))
 
 
