@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import feature_graphs
@@ -304,6 +305,20 @@ def test_starts_that_do_not_fit_give_one_line() -> None:
         with pytest.raises(InputError, match=expected) as caught:
             fit_photos(sample(), own.images, own.landmarks, options, extractors={}, start=start)
         assert "\n" not in str(caught.value)
+
+
+def test_confidences_that_do_not_fit_give_one_line() -> None:
+    own, options = portrait(), PhotoFitOptions(iterations=0, size=64)
+    cases: list[tuple[list[Any], str]] = [
+        ([], "confidences: 0 of 1 photos, expected one for each"),
+        ([np.ones(67)], r"confidences 0: shape \(67,\), expected finite \(68,\): one for each landmark"),
+        ([np.full(68, 1.5)], "confidences 0: values 1.5 to 1.5, expected 0 to 1"),
+        ([np.full(68, np.nan)], "confidences 0: NaN or infinity"),
+        ([[1.0] * 68], "confidences 0: a list"),
+    ]
+    for bad, expected in cases:
+        with pytest.raises(InputError, match=expected):
+            fit_photos(sample(), own.images, own.landmarks, options, extractors={}, confidences=bad)
 
 
 def test_networks_for_no_term_are_refused(tmp_path: Path) -> None:

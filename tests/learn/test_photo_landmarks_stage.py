@@ -329,6 +329,24 @@ def test_one_wrong_landmark_hardly_matters() -> None:
     assert off.mean() < 0.7
 
 
+def test_landmarks_count_by_their_confidence() -> None:
+    """Half of them far off: without a word that is averaged, and unseen where they are known to be bad."""
+    _, fit = known(subject(), 2, priors=Priors(landmark_sigma=0.01))
+    solved = fit.solve(fit.start(), steps=12)
+    wrong, trust = fit.targets[0].copy(), np.ones(68)
+    bad = np.arange(17, 68, 2)
+    wrong[bad] += np.random.default_rng(0).normal(scale=6.0, size=(len(bad), 2))
+    trust[bad] = 1e-4
+    off = []
+    for confidences in (None, [trust]):
+        priors = Priors(landmark_sigma=0.01)
+        spoilt = LandmarkFit(subject(), [wrong], [space_of(subject())], priors, confidences=confidences)
+        other = spoilt.solve(spoilt.start(), steps=12)
+        off.append(np.linalg.norm(fit.landmarks(other) - fit.landmarks(solved), axis=2)[0, INNER].mean())
+    assert off[1] < 0.5
+    assert off[1] < 0.25 * off[0]
+
+
 def test_the_same_twice() -> None:
     _, fit = known(subject(), 0)
     ends = [fit.solve(fit.start(), steps=3) for _ in range(2)]

@@ -621,7 +621,7 @@ def read_photos() -> None:
 
 def read_landmarks() -> None:
     from facepipe.processors.photo_fit import read_photo as read
-    from facepipe.processors.photo_fit.photo_landmarks import read_landmarks as landmarks
+    from facepipe.processors.photo_fit.landmark_file import read_landmarks as landmarks
 
     landmarks(Path("a.landmarks.json"), read(Path("a.png")))
 

@@ -16,7 +16,7 @@ from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.light import DARK
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.descent import Descent, Unknowns, descend
-from facepipe.learn.photo.fit_input import check_extractors, check_photos, check_start
+from facepipe.learn.photo.fit_input import check_confidences, check_extractors, check_photos, check_start
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
@@ -91,6 +91,7 @@ def fit_photos(
     landmarks: Sequence[FloatArray],
     options: PhotoFitOptions,
     *,
+    confidences: Sequence[FloatArray] | None = None,
     expressions: Sequence[str] | None = None,
     extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
@@ -105,6 +106,7 @@ def fit_photos(
 
     :param photos: (h, w, 3) sRGB 0..1
     :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
+    :param confidences: (68,) of each photo's landmarks, 0 to 1: what their squared errors count; None: all alike
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);
@@ -115,17 +117,19 @@ def fit_photos(
         landmarks or without sliders
     """
     landmarks = check_photos(photos, landmarks)
+    confidences = None if confidences is None else check_confidences(confidences, len(photos))
     check_extractors(extractors or {})
     upright = UprightPhotos.from_photos(photos, landmarks)
     with one_thread():
         priors = priors_of(options, slider_sigma)
-        fit = _fit(parts, upright, options, priors, expressions, extractors, start, done)
+        fit = _fit(parts, upright, confidences, options, priors, expressions, extractors, start, done)
     return replace(fit, views=upright.turned_back(fit.views))
 
 
 def _fit(
     parts: FaceParts,
     upright: UprightPhotos,
+    confidences: Sequence[FloatArray] | None,
     options: PhotoFitOptions,
     priors: Priors,
     expressions: Sequence[str] | None,
@@ -136,7 +140,7 @@ def _fit(
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in upright.photos]
     start = None if start is None else upright.start(check_start(start, subject, spaces))
-    fit = LandmarkFit(subject, upright.landmarks, spaces, priors)
+    fit = LandmarkFit(subject, upright.landmarks, spaces, priors, confidences=confidences)
     state = fit.solve(fit.start() if start is None else start)
     networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)

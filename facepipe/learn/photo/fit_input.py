@@ -55,6 +55,23 @@ def _check_landmarks(where: str, marks: FloatArray) -> None:
         raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
 
 
+def check_confidences(confidences: Sequence[FloatArray], count: int) -> list[FloatArray]:
+    """The confidences of the landmarks of `count` photos in float64.
+
+    :raises InputError: another number of them, or arrays that are no numbers 0 to 1
+    """
+    if len(confidences) != count:
+        raise InputError("confidences", f"{len(confidences)} of {count} photos, expected one for each")
+    checked = [
+        _numbers(f"confidences {number}", each, (COUNT,), "one for each landmark")
+        for number, each in enumerate(confidences)
+    ]
+    for number, each in enumerate(checked):
+        if not 0 <= each.min() <= each.max() <= 1:
+            raise InputError(f"confidences {number}", f"values {each.min():g} to {each.max():g}, expected 0 to 1")
+    return checked
+
+
 def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> State:
     """The same in float64.
 
@@ -62,11 +79,11 @@ def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> 
     """
     views = len(spaces)
     checked = State(
-        shares=_numbers("shares", start.shares, (len(subject.sliders),), "one for each free slider"),
+        shares=_numbers("start -> shares", start.shares, (len(subject.sliders),), "one for each free slider"),
         expressions=_numbers(
-            "expressions", start.expressions, (views, len(subject.expressions)), "photos, expressions"
+            "start -> expressions", start.expressions, (views, len(subject.expressions)), "photos, expressions"
         ),
-        poses=_numbers("poses", start.poses, (views, NUMBERS), "photos, numbers of a pose"),
+        poses=_numbers("start -> poses", start.poses, (views, NUMBERS), "photos, numbers of a pose"),
     )
     for name, values in (("shares", checked.shares), ("expressions", checked.expressions)):
         if values.size and not 0 <= values.min() <= values.max() <= 1:
@@ -78,8 +95,8 @@ def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> 
     return checked
 
 
-def _numbers(name: str, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
-    where, expected = f"start -> {name}", f"expected finite {shape}: {what}"
+def _numbers(where: str, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
+    expected = f"expected finite {shape}: {what}"
     _check_array(where, values, "f", expected)
     if values.shape != shape:
         raise InputError(where, f"shape {values.shape}, {expected}")

@@ -181,6 +181,7 @@ class JointLoss:
             for each in (subject.lower, subject.upper, subject.default_shares)
         )
         self._targets = [torch.as_tensor(each) for each in fit.targets]
+        self._sigma = [torch.as_tensor(each) for each in fit.sigma]
         used = {kind: one for kind, one in extractors.items() if getattr(options, kind) > 0}
         marks = [photo.landmarks(each) for photo, each in zip(self.photos, fit.targets, strict=True)]
         self._features = FeatureLosses(used, [photo.pixels for photo in self.photos], marks)
@@ -257,7 +258,7 @@ class JointLoss:
         rig, camera = self.fit.rig, self.fit.spaces[view].camera(at.poses[view])
         points = rig.rig(sliders.double(), self.weights(at.expressions[view]).double())
         marks, outward = rig.landmarks(points, camera)
-        off = (marks - self._targets[view]) / self.fit.sigma[view]
+        off = (marks - self._targets[view]) / self._sigma[view]
         on = off[CONTOUR]
         along = torch.stack([-outward[:, 1], outward[:, 0]], dim=1)
         contour = torch.stack([(on * outward).sum(dim=1), ALONG * (on * along).sum(dim=1)], dim=1)

@@ -25,6 +25,7 @@ ALONG = 0.15  # weight of a contour point's error along the contour: it slides
 _HUBER = 3.0  # standard deviations beyond which an error counts linearly
 _EDGE = 0.02  # of a slider's range, below which its L1 norm is rounded off
 _ROUNDS = 3  # of reweighting
+_LEAST_CONFIDENCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,16 +130,22 @@ class LandmarkFit:
         spaces: Sequence[PoseSpace],
         priors: Priors,
         rig: LandmarkRig | None = None,
+        confidences: Sequence[FloatArray] | None = None,
     ) -> None:
         """
         :param targets: (68, 2) landmarks of each photo, pixels
+        :param confidences: (68,) of each photo's, 0 to 1: what their squared errors count; None: 1
         :param rig: of the subject, where there is one already
         :raises InputError: the face lacks the 68 landmarks
         """
         self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
         self.rig = LandmarkRig.from_subject(subject) if rig is None else rig
-        self.sigma = [priors.landmark_sigma * eye_distance(each) for each in self.targets]
+        every = [np.ones(COUNT)] * len(self.targets) if confidences is None else confidences
+        self.sigma = [  # (68, 1) pixels
+            priors.landmark_sigma * eye_distance(each) / np.sqrt(np.maximum(trust, _LEAST_CONFIDENCE))[:, None]
+            for each, trust in zip(self.targets, every, strict=True)
+        ]
 
     def start(self) -> State:
         """Defaults, no expression, and the poses that this gives."""

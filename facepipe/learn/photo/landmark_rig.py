@@ -15,6 +15,7 @@ from torch import Tensor
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.rasterise import expand
 from facepipe.learn.camera import Camera
 from facepipe.learn.photo.subject import Subject
 from facepipe.learn.rig import DifferentiableRig
@@ -141,16 +142,14 @@ def front_axes(parts: FaceParts, rig: Rig) -> tuple[FloatArray, FloatArray, Floa
 
 def part_of(rig: Rig, points: IntArray) -> Rig:
     """The rig of some of the points only, each as often as it is named."""
-    place: dict[int, list[int]] = {}
-    for position, point in enumerate(points):
-        place.setdefault(int(point), []).append(position)
+    order = np.argsort(points, kind="stable")
+    first, after = (np.searchsorted(points[order], np.arange(len(rig.points)), side) for side in ("left", "right"))
     targets = []
     for target in rig.targets:
-        kept = sorted(
-            (position, row) for row, old in enumerate(target.point_indices) for position in place.get(old, ())
-        )
-        positions, rows = np.array(kept, dtype=np.int64).reshape(-1, 2).T
-        targets.append(replace(target, point_indices=positions, offsets=target.offsets[rows]))
+        row, step = expand(after[target.point_indices] - first[target.point_indices])
+        positions = order[first[target.point_indices][row] + step]
+        sorting = np.argsort(positions, kind="stable")
+        targets.append(replace(target, point_indices=positions[sorting], offsets=target.offsets[row[sorting]]))
     return replace(
         rig,
         points=rig.points[points],

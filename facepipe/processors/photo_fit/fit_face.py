@@ -13,14 +13,10 @@ from facepipe.core.errors import FacepipeError
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
 from facepipe.photo_options import MODELS
+from facepipe.processors.photo_fit.landmark_file import read_landmarks
 from facepipe.processors.photo_fit.person_model import REACH
 from facepipe.processors.photo_fit.photo_file import Photo, read_photo
-from facepipe.processors.photo_fit.photo_landmarks import (
-    Landmarks68,
-    mediapipe_landmarks,
-    own_landmarks,
-    read_landmarks,
-)
+from facepipe.processors.photo_fit.photo_landmarks import Landmarks68, mediapipe_landmarks, own_landmarks
 
 if TYPE_CHECKING:
     from facepipe.learn.features.description import Kind
@@ -116,6 +112,7 @@ def fit_face(
                 [photo.pixels for photo in inputs.photos],
                 [each.points for each in inputs.landmarks],
                 action.options,
+                confidences=[each.confidence for each in inputs.landmarks],
                 expressions=action.expressions,
                 extractors=inputs.extractors,
                 start=start,

@@ -1,23 +1,10 @@
-"""Landmarks of photos: from files of 68 or 478 places, from MediaPipe, or found by facepipe's own network.
-
-    {"multipie68": [[180.8, 92.5], ...]}
-    {"mediapipe478": [[223.6, 140.5, -9.3], ...]}
-    {"landmarks": [[0.35, 0.18], ...], "units": "normalized", "image": "portrait.jpg"}
-    [[180.8, 92.5], ...]
-
-`landmarks`, or the list alone, holds 68 points (Multi-PIE), or 468 or 478 (MediaPipe). A point is x and y, further
-numbers of depth are not used. `units`: a text that begins with ``pixels`` (default), of the file's picture seen upright
-from its top left corner; or with ``normalized``, shares of its width and height. Each list may be one of several faces
-instead. Where both schemes are given multipie68 counts. `image`, `detector` and `mediapipe_index_of_multipie68` are
-for people.
-"""
+"""Landmarks of photos: from MediaPipe, or found by facepipe's own network, and what can't be a face's."""
 
 from __future__ import annotations
 
-import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,9 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes, read_json
+from facepipe.core.reading import read_bytes
 from facepipe.geometry.landmarks import downward
 from facepipe.processors.photo_fit.photo_file import Photo
 
@@ -60,10 +46,6 @@ _LEFT = [*range(9, 17), *range(22, 27), *range(42, 48)]
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
-_MOST_BYTES = 1 << 24
-_LARGEST = 1e9
-_COUNTS = {"multipie68": (68,), "mediapipe478": (478,), "landmarks": (68, 468, 478)}  # the first that is there counts
-_KEYS = (*_COUNTS, "units", "image", "detector", "mediapipe_index_of_multipie68")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +54,11 @@ class Landmarks68:
 
     points: FloatArray  # (68, 2) float64, pixels of the photo as read: x right and y down from its top left corner
     source: str  # what found them: a file's name, or a detector
+    confidence: FloatArray = field(default_factory=lambda: np.ones(68))  # (68,) 0..1: what a squared error counts
     warnings: tuple[str, ...] = ()
 
 
-def _landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> Landmarks68:
+def landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> Landmarks68:
     """`points` (68 | 468 | 478, 2) in pixels of the photo as read as its landmarks; more than 68 are MediaPipe's.
 
     :param where: the trail, for messages
@@ -152,7 +135,7 @@ def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = No
     :param task_file: the model, ``face_landmarker.task``: the 1.x wheels of mediapipe bring none
     :param index: which of several faces, from 0, the largest first
     :raises InputError: mediapipe is not installed, no such model, no or several faces, or landmarks that
-        `_landmarks_in` refuses
+        `landmarks_in` refuses
     """
     model = _task_bundle(task_file)
     vision, image = _mediapipe(photo)
@@ -178,7 +161,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     """The landmarks that facepipe's own network finds, in pixels of the photo.
 
     :param index: which of several faces, from 0, the largest first
-    :raises InputError: no torch, no or several faces, or landmarks that `_landmarks_in` refuses
+    :raises InputError: no torch, no or several faces, or landmarks that `landmarks_in` refuses
     """
     from facepipe.learn.networks import find_landmarks
 
@@ -188,7 +171,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
 
 def _chosen(photo: Photo, faces: list[FloatArray], index: int | None, source: str) -> Landmarks68:
     faces = sorted(faces, key=lambda points: -float(np.prod(np.ptp(points, axis=0))))
-    return _landmarks_in(photo, one_face(faces, index, str(photo.path)), source, str(photo.path))
+    return landmarks_in(photo, one_face(faces, index, str(photo.path)), source, str(photo.path))
 
 
 def _mediapipe(photo: Photo) -> tuple[Any, Any]:
@@ -219,78 +202,3 @@ def _pixels(face: Any, photo: Photo, task_file: Path) -> FloatArray:
         raise InputError(task_file, f"finds {len(face)} landmarks, expected a model of {_MEDIAPIPE_COUNTS[-1]}")
     height, width = photo.pixels.shape[:2]
     return np.array([(point.x, point.y) for point in face], dtype=np.float64) * (width, height)
-
-
-def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Landmarks68:
-    """The landmarks of `photo` in a JSON file, in pixels of the photo as read.
-
-    :param index: which of several faces, from 0 in the file's order
-    :raises InputError: not such JSON, other counts, NaN or infinity, unknown keys, no or several faces, or landmarks
-        that `_landmarks_in` refuses
-    """
-    content = read_json(path, _MOST_BYTES)
-    if isinstance(content, list):
-        content = {"landmarks": content}
-    if not isinstance(content, dict):
-        raise InputError(path, f"{_shown(content)}, expected a list of 68 or 478 points, or an object that holds one")
-    for key in content:
-        if key not in _KEYS:
-            raise InputError(f"{path} -> {key[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
-    scheme = next((key for key in _COUNTS if key in content), None)
-    if scheme is None:
-        raise InputError(path, f"no landmarks, expected one of {', '.join(_COUNTS)}")
-    where = f"{path} -> {scheme}"
-    face = one_face(_faces(where, content[scheme]), index, where)
-    points = _points(where, face, _COUNTS[scheme]) * _unit(path, content.get("units", "pixels"), photo)
-    return _landmarks_in(photo, points * photo.scale, path.name, where)
-
-
-def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:
-    """Write `landmarks` in pixels of the photo's file, as `read_landmarks` reads them, to a thousandth of a pixel.
-
-    :raises InputError: the file can't be written
-    """
-    points = np.round(landmarks.points / photo.scale, 3) + 0.0  # no -0.0
-    rows = ",\n  ".join(json.dumps(point) for point in points.tolist())
-    head = {"detector": landmarks.source, "image": photo.name, "units": "pixels"}
-    fields = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items())
-    write_bytes(path, f'{{{fields},\n"multipie68": [\n  {rows}\n]}}\n'.encode())
-
-
-def _unit(path: Path, units: object, photo: Photo) -> FloatArray:
-    """(2,) pixels of the file's picture that one unit of x and of y is."""
-    text = units if isinstance(units, str) else ""
-    if text.startswith("pixels"):
-        return np.ones(2)
-    if text.startswith(("normalized", "normalised")):
-        return np.array(photo.size, dtype=np.float64)
-    raise InputError(f"{path} -> units", f"{_shown(units)}, expected pixels or normalized")
-
-
-def _faces(where: str, value: object) -> list[object]:
-    """The lists of points: the value itself, or each of its elements where these are lists of points."""
-    if not isinstance(value, list):
-        raise InputError(where, f"{_shown(value)}, expected a list of points [x, y]")
-    several = value and all(isinstance(one, list) and (not one or isinstance(one[0], list)) for one in value)
-    return value if several or not value else [value]
-
-
-def _points(where: str, value: object, counts: tuple[int, ...]) -> FloatArray:
-    """(n, 2) of a list of points."""
-    if not isinstance(value, list) or len(value) not in counts:
-        found = f"{len(value)} points" if isinstance(value, list) else _shown(value)
-        raise InputError(where, f"{found}, expected {' or '.join(map(str, counts))}")
-    for number, point in enumerate(value):
-        good = isinstance(point, list) and len(point) in (2, 3)
-        # NaN fails the comparison
-        if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in point):
-            raise InputError(f"{where} -> {number}", f"{_shown(point)}, expected finite numbers [x, y] or [x, y, z]")
-    return np.array([point[:2] for point in value], dtype=np.float64)
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, dict):
-        return "an object"
-    if isinstance(value, list) and any(isinstance(one, list | dict) for one in value):
-        return f"a list of {len(value)}"
-    return json.dumps(value)[:40]

@@ -17,7 +17,7 @@ from facepipe.geometry.colors import to_srgb
 from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.pictures import photo_page, save_png
 from facepipe.pictures import photo_pictures as pictures
-from facepipe.processors.photo_fit.photo_landmarks import write_landmarks
+from facepipe.processors.photo_fit.landmark_file import write_landmarks
 from facepipe.processors.photo_fit.report import ENDS
 from facepipe.rig import Rig, build, slide
 

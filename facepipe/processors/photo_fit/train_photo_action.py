@@ -116,8 +116,9 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
     """
     from facepipe.learn.photo.amortised.pictures import Picture
     from facepipe.learn.photo.fit import pose_space
+    from facepipe.processors.photo_fit.landmark_file import read_landmarks
     from facepipe.processors.photo_fit.photo_file import read_photo
-    from facepipe.processors.photo_fit.photo_landmarks import own_landmarks, read_landmarks
+    from facepipe.processors.photo_fit.photo_landmarks import own_landmarks
 
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected one of photos")

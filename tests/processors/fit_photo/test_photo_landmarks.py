@@ -133,6 +133,18 @@ def test_written_landmarks_are_read_back(tmp_path: Path, yaw: float, pitch: floa
     assert file.read_bytes() == first
 
 
+def test_confidences_go_with_landmarks(tmp_path: Path) -> None:
+    photo, file = blank(scale=0.5), tmp_path / "again.json"
+    assert (read(tmp_path, face().tolist()).confidence == 1).all()
+    trust = np.linspace(0, 1, 68)
+    write_landmarks(file, Landmarks68(points=face() / 2, source="a test", confidence=trust), photo)
+    assert read_landmarks(file, photo).confidence == pytest.approx(trust, abs=6e-4)
+    for bad in (0.5, [0.5] * 67, [0.5] * 67 + [1.01], [-0.1] * 68, ["1"] * 68, [True] * 68, {"0": 1}):
+        message = error(tmp_path, {"multipie68": face().tolist(), "confidence": bad})
+        assert message.endswith("expected 68 numbers of 0 to 1")
+        assert message.startswith(" -> confidence: ")
+
+
 def test_a_photo_with_landmarks() -> None:
     file = shared("photos/astronaut.landmarks.json")
     content = json.loads(file.read_text(encoding="utf-8"))
