@@ -19,7 +19,7 @@ class FixedMatrix:
     (`embedding_bag`) of A, and of its transpose for the gradient, run everywhere.
     """
 
-    def __init__(self, matrix: sparse.csr_array, dtype: torch.dtype, device: torch.device | str) -> None:
+    def __init__(self, matrix: sparse.sparray, dtype: torch.dtype, device: torch.device | str) -> None:
         """:param matrix: (r, c), copied"""
         self.shape: tuple[int, int] = matrix.shape
         rows, columns = matrix.shape
@@ -28,7 +28,7 @@ class FixedMatrix:
             self._dense = torch.as_tensor(matrix.toarray(), dtype=dtype, device=device)
         else:
             self._own = _bags(matrix, dtype, device)
-            self._transposed = _bags(sparse.csr_array(matrix.T), dtype, device)
+            self._transposed = _bags(matrix.T, dtype, device)
 
     def __matmul__(self, x: Tensor) -> Tensor:
         """(r, k) product with (c, k)."""
@@ -40,7 +40,7 @@ class FixedMatrix:
 _Bags = tuple[Tensor, Tensor, Tensor]
 
 
-def _bags(matrix: sparse.csr_array, dtype: torch.dtype, device: torch.device | str) -> _Bags:
+def _bags(matrix: sparse.sparray, dtype: torch.dtype, device: torch.device | str) -> _Bags:
     """Columns, first entry of each row, and values."""
     matrix = sparse.csr_array(matrix)
     return (

@@ -46,7 +46,7 @@ class DifferentiableRig:
         self._rest = self._constant(rig.rest)
         self._inverse_bind = self._constant(rig.inverse_bind)
         self._parent_world = self._constant(rig.parent_world)
-        self._deltas = FixedMatrix(rig.deltas, dtype, device)
+        self._deltas = FixedMatrix(rig.delta_columns, dtype, device)
         self._influences = FixedMatrix(rig.influences, dtype, device)
         self._activations = PiecewiseLinear(
             _activations(rig), len(rig.shapes), np.zeros(len(rig.targets)), dtype, device

@@ -61,15 +61,20 @@ class Rig:
     @cached_property
     def deltas(self) -> sparse.csr_array:
         """(3 n, targets) point offsets of every target, rows x y z point by point."""
+        return self.delta_columns.tocsr()
+
+    @property
+    def delta_columns(self) -> sparse.csc_array:
+        """The same by columns, made anew each time: rows take as long again to sort."""
         shape = (3 * len(self.points), len(self.targets))
         if not self.targets:
-            return sparse.csr_array(shape)
+            return sparse.csc_array(shape)
         rows = np.concatenate([3 * target.point_indices for target in self.targets])[:, None] + np.arange(
             3, dtype=np.int32
         )
         ends = 3 * np.cumsum([0, *(len(target.point_indices) for target in self.targets)], dtype=np.int32)
         values = np.concatenate([target.offsets for target in self.targets])
-        return sparse.csc_array((values.ravel(), rows.ravel(), ends), shape=shape).tocsr()
+        return sparse.csc_array((values.ravel(), rows.ravel(), ends), shape=shape)
 
     def weight_vector(self, weights: Mapping[str, float] | None) -> FloatArray:
         """(shapes,) weights by name; shapes not named are 0.

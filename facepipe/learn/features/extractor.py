@@ -36,23 +36,24 @@ class Program:
     build: Callable[[Chosen], nn.Module]  # picture -> tuple of the chosen outputs, frozen
 
 
-def load_program(path: Path) -> Program:
+def load_program(path: Path, *, bounded: bool = False) -> Program:
     """The network in a file: ``.onnx``, or ``.pt2`` as `torch.export.save` writes it.
 
     Loading a ``.pt2`` file can run code that is in it; an ONNX file can't.
 
+    :param bounded: as for `OnnxModule`
     :raises InputError: another suffix, a ``.pt2`` that the caller doesn't trust, a damaged file, or not one picture of
         float32 as input
     """
     suffix = path.suffix.lower()
     if suffix == ".onnx":
-        return _onnx(path)
+        return _onnx(path, bounded)
     if suffix == ".pt2":
         return _exported(path)
     raise InputError(path, f"suffix '{path.suffix}', expected .onnx or .pt2 (torch.export)")
 
 
-def _onnx(path: Path) -> Program:
+def _onnx(path: Path, bounded: bool) -> Program:
     model = read_model(path)
     held = {one.name for one in model.graph.initializer}
     inputs = [one for one in model.graph.input if one.name not in held]
@@ -63,7 +64,7 @@ def _onnx(path: Path) -> Program:
     names = tuple(one.name for one in model.graph.output)
 
     def build(chosen: Chosen) -> nn.Module:
-        return OnnxModule(model, [_name(path, names, one) for one in chosen], path)
+        return OnnxModule(model, [_name(path, names, one) for one in chosen], path, bounded=bounded)
 
     shape = tuple(one.dim_value if one.dim_value > 0 else None for one in kind.shape.dim)
     return Program(shape=shape, outputs=names, metadata=properties(model).get(PROPERTY), build=build)
@@ -197,18 +198,19 @@ class Normalize(nn.Module):  # type: ignore[misc]
         return normal.flip(1) if self._turned else normal
 
 
-def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None) -> Extractor:
+def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None, *, bounded: bool = False) -> Extractor:
     """The network in an ONNX file, or a torch.export program (``.pt2``: trusted files only, loading can run code).
 
     How it wants pictures and what its outputs are stands in ``<path>.json``, by the metadata ``facepipe.features``
     of an ONNX file, or else it is what is usual for `kind`. It is tried on a grey picture.
 
     :param kind: what a call gives; None: the first that the file says
+    :param bounded: as for `OnnxModule`
     :raises InputError: not readable, operators or values that can't be used, a signature other than that of its
         kinds, no gradient, NaN
     """
     source = Path(path)
-    program = load_program(source)
+    program = load_program(source, bounded=bounded)
     description = describe(source, program.metadata, kind)
     first: Kind = next(iter(description.kinds)) if kind is None else kind
     size = check_input(source, program.shape, description.size, DEFAULT_SIZES[first])

@@ -29,7 +29,7 @@ def own_extractors(kinds: Sequence[Kind]) -> dict[Kind, Extractor]:
     """
     from facepipe.learn.features.extractor import load_extractor
 
-    loaded = load_extractor(feature_model(), kinds[0]) if kinds else None
+    loaded = load_extractor(feature_model(), kinds[0], bounded=True) if kinds else None
     missing = [kind for kind in kinds if loaded is None or kind not in loaded.kinds]
     if missing:
         raise InputError(feature_model(), f"has no {missing[0]}, expected one of {loaded.kinds if loaded else ()}")

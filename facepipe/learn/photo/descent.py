@@ -109,7 +109,7 @@ def descend(
     renewed = min(max(options.iterations // 2, _RENEWED[0]), _RENEWED[1])
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
-        if renew is not None and step and step % renewed == 0:
+        if renew is not None and 0 < step < options.iterations and step % renewed == 0:
             renew(at)
             least = math.inf  # the loss has changed
         terms = loss(at)

@@ -38,23 +38,33 @@ def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directio
     """
     if not len(triangles):
         return points.new_zeros((len(points), 9))
+    used = torch.unique(triangles)
     with torch.no_grad():
         lost = torch.zeros((len(points), 9), dtype=points.dtype)
         for direction in sphere(directions).to(points.dtype):
             cosine = (normals @ direction).clamp(min=0)
-            lost += (cosine * (1 - visibility(points, triangles, direction)))[:, None] * basis(direction)[None]
+            kept = visibility(points, triangles, direction, used=used)
+            lost += (cosine * (1 - kept))[:, None] * basis(direction)[None]
         # light coefficients hold the cosine's share, as normals take them; what arrives from a direction does not
         return -lost * (4 / directions) / lost.new_tensor(KERNEL)
 
 
-def visibility(points: Tensor, triangles: Tensor, direction: Tensor, resolution: int = RESOLUTION) -> Tensor:
+def visibility(
+    points: Tensor,
+    triangles: Tensor,
+    direction: Tensor,
+    resolution: int = RESOLUTION,
+    *,
+    used: Tensor | None = None,
+) -> Tensor:
     """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), averaged over four pixels.
 
     Without gradients.
 
     :param resolution: pixels a side of the view from that direction
+    :param used: numbers of the points that triangles have, each once; None: found, for each view anew
     """
-    used = torch.unique(triangles)
+    used = torch.unique(triangles) if used is None else used
     low, high = points[used].amin(0), points[used].amax(0)
     points, size = points - (low + high) / 2, float((high - low).norm())
     across = _perpendicular(direction)
