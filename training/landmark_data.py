@@ -12,18 +12,9 @@ from landmark_network import MEAN, SIZE, STD
 from torch import Tensor
 from torch.nn.functional import affine_grid, avg_pool2d, grid_sample
 
-FloatArray = npt.NDArray[np.floating]
+from facepipe.geometry.landmarks import MIRRORED
 
-# The landmark of the other side for each of the 68.
-MIRROR = [
-    *range(16, -1, -1),
-    *range(26, 16, -1),
-    *range(27, 31),
-    *range(35, 30, -1),
-    *(45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40),
-    *(54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55),
-    *(64, 63, 62, 61, 60, 67, 66, 65),
-]
+FloatArray = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +64,7 @@ def varied(heads: Heads, rows: npt.NDArray[np.integer], rng: np.random.Generator
     batch = _batch(heads, rows, *(torch.as_tensor(one, dtype=torch.float32) for one in (turn, shift)))
     landmarks, known = batch.landmarks.clone(), batch.known.clone()
     flip = torch.as_tensor(mirrored)
-    landmarks[flip], known[flip] = landmarks[flip][:, MIRROR], known[flip][:, MIRROR]
+    landmarks[flip], known[flip] = landmarks[flip][:, MIRRORED], known[flip][:, MIRRORED]
     images = _covered(_recolored(batch.images, rng), rng)
     presence, judged = batch.presence.clone(), batch.judged.clone()
     for i in np.flatnonzero(rng.random(count) < 0.07):

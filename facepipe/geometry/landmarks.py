@@ -8,7 +8,18 @@ from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import fit_similarity
 
 OUTER_CORNERS = (36, 45)  # of the eyes, in the Multi-PIE scheme
+# The landmark of the other side for each of the 68.
+MIRRORED = [
+    *range(16, -1, -1),
+    *range(26, 16, -1),
+    *range(27, 31),
+    *range(35, 30, -1),
+    *(45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40),
+    *(54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55),
+    *(64, 63, 62, 61, 60, 67, 66, 65),
+]
 _UPPER = [*range(17, 28), *range(36, 48)]  # brows, eyes and the bridge of the nose
+_HEIGHT = 0.7  # of the length of `downward`: a third less than the eye distance of the average head from the front
 _LOWER = [*range(5, 12), *range(48, 68)]  # chin and mouth
 
 
@@ -24,6 +35,12 @@ def eye_distance(landmarks: FloatArray) -> float:
 def downward(landmarks: FloatArray) -> FloatArray:
     """(2,) from the middle of brows and eyes to that of mouth and chin, of (68, 2) landmarks, in their units."""
     return np.asarray(landmarks[_LOWER].mean(axis=0) - landmarks[_UPPER].mean(axis=0))
+
+
+def face_size(landmarks: FloatArray) -> float:
+    """What errors of landmarks (68, 2) are relative to: `eye_distance`, or more by the face's height where a head is
+    turned so far that the eyes are close together."""
+    return max(eye_distance(landmarks), _HEIGHT * float(np.linalg.norm(downward(landmarks))))
 
 
 def quarters_to_upright(landmarks: FloatArray) -> int:
@@ -43,6 +60,22 @@ def quarter_turned(places: FloatArray, quarters: int, size: tuple[float, float])
     x, y = places[..., 0], places[..., 1]
     turned = ((x, y), (y, width - x), (width - x, height - y), (height - y, x))
     return np.stack(turned[quarters % 4], axis=-1)
+
+
+def turned_view(places: FloatArray, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
+    """(2, 3) the scaled rotation that shows places (n, 3) next to pixels (n, 2), each about its own mean.
+
+    The affine camera in least squares, a picture from far away, brought to right angles.
+
+    :param weights: (n,) of squared errors; None: all alike
+    """
+    weights = np.ones(len(pixels)) if weights is None else weights
+    rows, seen = (
+        np.sqrt(weights)[:, None] * (one - np.average(one, axis=0, weights=weights)) for one in (places, pixels)
+    )
+    affine = np.linalg.lstsq(rows, seen, rcond=None)[0].T
+    left, scales, right = np.linalg.svd(affine, full_matrices=False)
+    return np.asarray(scales.mean() * left @ right)
 
 
 def mirrored(points: FloatArray, reference: FloatArray) -> bool:

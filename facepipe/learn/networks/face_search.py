@@ -11,9 +11,10 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.landmarks import quarter_turned
+from facepipe.geometry.landmarks import MIRRORED, quarter_turned
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.files import LandmarkSession, landmark_model
+from facepipe.learn.networks.landmark_offsets import own_offsets
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _STRIDE = 0.28  # of a crop's side
@@ -22,11 +23,13 @@ _FEWEST_PIXELS = 40  # a side of the smallest crop
 _MOST = 64  # crops that are refined
 _ROUNDS = 4
 _MAYBE, _SURE = 0.4, 0.9  # presence of crops that are refined, and of those that are faces
-_UNSTEADY = 0.012  # of a crop's side: how much landmarks may depend on how a face is cropped
+_UNSTEADY = 0.018  # of a crop's side: how far landmarks may differ by how a face is cropped, RMS
 _UNLIKE = 0.1  # of a crop's side: RMS distance from the template
 _SAME = 0.4  # of a crop's side: faces nearer than this are one
-# Crops that a face's landmarks are the mean of: turn in radians, scale.
-_LOOKS = ((0.0, 1.0), (0.12, 1.0), (-0.12, 1.0), (0.0, 1.12), (0.0, 0.9))
+# Crops that a face's landmarks are the mean of, each as it is and mirrored: turn in radians, scale.
+_LOOKS = [(turn, scale) for scale in (1.0, 1.12, 0.9) for turn in (0.0, 0.12, -0.12)]
+_DOUBT = 0.008  # of a crop's side: RMS distance of a landmark from its mean over these at which it counts half
+_LEAST = 0.1  # confidence: the farther looks differ, the less that means
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,7 @@ class FoundFace:
 
     landmarks: FloatArray  # (68, 2) pixels, Multi-PIE order
     presence: float  # 0..1
+    confidence: FloatArray  # (68,) 0..1, what a landmark's squared error should count
 
 
 def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFace]:
@@ -43,7 +47,7 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     Crops of all sizes and places whose presence is high are moved to where their own landmarks ask for, a few times
     over; those that settle, keep their presence and look like a face when cropped differently are faces. The network
     knows synthetic heads alone, upright within about 30 degrees, and larger than a seventh of the photo. Where it sees
-    none, the photo is searched by quarter turns.
+    none, the photo is searched by quarter turns. Landmarks on which crops agree, turned, scaled and mirrored, are sure.
 
     :param model: an ONNX network of the kind ``landmarks``; default the one that comes with facepipe
     :raises InputError: another shape, NaN or infinity; a file that is no such network
@@ -54,10 +58,13 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     if not np.isfinite(pixels).all():
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
     network = LandmarkSession(model or landmark_model())
+    offsets = own_offsets() if model is None else None
     for quarters in range(4):
         turned = np.ascontiguousarray(np.rot90(pixels, quarters))
         size = turned.shape[1], turned.shape[0]
         faces = _upright_faces(network, turned)
+        if offsets is not None:
+            faces = [replace(face, landmarks=offsets.corrected(face.landmarks)) for face in faces]
         if faces:
             return [replace(face, landmarks=quarter_turned(face.landmarks, -quarters, size)) for face in faces]
     return []
@@ -65,9 +72,10 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
 
 def _upright_faces(network: LandmarkSession, pixels: FloatArray) -> list[FoundFace]:
     photo, scale = _shrunk(torch.as_tensor(pixels))
-    judged = [_judged(network, photo, landmarks) for landmarks in _settled(network, photo, _candidates(network, photo))]
+    settled = _settled(network, photo, _candidates(network, photo))
+    judged = [judged_face(network, photo, landmarks) for landmarks in settled]
     faces = _apart([face for face in judged if face is not None])
-    return [FoundFace(landmarks=face.landmarks * scale, presence=face.presence) for face in faces]
+    return [replace(face, landmarks=face.landmarks * scale) for face in faces]
 
 
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:
@@ -167,25 +175,32 @@ def _crops(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatA
     return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
 
 
-def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
-    """The face by several crops of it, or None where they disagree or show nothing like one."""
+def judged_face(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
+    """The face near landmarks by several crops of it, or None where they disagree or show nothing like one.
+
+    :param photo: (h, w, 3) sRGB 0..1, float32
+    :param landmarks: (68, 2) pixels
+    """
     aligned = _crop(photo, landmarks, network.size)
     if aligned is None:
         return None
     matrices = [_turned(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
-    places, presence = network(_crops(photo, matrices, network.size))
-    looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices, strict=True)])
+    crops = _crops(photo, matrices, network.size)
+    places, presence = network(np.concatenate([crops, crops[..., ::-1]]))
+    places[len(crops) :] = [network.size, 0] + places[len(crops) :, MIRRORED] * [-1, 1]
+    looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)])
     mean = looks.mean(axis=0)
     final = _crop(photo, mean, network.size)
     if final is None or presence.mean() < _SURE:
         return None
     side = float(np.hypot(*final[:, 0])) * network.size
-    unsteady = np.linalg.norm(looks - mean, axis=2).mean() / side
+    spread = np.sqrt(((looks - mean) ** 2).sum(axis=2).mean(axis=0)) / side
     target = from_crop(TEMPLATE * network.size, final)
     unlike = np.sqrt(((mean - target) ** 2).sum(axis=1).mean()) / side
-    if unsteady > _UNSTEADY or unlike > _UNLIKE:
+    if spread.mean() > _UNSTEADY or unlike > _UNLIKE:
         return None
-    return FoundFace(landmarks=mean, presence=float(presence.mean()))
+    confidence = np.maximum(_LEAST, 1 / (1 + (spread / _DOUBT) ** 4))
+    return FoundFace(landmarks=mean, presence=float(presence.mean()), confidence=confidence)
 
 
 def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:

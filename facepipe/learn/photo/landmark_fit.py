@@ -14,7 +14,7 @@ from torch import Tensor
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.boxed_qp import BoxedQuadratic
-from facepipe.geometry.landmarks import eye_distance
+from facepipe.geometry.landmarks import face_size
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
@@ -93,7 +93,7 @@ def levenberg_marquardt(
 class Priors:
     """What is likely before any photo is seen."""
 
-    landmark_sigma: float = 0.02  # standard deviation of landmarks, of the distance of the outer eye corners
+    landmark_sigma: float = 0.02  # standard deviation of landmarks, of the size of the face
     slider_sigma: float = 0.3  # of sliders around their defaults, of their range
     normal: bool = False  # whether that is their distribution, and not only what holds sliders that no photo shows
     slider_sparsity: float = 0.0  # L1 weight of sliders, per range
@@ -143,7 +143,7 @@ class LandmarkFit:
         self.rig = LandmarkRig.from_subject(subject) if rig is None else rig
         every = [np.ones(COUNT)] * len(self.targets) if confidences is None else confidences
         self.sigma = [  # (68, 1) pixels
-            priors.landmark_sigma * eye_distance(each) / np.sqrt(np.maximum(trust, _LEAST_CONFIDENCE))[:, None]
+            priors.landmark_sigma * face_size(each) / np.sqrt(np.maximum(trust, _LEAST_CONFIDENCE))[:, None]
             for each, trust in zip(self.targets, every, strict=True)
         ]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,8 +14,8 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_bytes
-from facepipe.geometry.landmarks import downward
 from facepipe.processors.photo_fit.photo_file import Photo
+from facepipe.processors.photo_fit.plausible_landmarks import check_face
 
 # Vertices of MediaPipe's face mesh (numbered as in canonical_face_model.obj of google-ai-edge/mediapipe) that lie where
 # the Multi-PIE mark-up has its points. The contour is that of the mesh, a little inside the jaw line. The 10 points of
@@ -33,16 +33,6 @@ MULTIPIE68_OF_MEDIAPIPE = (
 Found = TypeVar("Found")
 
 _OUTSIDE = 0.05  # of the photo's longer side: how far beyond its border detectors guess what a tight crop cuts off
-_SMALLEST_FACE = 16.0  # pixels of the longer side of the landmarks' box
-_LARGEST_NUMBER = 1e6
-# Random heads seen from all sides up to full profile, close by too: at most 0.39 of the spread is within the parts,
-# of shuffled landmarks 0.83 at least; the spread across the longest direction is at least 0.41 of that along it.
-_WITHIN_PARTS = 0.55
-_ACROSS = 0.15
-_MIRRORED = -0.1  # 1 from the front, 0 in profile, -1 for a mirrored face
-_PARTS = ((0, 5), (5, 12), (12, 17), (17, 22), (22, 27), (27, 31), (31, 36), (36, 42), (42, 48), (48, 68))
-_RIGHT = [*range(8), *range(17, 22), *range(36, 42)]  # of the person
-_LEFT = [*range(9, 17), *range(22, 27), *range(42, 48)]
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
@@ -63,12 +53,12 @@ def landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> L
 
     :param where: the trail, for messages
     :raises InputError: outside the photo by more than 5 % of its longer side, or nothing like the 68 of Multi-PIE: all
-        about one place, on one line, in another order or mirrored
+        about one place, on one line, in another order, mirrored, or with a part of the face where none can be
     """
     points = np.asarray(points, dtype=np.float64)
     if len(points) != 68:
         points = points[list(MULTIPIE68_OF_MEDIAPIPE)]
-    _check_face(points, where)
+    check_face(points, where)
     return Landmarks68(points=points, source=source, warnings=_check_inside(points, photo, where))
 
 
@@ -101,34 +91,6 @@ def _check_inside(points: FloatArray, photo: Photo, where: str) -> tuple[str, ..
     return (f"{what}, by up to {share:.1%} of its longer side: guessed by what found them",)
 
 
-def _check_face(points: FloatArray, where: str) -> None:
-    if not (np.abs(points) <= _LARGEST_NUMBER).all():  # NaN too
-        raise InputError(where, f"NaN, infinity or beyond {_LARGEST_NUMBER:g} pixels, expected places in a photo")
-    extent = float(np.ptp(points, axis=0).max())
-    if extent < _SMALLEST_FACE:
-        what = f"the landmarks span {extent:.3g} pixels, expected at least {_SMALLEST_FACE:g}"
-        raise InputError(where, f'{what} (places in 0..1 need "units": "normalized")')
-    centred = points - points.mean(axis=0)
-    along, across = np.linalg.svd(centred, compute_uv=False)
-    if across < _ACROSS * along:
-        raise InputError(where, "the landmarks lie on one line, expected those of a face")
-    within = sum(((points[a:b] - points[a:b].mean(axis=0)) ** 2).sum() for a, b in _PARTS)
-    if within > _WITHIN_PARTS**2 * (centred**2).sum():
-        raise InputError(
-            where, "jaw, brows, nose, eyes and lips are mixed, expected the 68 of Multi-PIE in their order"
-        )
-    if _handedness(points) < _MIRRORED:
-        what = "the landmarks are mirrored, expected the person's right side first, x right and y down"
-        raise InputError(where, f"{what} from the top left corner")
-
-
-def _handedness(points: FloatArray) -> float:
-    """1 for a face from the front however it is turned in the picture, 0 in profile, -1 when mirrored."""
-    right = points[_LEFT].mean(axis=0) - points[_RIGHT].mean(axis=0)
-    down = downward(points)
-    return float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300))
-
-
 def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = None) -> Landmarks68:
     """The landmarks that MediaPipe's Face Landmarker finds, in pixels of the photo.
 
@@ -153,8 +115,9 @@ def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = No
             found = landmarker.detect(image).face_landmarks
         except (ValueError, RuntimeError) as error:
             raise InputError(f"{photo.path} -> {task_file}", f"MediaPipe failed: {str(error)[:120]}") from None
-    faces = [_pixels(face, photo, task_file) for face in found]
-    return _chosen(photo, faces, index, f"MediaPipe {task_file.name}")
+    faces = sorted((_pixels(face, photo, task_file) for face in found), key=lambda points: -_extent(points))
+    chosen = one_face(faces, index, str(photo.path))
+    return landmarks_in(photo, chosen, f"MediaPipe {task_file.name}", str(photo.path))
 
 
 def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
@@ -165,13 +128,15 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     """
     from facepipe.learn.networks import find_landmarks
 
-    faces: list[FloatArray] = [np.asarray(face.landmarks) for face in find_landmarks(photo.pixels)]
-    return _chosen(photo, faces, index, "facepipe landmark network")
+    faces = sorted(find_landmarks(photo.pixels), key=lambda face: -_extent(face.landmarks))
+    face = one_face(faces, index, str(photo.path))
+    found = landmarks_in(photo, face.landmarks, "facepipe landmark network", str(photo.path))
+    return replace(found, confidence=face.confidence)
 
 
-def _chosen(photo: Photo, faces: list[FloatArray], index: int | None, source: str) -> Landmarks68:
-    faces = sorted(faces, key=lambda points: -float(np.prod(np.ptp(points, axis=0))))
-    return landmarks_in(photo, one_face(faces, index, str(photo.path)), source, str(photo.path))
+def _extent(points: FloatArray) -> float:
+    """Pixels of the box around landmarks."""
+    return float(np.prod(np.ptp(points, axis=0)))
 
 
 def _mediapipe(photo: Photo) -> tuple[Any, Any]:

@@ -261,6 +261,27 @@ def random_heads(count: int) -> list[Array]:
     ]
 
 
+@pytest.mark.parametrize("yaw", [0.0, 40.0])
+def test_a_part_of_the_face_in_another_place_is_refused(tmp_path: Path, yaw: float) -> None:
+    """Both eyes at one place, the nose beside the face, the mouth on the brows."""
+    points = seen(sample_marks(), yaw=yaw, roll=70)
+    across = points[45] - points[36]
+    for part, shift in ((slice(42, 48), -0.7 * across), (slice(27, 36), across)):
+        wrong = points.copy()
+        wrong[part] += shift
+        name = {27: "nose", 42: "left eye"}[part.start]
+        assert f"the landmarks of the {name} are " in error(tmp_path, wrong.tolist())
+    wrong = points.copy()
+    wrong[48:] += points[17:27].mean(axis=0) - points[48:].mean(axis=0)
+    assert "where a face has them" in error(tmp_path, wrong.tolist())
+
+
+def test_landmarks_that_no_turned_head_has_are_refused(tmp_path: Path) -> None:
+    crushed = face()
+    crushed[:17] = crushed[8] + [0.5, 0.0] * np.arange(17)[:, None]
+    assert "away from any turned head's, expected at most 0.45" in error(tmp_path, crushed.tolist())
+
+
 def test_faces_from_every_side_pass(tmp_path: Path) -> None:
     """Up to full profile, from above and below, from near and far, turned in the picture."""
     rng, photo = np.random.default_rng(1), blank()
