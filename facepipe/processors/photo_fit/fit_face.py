@@ -117,7 +117,7 @@ def fit_face(
                 extractors=inputs.extractors,
                 start=start,
                 slider_sigma=slider_sigma,
-                done=bar.update,
+                done=lambda _: bar.update(),
             )
     except FacepipeError as error:
         raise error.under(action.face) from None

@@ -227,6 +227,14 @@ def test_likeness_is_judged_by_a_network_of_the_caller(studio: Path, capsys: pyt
     assert drawn["similarity_fitted"]
 
 
+def test_the_function_gives_the_bytes_of_the_command(studio: Path) -> None:
+    assert fit_photo(*ONE, "-o", "person.usda", *FAST) == 0
+    weights = {"content": 0.0, "identity": 0.0, "attributes": 0.0}
+    sources = {"photos": [Path("front.png")], "landmarks": [Path("front.json")]}
+    facepipe.fit_photo("head.usdc", **sources, out="again.usda", iterations=8, size=96, **weights)
+    assert Path("again.usda").read_bytes() == Path("person.usda").read_bytes()
+
+
 def test_what_no_photo_shows_is_reported(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the frontal photo the nose is seen, and a part of the ears is not; a photo from the side shows more."""
     front, both = (fit_json(capsys, *words, "-o", "person.usda", "--force", *SOON)["unseen"] for words in (ONE, TWO))
