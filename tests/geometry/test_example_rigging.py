@@ -197,6 +197,19 @@ def test_shapes_that_always_go_together_are_named() -> None:
     assert split(personal(), apart).together == ()
 
 
+def test_shapes_that_are_one_to_all_composites_keep_their_templates() -> None:
+    """Two names of one motion, always together; the others are found as before."""
+    twins, own = templates(), personal()
+    twins[4], own[4] = 0.7 * twins[3], 0.7 * own[3]
+    found = split_shapes(neutral(), twins, shown(own), WEIGHTS, triangles(), **whole(4))
+    assert found.undecided == (3, 4)
+    assert np.array_equal(found.deltas[3:5], twins[3:5])
+    assert (found.observed[3:5] == 0.0).all()
+    assert (found.gains[3:5] == 1.0).all()
+    assert error(found.deltas, own)[:3].sum() < 0.5 * error(twins, own)[:3].sum()
+    assert split(personal()).undecided == ()
+
+
 def test_what_one_composite_shows_of_two_shapes_is_shared() -> None:
     seen = split(personal()).observed
     assert max(seen[3:5]) < 0.95

@@ -19,6 +19,9 @@ _UNSEEN = 0.05  # excited shapes observed less than this are as good as not scan
 _MOVES = 0.05  # a place moves with a shape if by more than this share of the shape's largest motion
 _NULL = 1e-6  # singular values below this share of the largest are 0
 _TOGETHER = 0.1  # two shapes go together if this share of what they move in common can be of either
+# and are one for the composites from this share on: less leaves them truer than their templates, as people's own way is
+# much the same in neighbouring shapes
+_SAME = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,9 @@ class Split:
     rank: int  # of the weights
     together: tuple[tuple[int, int], ...]  # pairs that weights don't separate where both move, most first
     warnings: tuple[str, ...]
+    undecided: tuple[
+        int, ...
+    ] = ()  # shapes of pairs that composites can't tell apart at all: the template's, to the bit
 
 
 def split_shapes(
@@ -77,7 +83,10 @@ def split_shapes(
         left = examples.residuals(deltas, solution.weights)
         excited = examples.excited
         deltas[excited] += added_detail(examples, solution.weights, left, deltas[excited], options)
-    return _report(examples, solution, deltas, options, system.sample, names)
+    shared = inseparable(examples, system.sample)
+    undecided = np.unique(np.argwhere(shared >= _SAME))
+    deltas[undecided] = examples.templates[undecided]
+    return _report(examples, solution, deltas, options, shared, names)
 
 
 def _report(
@@ -85,10 +94,13 @@ def _report(
     solution: FieldSolution,
     deltas: FloatArray,
     options: SplitOptions,
-    sample: IntArray,
+    shared: FloatArray,
     names: Sequence[str],
 ) -> Split:
-    seen, together = observed(examples, solution.weights, options), inseparable(examples, sample)
+    """:param shared: what `inseparable` gives"""
+    seen, together = observed(examples, solution.weights, options), _pairs(shared)
+    undecided = np.unique(np.argwhere(shared >= _SAME))
+    seen[undecided] = 0.0
     means, p95 = _residuals(examples, examples.residuals(deltas, solution.weights))
     return Split(
         deltas=deltas,
@@ -101,6 +113,7 @@ def _report(
         rank=int(np.linalg.matrix_rank(examples.weights)),
         together=together,
         warnings=_warnings(examples, solution, seen, together, names),
+        undecided=tuple(undecided.tolist()),
     )
 
 
@@ -177,9 +190,9 @@ def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> 
     return found
 
 
-def inseparable(examples: Examples, sample: IntArray) -> tuple[tuple[int, int], ...]:
-    """Pairs of shapes that weights don't separate, most first, whatever the scans show: by the null space, at sampled
-    points, of the weights of the shapes that move there.
+def inseparable(examples: Examples, sample: IntArray) -> FloatArray:
+    """(e, e) above the diagonal, 0..1: how much of what two shapes move in common can be of either, whatever the scans
+    show: by the null space, at sampled points, of the weights of the shapes that move there.
     """
     motion = np.linalg.norm(examples.templates[:, sample], axis=2).T  # (s, e)
     moves = (motion > _MOVES * motion.max(axis=0)) & examples.weights.any(axis=0)
@@ -196,9 +209,13 @@ def inseparable(examples: Examples, sample: IntArray) -> tuple[tuple[int, int], 
         mixed[np.ix_(shapes, shapes)] += 2.0 * np.abs(null) * shared
     total = energy.sum(axis=0)
     total[total <= 0] = 1.0
-    strength = np.triu(mixed, 1) / np.sqrt(np.outer(total, total))
-    pairs = np.argwhere(strength > _TOGETHER)
-    pairs = pairs[np.argsort(-strength[tuple(pairs.T)], kind="stable")]
+    return np.asarray(np.triu(mixed, 1) / np.sqrt(np.outer(total, total)))
+
+
+def _pairs(shared: FloatArray) -> tuple[tuple[int, int], ...]:
+    """Those of `inseparable` that are worth naming, most first."""
+    pairs = np.argwhere(shared > _TOGETHER)
+    pairs = pairs[np.argsort(-shared[tuple(pairs.T)], kind="stable")]
     return tuple((int(a), int(b)) for a, b in pairs)
 
 

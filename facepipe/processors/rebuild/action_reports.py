@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from facepipe.core.reports import Report, not_in_json
+from facepipe.core.reports import Report, not_in_json, table
 from facepipe.processors.database import Quality, QualityLimits, misses
 from facepipe.processors.rebuild.fit_neutral import NeutralReport
 from facepipe.processors.rebuild.refine_neutral import RefineReport
@@ -14,7 +15,12 @@ from facepipe.processors.rebuild.register_scans import CompositeReport
 from facepipe.processors.rebuild.scan_fit import FaceOnScan, ScanFit
 from facepipe.processors.rebuild.split_expressions import SplitReport
 
+if TYPE_CHECKING:
+    from facepipe.kinds import Job
+    from facepipe.processors.rebuild.rebuild_report import RebuildPictures
+
 J = TypeVar("J", bound="Judged")
+_SHOWN = 10  # shapes that a rebuild's text names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,3 +72,74 @@ def fit_misses(fit: ScanFit) -> tuple[str, ...]:
     """A line for each limit that a face misses on its scan; triangles that turn over are counted of shapes."""
     numbers = {name: getattr(fit, name) for name in ("surface_mean_mm", "surface_p95_mm", "coverage")}
     return misses(Quality(**numbers, flipped_triangles=0), QualityLimits())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RebuildReport(Report):
+    """What a rebuild did."""
+
+    stages: Mapping[str, Any] = field(default_factory=dict)  # step -> its report
+    quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
+    reused: tuple[str, ...] = ()  # steps whose results were there
+    corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
+    checks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # expression -> whether its scan belongs
+    left_out: Mapping[str, str] = field(default_factory=dict)  # expression -> why its scan does not belong
+    mouth: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # shape -> how its inside comes through skin
+    missed: tuple[str, ...] = ()  # a line for each limit, and each scan that was left out
+    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
+    colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows
+    pictures: RebuildPictures | None = not_in_json()
+    job: Job | None = not_in_json()
+
+    def as_text(self, out: Path) -> str:
+        """Tables of scans and shapes, and a line for each thing besides."""
+        lines = [
+            str(out),
+            table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(self.stages)]),
+        ]
+        if "refined" in self.stages:
+            lines.append(refined_line(self.stages["refined"]))
+        if "shapes" in self.stages:
+            report = self.stages["shapes"]
+            lines += _shape_lines(report["shapes"], [*report["unseen"], *report["undecided"]])
+            if report["undecided"]:
+                lines.append(f"not told apart by the scans, the template's: {', '.join(report['undecided'])}")
+        if self.left_out:
+            lines.append(f"left out: {', '.join(self.left_out)}")
+        if self.textures:
+            lines.append(f"skin in the scan's colours: {100 * self.colored:.1f} %")
+        if self.reused:
+            lines.append(f"reused: {', '.join(self.reused)}")
+        if self.corrected:
+            lines.append(f"corrected by hand: {', '.join(self.corrected)}")
+        return "\n".join(lines)
+
+
+def refined_line(report: Mapping[str, Any]) -> str:
+    """What a refinement did to the neutral."""
+    return (
+        f"neutral refined at {report['points']} points: {report['before_mean_mm']:.3f} mm from the scan before (mean), "
+        f"{report['surface_mean_mm']:.3f} mm now; moved {report['moved_mean_mm']:.2f} mm, at most "
+        f"{report['moved_max_mm']:.2f} mm"
+    )
+
+
+def _scan_rows(steps: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    for name, step in steps.items():
+        if "fit" in step:
+            fit = step["fit"]
+            distances = (f"{fit['surface_mean_mm']:.3f}", f"{fit['surface_p95_mm']:.3f}")
+            seen = (f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}")
+            yield (name.removeprefix("expressions/"), *distances, *seen)
+
+
+def _shape_lines(shapes: Mapping[str, Any], unseen: list[str]) -> Iterator[str]:
+    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes shown by the scans, the others are the template's"
+    shown = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
+    rows: list[tuple[str, ...]] = [("changed most", "observed", "gain", "change mm", "scans")]
+    for name in shown:
+        shape = shapes[name]
+        numbers = (f"{shape['observed']:.2f}", f"{shape['gain']:.2f}", f"{shape['change_mm']:.2f}")
+        rows.append((name, *numbers, " ".join(shape["scans"])))
+    if shown:
+        yield table(rows)

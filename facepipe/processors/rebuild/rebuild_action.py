@@ -48,8 +48,8 @@ from facepipe.declare import beside, option, source, to_json
 from facepipe.kinds import Job, StageAction, action
 
 if TYPE_CHECKING:
+    from facepipe.processors.rebuild.action_reports import RebuildReport
     from facepipe.processors.rebuild.project import Project
-    from facepipe.processors.rebuild.rebuild_report import RebuildReport
     from facepipe.stage import Face
 
 _log = logging.getLogger(__name__)
@@ -97,10 +97,11 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.core.atomic import apart
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import QualityLimits, load_database, misses, whole_face
+        from facepipe.processors.rebuild.action_reports import RebuildReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.mouth_contacts import mouth_contacts, mouth_lines
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
-        from facepipe.processors.rebuild.rebuild_report import RebuildPictures, RebuildReport
+        from facepipe.processors.rebuild.rebuild_report import RebuildPictures
         from facepipe.processors.rebuild.scan_check import left_out_lines
         from facepipe.processors.rebuild.template import Template
         from facepipe.processors.scan_texture import author_scan_textures

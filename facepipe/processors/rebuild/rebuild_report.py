@@ -1,28 +1,26 @@
-"""The report of a rebuild: its folder of figures and pictures of what they stand for, and its text."""
+"""The report of a rebuild as a folder: figures, and pictures of what they stand for."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.markup import Markup, heading, ruled_table, tag
-from facepipe.core.reports import Report, not_in_json, table
+from facepipe.processors.rebuild.action_reports import refined_line
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
     from facepipe.core.arrays import FloatArray
-    from facepipe.kinds import Job
     from facepipe.pictures.rebuild_pictures import Turntable
     from facepipe.processors.rebuild import Project, ProjectScan, Rebuilt, Template
     from facepipe.scans import Scan
 
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
 _NAMED = 8  # weights of an expression that the page gives
-_SHOWN = 10  # shapes that the text names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +32,8 @@ class ShapeRow:
     gain: float  # motion along the template's, over the template's
     change_mm: float  # mean distance from the template's
     scans: tuple[str, ...]  # that show it
-    unseen: bool = False  # scans show too little: it is the template's
+    alike: tuple[str, ...] = ()  # shapes that the scans don't separate from it, where both move
+    unseen: bool = False  # scans show it not at all, or as one with another: it is the template's
 
 
 def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
@@ -49,7 +48,8 @@ def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
                 gain=shape["gain"],
                 change_mm=shape["change_mm"],
                 scans=(*(["corrected by hand"] if corrected else []), *shape["scans"]),
-                unseen=name in report["unseen"] and not corrected,
+                alike=tuple(shape["alike"]),
+                unseen=name in (*report["unseen"], *report["undecided"]) and not corrected,
             )
         )
     return rows
@@ -60,20 +60,26 @@ def shapes_table(rows: Sequence[ShapeRow]) -> Iterator[Markup]:
     from facepipe.pictures.figures import bar
 
     shown = sorted((row for row in rows if not row.unseen), key=lambda row: -row.change_mm)
-    unseen = [row.name for row in rows if row.unseen]
+    unseen = [row for row in rows if row.unseen]
     yield heading("Shapes", f"{len(shown)} of {len(rows)} shown by the scans")
     lines = [
         [row.name, bar((0.0, 1.0), 0.0, row.observed), f"{row.observed:.2f}", f"{row.gain:.2f}",
-         f"{row.change_mm:.2f}", ", ".join(row.scans)]
+         f"{row.change_mm:.2f}", ", ".join(row.scans), ", ".join(row.alike)]
         for row in shown
     ]  # fmt: skip
     if lines:
         yield ruled_table(
-            ["", "shown by scans, 0 to 1", "", "gain", "change mm", "scans that show it"], lines, (2, 3, 4)
+            ["", "shown by scans, 0 to 1", "", "gain", "change mm", "scans that show it", "not told apart from"],
+            lines,
+            (2, 3, 4),
         )
-    if unseen:
-        yield tag("p", "Not shown by the scans: as the template has them", class_="muted")
-        yield tag("ul", *(tag("li", name) for name in unseen), class_="names muted")
+    for what, names in (
+        ("Not shown by the scans", [row.name for row in unseen if not row.alike]),
+        ("Not told apart by the scans", [row.name for row in unseen if row.alike]),
+    ):
+        if names:
+            yield tag("p", f"{what}: as the template has them", class_="muted")
+            yield tag("ul", *(tag("li", name) for name in names), class_="names muted")
 
 
 def _scans_table(reports: Mapping[str, Mapping[str, Any]]) -> Markup:
@@ -85,53 +91,6 @@ def _scans_table(reports: Mapping[str, Mapping[str, Any]]) -> Markup:
         rows.append([name, *figures, f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}"])
     head = ["scan", "distance, mean mm", "95 % below, mm", "face seen", "landmarks off by, mm"]
     return ruled_table(head, rows, (1, 2, 3, 4))
-
-
-@dataclass(frozen=True, kw_only=True)
-class RebuildReport(Report):
-    """What a rebuild did."""
-
-    stages: Mapping[str, Any] = field(default_factory=dict)  # step -> its report
-    quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
-    reused: tuple[str, ...] = ()  # steps whose results were there
-    corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
-    checks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # expression -> whether its scan belongs
-    left_out: Mapping[str, str] = field(default_factory=dict)  # expression -> why its scan does not belong
-    mouth: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # shape -> how its inside comes through skin
-    missed: tuple[str, ...] = ()  # a line for each limit, and each scan that was left out
-    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
-    colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows
-    pictures: RebuildPictures | None = not_in_json()
-    job: Job | None = not_in_json()
-
-    def as_text(self, out: Path) -> str:
-        """Tables of scans and shapes, and a line for each thing besides."""
-        lines = [
-            str(out),
-            table([("scan", "mean mm", "p95 mm", "face seen", "landmarks mm"), *_scan_rows(self.stages)]),
-        ]
-        if "refined" in self.stages:
-            lines.append(_refined_line(self.stages["refined"]))
-        if "shapes" in self.stages:
-            lines += _shape_lines(**{name: self.stages["shapes"][name] for name in ("shapes", "unseen")})
-        if self.left_out:
-            lines.append(f"left out: {', '.join(self.left_out)}")
-        if self.textures:
-            lines.append(f"skin in the scan's colours: {100 * self.colored:.1f} %")
-        if self.reused:
-            lines.append(f"reused: {', '.join(self.reused)}")
-        if self.corrected:
-            lines.append(f"corrected by hand: {', '.join(self.corrected)}")
-        return "\n".join(lines)
-
-
-def _refined_line(report: Mapping[str, Any]) -> str:
-    """What a refinement did to the neutral."""
-    return (
-        f"neutral refined at {report['points']} points: {report['before_mean_mm']:.3f} mm from the scan before (mean), "
-        f"{report['surface_mean_mm']:.3f} mm now; moved {report['moved_mean_mm']:.2f} mm, at most "
-        f"{report['moved_max_mm']:.2f} mm"
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -242,7 +201,7 @@ class RebuildPictures:
         if fit["outliers"]:
             lines.append(f"ignored as outliers: {', '.join(fit['outliers'])}")
         if step == "neutral" and "refined" in self.rebuilt.reports:
-            lines.append(_refined_line(self.rebuilt.reports["refined"]))
+            lines.append(refined_line(self.rebuilt.reports["refined"]))
         if report["weights"]:
             weights = sorted(report["weights"].items(), key=lambda one: -one[1])
             more = f" and {len(weights) - _NAMED} more" if len(weights) > _NAMED else ""
@@ -288,24 +247,3 @@ def _read(scan: ProjectScan) -> Scan:
     from facepipe.importers.scan_file import read_scan
 
     return replace(read_scan(scan.scan), name=str(scan.scan))
-
-
-def _scan_rows(steps: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    for name, step in steps.items():
-        if "fit" in step:
-            fit = step["fit"]
-            distances = (f"{fit['surface_mean_mm']:.3f}", f"{fit['surface_p95_mm']:.3f}")
-            seen = (f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}")
-            yield (name.removeprefix("expressions/"), *distances, *seen)
-
-
-def _shape_lines(shapes: Mapping[str, Any], unseen: list[str]) -> Iterator[str]:
-    yield f"{len(shapes) - len(unseen)} of {len(shapes)} shapes shown by the scans, the others are the template's"
-    shown = sorted(set(shapes) - set(unseen), key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
-    rows: list[tuple[str, ...]] = [("changed most", "observed", "gain", "change mm", "scans")]
-    for name in shown:
-        shape = shapes[name]
-        numbers = (f"{shape['observed']:.2f}", f"{shape['gain']:.2f}", f"{shape['change_mm']:.2f}")
-        rows.append((name, *numbers, " ".join(shape["scans"])))
-    if shown:
-        yield table(rows)

@@ -17,7 +17,7 @@ from facepipe.processors.rebuild.options import SplitExpressionsOptions
 from facepipe.processors.rebuild.register_scans import Composite
 from facepipe.processors.rebuild.template import Template
 
-_OBSERVED = 0.05  # shapes seen less than this stay as the template has them
+_OBSERVED = 0.05  # shapes seen less than this may stay as the template has them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +30,11 @@ class ShapeReport:
     scans: tuple[str, ...]  # that show it
     alike: tuple[str, ...]  # shapes that the scans can't separate from it
 
+    @property
+    def is_template(self) -> bool:
+        """It is the template's."""
+        return self.observed < _OBSERVED and self.change_mm == 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class SplitReport(Report):
@@ -41,6 +46,7 @@ class SplitReport(Report):
     residual_p95_mm: Mapping[str, float]
     rank: int  # of the weights: shapes that scans could separate
     unseen: tuple[str, ...]  # shapes that no scan shows: the template's
+    undecided: tuple[str, ...] = ()  # shapes that scans show as one with another: the template's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +120,7 @@ def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         )
         for number, name in enumerate(names)
     }
+    undecided = tuple(names[number] for number in split.undecided)
     return SplitReport(
         shapes=shapes,
         weights={
@@ -123,6 +130,7 @@ def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         residual_mean_mm=dict(zip(scans, map(float, split.residual_means), strict=True)),
         residual_p95_mm=dict(zip(scans, map(float, split.residual_p95), strict=True)),
         rank=split.rank,
-        unseen=tuple(name for name, one in shapes.items() if one.observed < _OBSERVED),
+        unseen=tuple(name for name in shapes if shapes[name].is_template and name not in undecided),
+        undecided=undecided,
         warnings=split.warnings,
     )

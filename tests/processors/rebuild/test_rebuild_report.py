@@ -266,6 +266,14 @@ def test_the_table_of_shapes_shows_what_changed_most_first() -> None:
     assert "<li>&lt;c&gt;</li>" in table
 
 
+def test_the_table_of_shapes_says_what_scans_do_not_tell_apart() -> None:
+    shared, twin = (replace(_row(name, 0.0), alike=("c",)) for name in "ab")
+    table = "".join(shapes_table([shared, replace(twin, unseen=True), _row("d", 0.0, unseen=True)]))
+    assert "<td>c</td>" in table
+    assert table.index("Not shown by the scans") < table.index("<li>d</li>")
+    assert table.index("<li>d</li>") < table.index("Not told apart by the scans") < table.index("<li>b</li>")
+
+
 def test_pictures_of_one_size_stand_on_top_of_each_other() -> None:
     tall = stacked([Image.new("RGB", (8, 5), color) for color in ("red", "blue")])
     assert (tall.width, tall.getpixel((0, 0)), tall.getpixel((7, tall.height - 1))) == (8, (255, 0, 0), (0, 0, 255))
