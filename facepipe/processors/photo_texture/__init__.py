@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
+    from facepipe.processors.photo_texture.author import hide_brow_cards
     from facepipe.processors.photo_texture.bake import Baker
     from facepipe.processors.photo_texture.bake_photo_action import BakePhoto
     from facepipe.processors.photo_texture.evened import inner, missed_light, one_sided
@@ -22,6 +23,7 @@ __all__ = [
     "Baker",
     "Observed",
     "SkinSurface",
+    "hide_brow_cards",
     "inner",
     "missed_light",
     "one_sided",

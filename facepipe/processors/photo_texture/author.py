@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.vectors import transformed
 from facepipe.kinds import Watch
-from facepipe.parts import Material, Mesh, PhotoView, Recipe, TextureInput
+from facepipe.parts import PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.observed import Exposure, expose
@@ -55,10 +55,7 @@ def author_textures(
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
-    hidden = _brow_cards(skin, face.meshes, face.materials, baked.trust)
-    for prim, material in face.material_names.items():
-        if material in hidden:
-            author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
     return replace(_report(photos, baked, files), hidden=hidden)
 
 
@@ -90,23 +87,26 @@ def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray) -> PhotoVie
     return replace(view, light=light, key=replace(view.key, color=(red, green, blue)), tint={})
 
 
-def _brow_cards(
-    skin: SkinSurface, meshes: Sequence[Mesh], materials: Sequence[Material], trust: FloatArray
-) -> tuple[str, ...]:
-    """Materials of cards that lie on the brows, where photos show these."""
-    rest = transformed(skin.mesh.points, skin.mesh.transform)
-    brows = rest[skin.landmarks[_BROWS]]
+def _shows_brows(skin: SkinSurface, trust: FloatArray) -> bool:
     marks = skin.points[skin.landmarks]
     below = marks[_BROWS] - _LOWER * (marks[27] - marks[8])  # brows lie below their landmarks
-    if trust[cKDTree(skin.points).query(below)[1]].mean() < _SHOWN:
-        return ()
-    cut = {material.name for material in materials if isinstance(material.opacity, TextureInput)}
-    reach = _REACH * skin.eye_distance(rest)
-    return tuple(
+    return bool(trust[cKDTree(skin.points).query(below)[1]].mean() >= _SHOWN)
+
+
+def hide_brow_cards(face: Face, skin: SkinSurface) -> tuple[str, ...]:
+    """Make cards that lie on the brows transparent, within `Face.deriving`; their materials."""
+    rest = transformed(skin.mesh.points, skin.mesh.transform)
+    brows, reach = rest[skin.landmarks[_BROWS]], _REACH * skin.eye_distance(rest)
+    cut = {material.name for material in face.materials if isinstance(material.opacity, TextureInput)}
+    hidden = tuple(
         mesh.material
-        for mesh in meshes
+        for mesh in face.meshes
         if mesh.material in cut and cKDTree(brows).query(transformed(mesh.points, mesh.transform))[0].max() < reach
     )
+    for prim, material in face.material_names.items():
+        if material in hidden:
+            author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    return hidden
 
 
 def _png(picture: FloatArray) -> bytes:

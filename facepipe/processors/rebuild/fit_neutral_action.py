@@ -124,7 +124,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         picture = FaceOnScan(template=template, points=shown, scan=scan, place=fit.place, neutral=neutral)
         missed = misses(report.quality, QualityLimits())
         warnings = (*notes, *report.warnings, *authored.warnings, *baked.warnings)
-        made = {"textures": baked.textures, "colored": baked.colored}
+        made = {"textures": baked.textures, "colored": baked.colored, "hidden": baked.hidden}
         return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
 
     def _people(self, own: BuiltInHead | None) -> FaceDatabase:

@@ -16,7 +16,16 @@ from facepipe.geometry.similarity import Similarity
 from facepipe.geometry.texture_fill import spread
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.parts import FaceParts, Texture, TextureInput
-from facepipe.processors.photo_texture import Baker, Observed, SkinSurface, inner, missed_light, one_sided, skin_of
+from facepipe.processors.photo_texture import (
+    Baker,
+    Observed,
+    SkinSurface,
+    hide_brow_cards,
+    inner,
+    missed_light,
+    one_sided,
+    skin_of,
+)
 from facepipe.processors.rebuild import BakeScanOptions
 from facepipe.processors.scan_texture.scan_colors import SkinOnScan, texel_width
 from facepipe.processors.scan_texture.scan_relief import baked_relief, is_finer, median_edge
@@ -27,6 +36,11 @@ from facepipe.stage import Face
 _ROOM_MM = 5.0  # around the skin
 _FINEST_MM = 0.1  # between samples
 _OFF_THE_FACE = 0.05  # what skin counts there when light is looked for: hair may be on it
+_FOREHEAD, _ON_BROWS = (0.25,), (0.0, -0.05)  # above the brows' landmarks, shares of chin to root of the nose
+_BROWS_REACH = 0.12  # of the eyes' distance, around these
+_SHOWN = 0.3  # confidence
+_DARK_SHARE = 0.25  # of points there that brows are on at least
+_BROWS_SHOW = 0.18  # darker by this than the forehead: skin alone is 0.1, painted brows are 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +49,7 @@ class BakeScanReport(Report):
 
     textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
     colored: float = 0.0  # share of the skin's outside whose colours the scan shows
+    hidden: tuple[str, ...] = ()  # materials of cards of brows, which the scan's colours show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +59,7 @@ class ScanTextures:
     pictures: tuple[Float32Array, ...]  # of each (size, size, 3) sRGB 0..1
     coverage: float  # share of the skin's outside whose colours the scan shows
     light: float  # what was evened, mean of the logarithm
+    brows: float = 0.0  # how much darker they are than the forehead, of the logarithm
 
 
 def lay_on(skin: SkinSurface, scan: Scan, place: Similarity) -> SkinOnScan:
@@ -74,7 +90,33 @@ def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
         pictures=tuple(_pictures(baker, observed)),
         coverage=float(trust @ areas / areas.sum()),
         light=float(np.abs(light).mean(axis=1) @ (areas * trust) / max(areas @ trust, 1e-12)),
+        brows=_brows(skin, (baker.template + colors - light).mean(axis=1), trust),
     )
+
+
+def _brows(skin: SkinSurface, brightness: FloatArray, trust: FloatArray) -> float:
+    """How much darker than the forehead the darker part of where brows are is; 0 where not both are shown.
+
+    :param brightness: (n,) logarithms at points
+    """
+    from scipy.spatial import cKDTree
+
+    marks, tree, reach = (
+        skin.points[skin.landmarks],
+        cKDTree(skin.points),
+        _BROWS_REACH * skin.eye_distance(skin.points),
+    )
+    up = marks[27] - marks[8]
+
+    def around(shares: tuple[float, ...]) -> FloatArray:
+        near = tree.query_ball_point(np.concatenate([marks[17:27] + share * up for share in shares]), reach)
+        rows = np.unique(np.concatenate([np.asarray(one, np.int64) for one in near]))
+        return brightness[rows[trust[rows] > _SHOWN]]
+
+    forehead, brows = around(_FOREHEAD), around(_ON_BROWS)
+    if not len(forehead) or not len(brows):
+        return 0.0
+    return float(np.median(forehead) - np.quantile(brows, _DARK_SHARE))
 
 
 def _light(skin: SkinSurface, normals: FloatArray, colors: FloatArray, trust: FloatArray) -> FloatArray:
@@ -113,7 +155,7 @@ def author_scan_textures(
         line = f"{scan.name}: colours are left out, the template's skin has no texture"
         return BakeScanReport(warnings=(line,) if colors else ())
     files: dict[str, tuple[str, ...]] = {}
-    colored = 0.0
+    colored, hidden = 0.0, tuple[str, ...]()
     with one_thread():
         on_scan = lay_on(skin_of(parts, points, options.texture_size), scan, place)
         edge = place.scale * median_edge(scan.points, scan.triangles)
@@ -128,7 +170,8 @@ def author_scan_textures(
                 image = jpeg(_name(texture.source), to_bytes(picture))
                 face.new_texture(texture.materials, image.name, image.data)
                 files[image.name] = texture.materials
-    return BakeScanReport(textures=files, colored=colored)
+            hidden = hide_brow_cards(face, on_scan.skin) if baked.brows > _BROWS_SHOW else ()
+    return BakeScanReport(textures=files, colored=colored, hidden=hidden)
 
 
 def _reliefs(parts: FaceParts, on_scan: SkinOnScan, edge: float) -> Iterator[tuple[Texture, tuple[str, ...]]]:

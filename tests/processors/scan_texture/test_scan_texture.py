@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from command_line import Capsys, done, run
 from node import validate
+from scipy.spatial import cKDTree
 
 import facepipe
 from facepipe.core.arrays import BoolArray, FloatArray
@@ -66,16 +67,26 @@ class Actor:
     def lit(self) -> Scan:
         """The same in the light of a lamp from one side and above."""
         normals = point_normals(self.truth.points, self.truth.triangles)
-        light = 0.7 + 0.25 * normals @ (0.6, 0.5, 0.6)
+        return self.dyed("lit", 0.7 + 0.25 * normals @ (0.6, 0.5, 0.6))
+
+    @cached_property
+    def browed(self) -> Scan:
+        """The same with brows, which the head in the box has on cards."""
+        skin = self.truth
+        brows = skin.points[skin.landmarks[17:27]] - [0.0, 3.0, 0.0]  # mm
+        return self.dyed("browed", 1 - 0.6 * (cKDTree(brows).query(skin.points)[0] < 5.0))
+
+    def dyed(self, name: str, shares: FloatArray) -> Scan:
+        """The scan with its colours times shares (n,) of the skin's points."""
         materials = {material.name: material for material in self.person.materials}
         for texture, colors in zip(self.truth.textures, true_colors(self.truth), strict=True):
             picture = np.zeros((SIZE**2, 3))
-            picture[texture.texels.at] = to_srgb(colors * texture.texels.carried(light[:, None]))
-            image = jpeg("lit", to_bytes(picture.reshape(SIZE, SIZE, 3)))
-            for name in texture.materials:
-                source = replace(texture.source, texture=replace(image, name=f"{name}.jpg"))
-                materials[name] = replace(materials[name], diffuse_color=source)
-        return self.scanned(replace(self.person, materials=tuple(materials.values())), "lit")
+            picture[texture.texels.at] = to_srgb(colors * texture.texels.carried(shares[:, None]))
+            image = jpeg(name, to_bytes(picture.reshape(SIZE, SIZE, 3)))
+            for material in texture.materials:
+                source = replace(texture.source, texture=replace(image, name=f"{material}.jpg"))
+                materials[material] = replace(materials[material], diffuse_color=source)
+        return self.scanned(replace(self.person, materials=tuple(materials.values())), name)
 
     def scanned(self, parts: FaceParts, name: str) -> Scan:
         save_parts(parts, self.folder / f"{name}.usda")
@@ -163,6 +174,15 @@ def test_light_is_evened_but_not_the_persons_tone(actor: Actor) -> None:
     assert np.abs(off(actor, flat, chosen)).mean() < 0.02
 
 
+def test_brows_are_seen_where_a_scan_has_them(actor: Actor) -> None:
+    """Cards of brows would lie on them once more."""
+    without, with_them = (
+        bake_scan(lay_on(actor.template, scan, CENTIMETRES), 1.0).brows for scan in (actor.scan, actor.browed)
+    )
+    assert without < 0.12
+    assert with_them > 0.25
+
+
 WAVE, HEIGHT = 6.0, 0.15  # mm, of ripples on a scan
 
 
@@ -222,8 +242,6 @@ def test_samples_lie_densely_on_the_surface_and_have_its_colours() -> None:
     scan = Scan(name="two", points=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]]), colors=corners / 4)
     samples = scan_samples(scan, AS_IT_IS, np.full(3, -9.0), np.full(3, 9.0), 0.1)
     np.testing.assert_allclose(samples.colors, samples.points / 4, atol=1e-6)
-    from scipy.spatial import cKDTree
-
     distances = cKDTree(samples.points).query(samples.points, k=2)[0][:, 1]
     assert distances.min() > 0
     assert distances.max() < 0.1
