@@ -111,7 +111,7 @@ def _brows(skin: SkinSurface, brightness: FloatArray, trust: FloatArray) -> floa
     def around(shares: tuple[float, ...]) -> FloatArray:
         near = tree.query_ball_point(np.concatenate([marks[17:27] + share * up for share in shares]), reach)
         rows = np.unique(np.concatenate([np.asarray(one, np.int64) for one in near]))
-        return brightness[rows[trust[rows] > _SHOWN]]
+        return np.asarray(brightness[rows[trust[rows] > _SHOWN]])
 
     forehead, brows = around(_FOREHEAD), around(_ON_BROWS)
     if not len(forehead) or not len(brows):
