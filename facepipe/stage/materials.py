@@ -182,6 +182,16 @@ def author_opacity(material: Usd.Prim, opacity: float) -> None:
     put(given.GetAttr(), float(opacity))
 
 
+def author_color_scale(material: Usd.Prim, scale: tuple[float, float, float, float]) -> None:
+    """What the texture of a material's colour is multiplied with."""
+    surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
+    given = _attribute(surface, "diffuseColor")
+    if given is None:
+        return
+    shader = UsdShade.Shader(editable(given.GetPrim()))
+    put(shader.CreateInput("scale", Sdf.ValueTypeNames.Float4).GetAttr(), Gf.Vec4f(*scale))
+
+
 def author_materials(
     stage: Usd.Stage, scope: Sdf.Path, materials: tuple[Material, ...], textures: dict[str, str]
 ) -> dict[str, UsdShade.Material]:

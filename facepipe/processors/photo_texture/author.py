@@ -18,12 +18,14 @@ from facepipe.kinds import Watch
 from facepipe.parts import PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
-from facepipe.processors.photo_texture.observed import Exposure, expose
+from facepipe.processors.photo_texture.hair import hair_cards, scale_of
+from facepipe.processors.photo_texture.observed import expose
 from facepipe.processors.photo_texture.report import BakePhotoReport
+from facepipe.processors.photo_texture.seen_skin import to_camera
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.stage.materials import author_opacity
+from facepipe.stage.materials import author_color_scale
 
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
@@ -40,13 +42,16 @@ def author_textures(
         textures or landmarks
     """
     with watch("bake", len(photos) + 2) as bar, one_thread():
-        skin = skin_of(face.parts(), face.evaluate(pose="set"), size)
+        neutral = face.evaluate(pose="set")
+        skin = skin_of(face.parts(), neutral, size)
         bar.update()
-        exposures = []
+        cards, exposures, posed = hair_cards(skin, face.meshes, face.materials, neutral), [], []
         for view, path in photos:
-            exposures.append(_exposure(face, skin, view, _pixels(view, path)))
+            points = _points(face, view)
+            exposures.append(expose(skin, view, _pixels(view, path).pixels, points))
+            posed.append(to_camera(view, points))
             bar.update()
-        baked = Baker(skin)(exposures)
+        baked = Baker(skin)(exposures, None if cards is None else cards.among(neutral, posed))
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
     author_changes(face, replace(face.parts(), photos=relit, recipe=recipe))
@@ -56,6 +61,9 @@ def author_textures(
         face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
     hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
+    if cards is not None and baked.hair is not None:
+        (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)
+        author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(cards.material, baked.hair))
     return replace(_report(photos, baked, files), hidden=hidden)
 
 
@@ -67,11 +75,12 @@ def _pixels(view: PhotoView, path: Path) -> Photo:
     return photo
 
 
-def _exposure(face: Face, skin: SkinSurface, view: PhotoView, photo: Photo) -> Exposure:
+def _points(face: Face, view: PhotoView) -> FloatArray:
+    """(n, 3) world points of all meshes as they are in a photo."""
     if view.animation is None:
         raise InputError(f"{face.where} -> {view.name}", "no pose of the face in the photo, expected one")
     transforms, weights = face.sample(view.animation)
-    return expose(skin, view, photo.pixels, face.evaluate(weights, joint_transforms=transforms))
+    return face.evaluate(weights, joint_transforms=transforms)
 
 
 def _relit(face: Face, names: Sequence[str], baked: Baked) -> tuple[PhotoView, ...]:

@@ -6,7 +6,7 @@ Colours are natural logarithms of ratios to the template's throughout.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from facepipe.geometry.texture_fill import spread
 from facepipe.processors.photo_texture.evened import (
     Relief,
     balance,
+    bare,
     inner,
     is_skin,
     missed_light,
@@ -25,6 +26,7 @@ from facepipe.processors.photo_texture.evened import (
     relief,
     renewed,
 )
+from facepipe.processors.photo_texture.hair import Hair, hair_color, scalp, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
 
@@ -45,6 +47,7 @@ class Baked:
     shares: tuple[float, ...]  # of the face that each photo shows
     seen: float  # share of the face that some photo shows
     trust: FloatArray  # (n,) the most confidence that a photo has at each point
+    hair: FloatArray | None  # (3,) linear colour, where photos show it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,19 +77,42 @@ class Baker:
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
 
-    def __call__(self, photos: Sequence[Exposure]) -> Baked:
-        """Textures from photos, one or more."""
+    def __call__(self, photos: Sequence[Exposure], hair: Hair | None = None) -> Baked:
+        """Textures from photos, one or more.
+
+        :param hair: whose colour is looked for, and whose scalp is to have it
+        """
         layers = self._alike([self._layer(photo) for photo in photos])
+        skin_color, color, paint = self._skin_color(layers), None, None
+        if hair is not None:
+            color = hair_color(self.skin, hair, photos, [layer.scale for layer in layers], skin_color)
+        if hair is not None and color is not None:
+            layers = [self._bare(layer, color, skin_color) for layer in layers]
+            painted = scalp(self.skin, self.template, hair.neutral)[:, None]
+            paint = painted, painted * (np.log(scalp_color(color, skin_color)) - self.template)
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(
-            pictures=tuple(self._pictures(layers)),
+            pictures=tuple(self._pictures(layers, paint)),
             scales=tuple(layer.scale for layer in layers),
             lights=tuple(layer.light for layer in layers),
             shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
             seen=float(seen @ face / face.sum()),
             trust=seen,
+            hair=color,
         )
+
+    def _bare(self, layer: _Layer, hair: FloatArray, color: FloatArray) -> _Layer:
+        """Without hair on the forehead."""
+        mask = bare(self.skin, self.template + layer.colors, layer.trust, hair, color)
+        none = np.zeros_like(layer.colors)
+        observed = tuple(self.evened(number, one, none, mask) for number, one in enumerate(layer.observed))
+        return replace(layer, observed=observed, trust=layer.trust * mask)
+
+    def _skin_color(self, layers: Sequence[_Layer]) -> FloatArray:
+        """(3,) linear, the median of the face in the first photo."""
+        weight = layers[0].trust * self.skin.areas * inner(self.skin)
+        return np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T])
 
     def _layer(self, photo: Exposure) -> _Layer:
         skin = self.skin
@@ -147,10 +173,10 @@ class Baker:
         scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
         return _Layer(observed=observed, colors=layer.colors + off, trust=layer.trust, scale=scale, light=light)
 
-    def _pictures(self, layers: Sequence[_Layer]) -> list[FloatArray]:
+    def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
         colors, trust = self.at_points(merged)
-        whole = self.completed(colors, trust)
+        whole = self.completed(colors, trust, paint)
         pictures = []
         for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
             ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
@@ -173,11 +199,15 @@ class Baker:
         place = np.flatnonzero(weights > 0)
         return Observed(place=place, ratio=sums[place] / weights[place, None], trust=most[place])
 
-    def completed(self, colors: FloatArray, trust: FloatArray) -> FloatArray:
+    def completed(
+        self, colors: FloatArray, trust: FloatArray, paint: tuple[FloatArray, FloatArray] | None = None
+    ) -> FloatArray:
         """(n, 3) colours of all points: those seen, and what continues them without a step where none is.
 
         Gradients there are those of the other side of the face where that is seen, else the template's own. Far off
         and inside mouth and sockets, colours go to the median of what is seen, and to the template's.
+
+        :param paint: shares (n, 1) of other colours that unseen points go to, and these times their shares
         """
         skin = self.skin
         other, known = skin.other_side(colors, trust)
@@ -185,6 +215,8 @@ class Baker:
         middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
         pull = np.where(skin.outside, (1 - trust) * (_REACH / _FAR) ** 2, (_REACH / _INSIDE) ** 2)
         target = np.where(skin.outside[:, None], middle, 0.0)
+        if paint is not None:
+            target = target * (1 - paint[0]) + paint[1]
 
         def whole(values: FloatArray, weights: FloatArray, rest: FloatArray) -> FloatArray:
             total = weights + pull

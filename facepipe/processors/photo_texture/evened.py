@@ -35,6 +35,7 @@ _STRANGE = (2.8, 30.0, 30.0)  # deviations beyond which a colour is no skin: bes
 _EDGE = (0.02, 0.07)  # off what is no skin: where confidence begins, where it is full
 _WIDER = 1.5  # by how much more beside the face
 _GRAIN = 0.03  # what is smaller is judged with what is around it
+_HAIRY, _LEAST_CONTRAST = 0.4, 0.1  # of the way from skin to hair: what is no skin; of both, squared
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
 _FAINT = 0.3  # confidence that doesn't join patches of skin
@@ -81,21 +82,50 @@ def inner(skin: SkinSurface) -> FloatArray:
     return 1 - step(distance / skin.eye_distance(skin.points), *_INNER)
 
 
+def _forehead(skin: SkinSurface) -> tuple[FloatArray, FloatArray]:
+    """(n,) 0..1, above the brows; (n,) distance from the arcs of the brows in shares of the eyes'."""
+    marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
+    arcs = np.concatenate([marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2])
+    up = (marks[27] - marks[8]) / np.linalg.norm(marks[27] - marks[8])  # from the chin to the root of the nose
+    arcs -= _LOWER * unit * up
+    distance, nearest = cKDTree(arcs).query(skin.points)
+    return step((skin.points - arcs[nearest]) @ up / unit, *_FOREHEAD), distance / unit
+
+
 def _limits(skin: SkinSurface) -> FloatArray:
     """(n,) deviations beyond which a colour is no skin.
 
     Faces have lips and nostrils, lids and foreheads are skin alone, and brows are hair that belongs there.
     """
+    above, brows = _forehead(skin)
     marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
-    arcs = np.concatenate([marks[17:27], (marks[17:21] + marks[18:22]) / 2, (marks[22:26] + marks[23:27]) / 2])
-    up = (marks[27] - marks[8]) / np.linalg.norm(marks[27] - marks[8])  # from the chin to the root of the nose
-    arcs -= _LOWER * unit * up
-    brows, nearest = cKDTree(arcs).query(skin.points)
-    above = step((skin.points - arcs[nearest]) @ up / unit, *_FOREHEAD)
     lids = 1 - step(cKDTree(marks[36:48]).query(skin.points)[0] / unit, *_LIDS)
     outside, face, brow = _STRANGE
     limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
-    return np.asarray(limits + brow * (1 - step(brows / unit, *_BROWS)) * (1 - lids) * (1 - above))
+    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - lids) * (1 - above))
+
+
+def bare(skin: SkinSurface, shown: FloatArray, trust: FloatArray, hair: FloatArray, color: FloatArray) -> FloatArray:
+    """(n,) 0..1, 0 on the forehead where colours come near those of hair.
+
+    :param shown: (n, 3) logarithms of linear colours
+    :param hair: (3,) linear, of hair
+    :param color: (3,) linear, of skin
+    """
+    towards = np.log(hair) - np.log(color)
+    share = (shown - np.log(color)) @ towards / max(float(towards @ towards), _LEAST_CONTRAST)
+    share = skin.smooth(share[:, None], trust, _GRAIN)[:, 0]
+    above, _ = _forehead(skin)
+    return _off(skin, (trust > 0) & (share > _HAIRY) & (above > 0.5))
+
+
+def _off(skin: SkinSurface, strange: BoolArray) -> FloatArray:
+    """(n,) 0..1, 1 well off strange points (n,)."""
+    if not strange.any():
+        return np.ones(len(strange))
+    distance = cKDTree(skin.points[strange]).query(skin.points)[0]
+    wide = 1 + _WIDER * (1 - inner(skin))
+    return step(distance / skin.eye_distance(skin.points) / wide, *_EDGE)
 
 
 def renewed(photo: Exposure, white: FloatArray, weight: FloatArray, scale: FloatArray) -> FloatArray:
@@ -146,11 +176,7 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
         square += (off / np.clip(1.5 * quantile(off, weight, 0.5), least, most)) ** 2
     far = skin.smooth(np.sqrt(square)[:, None], trust, _GRAIN)[:, 0]
     strange = (trust > 0) & (far > _limits(skin))
-    certain: FloatArray = np.ones(len(trust))
-    if strange.any():
-        distance = cKDTree(skin.points[strange]).query(skin.points)[0]
-        wide = 1 + _WIDER * (1 - inner(skin))
-        certain = step(distance / skin.eye_distance(skin.points) / wide, *_EDGE)
+    certain = _off(skin, strange)
     return certain * _joined(skin, certain * trust > _FAINT, weight)
 
 
