@@ -32,9 +32,9 @@ def person(seed: int, textures: int = 256) -> FaceParts:
     return replace(parts, meshes=meshes, sliders=(), animations=(), played=None)
 
 
-def with_cards(parts: FaceParts) -> FaceParts:
-    """The average head with its brows and lashes again."""
-    cards = (mesh for mesh in heads.make(0, textures=16).meshes if mesh.name in ("Brows", "Lashes"))
+def with_cards(parts: FaceParts, *names: str) -> FaceParts:
+    """The average head with some of its brows, lashes and hair again."""
+    cards = (mesh for mesh in heads.make(0, textures=16).meshes if mesh.name in names)
     return replace(parts, meshes=(*parts.meshes, *(replace(mesh, blendshapes=()) for mesh in cards)))
 
 

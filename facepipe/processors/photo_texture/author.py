@@ -131,4 +131,8 @@ def _report(
     photos: Sequence[tuple[PhotoView, Path]], baked: Baked, files: Mapping[str, tuple[str, ...]]
 ) -> BakePhotoReport:
     shares = {path.name: share for (_, path), share in zip(photos, baked.shares, strict=True)}
-    return BakePhotoReport(textures=files, photos=shares, seen=baked.seen)
+    report = BakePhotoReport(textures=files, photos=shares, seen=baked.seen)
+    if baked.hair is None:
+        return report
+    red, green, blue = baked.hair.round(4).tolist()
+    return replace(report, hair=(red, green, blue))

@@ -18,8 +18,9 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 # lengths are shares of the eyes' distance
 _ABOVE = 0.3  # over the brows: there the highest point of cards of hair is, and none of brows and lashes
-_NEAR = 1.0  # off the landmarks inside the face: what is farther may show what is behind the person
+_NEAR = 1.0  # off the landmarks inside the face
 _BEHIND = 0.1  # in depth: what is so far behind the surface is hidden
+_RIM = 3.0  # pixels off outlines
 _ROOTS = (0.03, 0.10)  # off the cards: where the scalp has their colour, where it has none
 _PAINTED = 0.6  # of the skin's brightness: below it a template is painted with hair
 _UNLIKE = np.array([0.35, 0.12, 0.12])  # brightness and two hues, as logarithms: beyond them hair is no skin
@@ -102,7 +103,11 @@ def _behind_cards(photo: Exposure, marks: FloatArray, hair: FloatArray) -> Float
     if not len(hair):
         return np.zeros((0, 3))
     column, row = places.astype(np.int64).T
-    seen = depth <= photo.seen.depth[row, column] + _BEHIND * photo.seen.eye_distance
+    behind = photo.seen.depth[row, column]  # beside the head there is none: another's hair, or a wall
+    seen = np.isfinite(behind) & (depth <= behind + _BEHIND * photo.seen.eye_distance)
+    seen &= photo.seen.outline[row, column] > _RIM
+    if not seen.any():
+        return np.zeros((0, 3))
     _, nearest = cKDTree(photo.points).query(hair[seen])
     white = photo.white[nearest]
     return np.asarray(from_srgb(np.clip(sampled(photo.pixels, places[seen], 2.0), 0, 1)) / np.maximum(white, 0.05))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from feature_graphs import coarse_picture, save
 from PIL import Image
 
 import facepipe
-from facepipe.parts import FaceParts, TextureInput
+from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.stage import Face
 
 LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds
@@ -148,13 +149,53 @@ def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted:
 
 
 def test_cards_of_brows_go_where_the_photo_has_brows(tmp_path: Path) -> None:
-    parts = with_cards(person(LIGHT_SKIN, 64))
+    parts = with_cards(person(LIGHT_SKIN, 64), "Brows", "Lashes")
     put_fitted(parts, parts, tmp_path, size=240, front=0.0)
     report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
     assert report.hidden == ("Brows",)
     opacity = {material.name: material.opacity for material in facepipe.open(tmp_path / "out.usda").materials}
     assert opacity["Brows"] == 0
     assert isinstance(opacity["Lashes"], TextureInput)
+
+
+def hair_of(parts: FaceParts) -> Material:
+    return next(material for material in parts.materials if material.name == "Hair")
+
+
+def hair_color(parts: FaceParts) -> np.ndarray:
+    """(3,) what the picture of hair is multiplied with."""
+    color = hair_of(parts).diffuse_color
+    assert isinstance(color, TextureInput)
+    return np.array(color.scale[:3])
+
+
+def with_hair(parts: FaceParts, hair: Material) -> FaceParts:
+    """The face with another material of its hair."""
+    return replace(parts, materials=tuple(hair if one.name == "Hair" else one for one in parts.materials))
+
+
+def test_hair_has_the_colour_of_the_hair_in_the_photo(tmp_path: Path) -> None:
+    parts = with_cards(person(LIGHT_SKIN, 64), "Hair")
+    truth = np.array([0.8, 0.5, 0.2])
+    hair = hair_of(parts)
+    assert isinstance(hair.diffuse_color, TextureInput)
+    fair = replace(hair, diffuse_color=replace(hair.diffuse_color, scale=(0.8, 0.5, 0.2, 1.0)))
+    put_fitted(parts, with_hair(parts, fair), tmp_path, size=240, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    made = hair_color(facepipe.open(tmp_path / "out.usda").parts())
+    off, before = (np.abs(np.log(color / truth)).mean() for color in (made, hair_color(parts)))
+    assert off < 0.5
+    assert off < before / 3
+    assert report.hair is not None
+
+
+def test_what_is_behind_a_head_is_not_its_hair(tmp_path: Path) -> None:
+    """Behind a head with a painted scalp and no cards is magenta."""
+    parts = with_cards(person(LIGHT_SKIN, 64), "Hair")
+    put_fitted(parts, with_hair(parts, replace(hair_of(parts), opacity=0.0)), tmp_path, size=240, front=0.0)
+    facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    red, green, blue = hair_color(facepipe.open(tmp_path / "out.usda").parts())
+    assert min(red, blue) < green + 0.05
 
 
 @pytest.mark.parametrize(
