@@ -25,7 +25,7 @@ from facepipe.processors.photo_texture.seen_skin import to_camera
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.stage.materials import author_color_scale
+from facepipe.stage.materials import author_color_scale, author_opacity
 
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
