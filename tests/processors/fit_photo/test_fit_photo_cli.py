@@ -183,6 +183,24 @@ def test_photos_of_a_person_share_sliders(studio: Path, capsys: pytest.CaptureFi
     assert [one.name for one in kept["landmarks"]] == ["front.json", "side.json"]
 
 
+def test_a_photo_on_its_side_gives_the_same_person(studio: Path) -> None:
+    """Sliders, neutral and expression; its camera sees the face on its side."""
+    with Image.open("front.png") as image:
+        image.transpose(Image.Transpose.ROTATE_90).save("lying.png")
+    x, y = np.array(json.loads(Path("front.json").read_text())["multipie68"]).T
+    Path("lying.json").write_text(json.dumps({"multipie68": np.stack([y, SIZE - x], axis=1).tolist()}))
+    faces = []
+    for name in ("front", "lying"):
+        assert fit_photo(f"{name}.png", "head.usdc", "--landmarks", f"{name}.json", "-o", f"{name}.usdc", *SOON) == 0
+        faces.append(facepipe.open(f"{name}.usdc"))
+    upright, lying = faces
+    np.testing.assert_allclose(lying.evaluate(), upright.evaluate(), atol=1e-4)
+    (one,), (other,) = upright.photos, lying.photos
+    assert other.landmark_error == pytest.approx(one.landmark_error, abs=1e-3)
+    np.testing.assert_allclose(other.transform[:3, 0], -one.transform[:3, 1], atol=1e-4)
+    np.testing.assert_allclose(other.transform[:3, 3], one.transform[:3, 3], atol=1e-3)
+
+
 def test_existing_files_need_force_and_the_same_input_gives_the_same_bytes(person: Path) -> None:
     before = contents(person)
     assert fit_photo(*ONE, "-o", "person.usda", *SOON) == 2
