@@ -61,8 +61,14 @@ def rasterise(points: Tensor, triangles: Tensor, height: int, width: int) -> Ras
     :param points: (n, 3) pixel x, pixel y and depth
     :param triangles: (t, 3) int64 point numbers
     """
-    drawn = usable(points.detach())[triangles].all(dim=1).nonzero()[:, 0].cpu().numpy()
-    corners = np.ascontiguousarray(triangles.cpu().numpy()[drawn].T)
+    good = usable(points.detach())
+    chosen = triangles.cpu().numpy()
+    if bool(good.all()):  # as a rule
+        drawn = np.arange(len(chosen))
+    else:
+        drawn = good[triangles].all(dim=1).nonzero()[:, 0].cpu().numpy()
+        chosen = chosen[drawn]
+    corners = np.ascontiguousarray(chosen.T)
     x, y, depth = (np.ascontiguousarray(column)[corners] for column in points.detach().cpu().numpy().T)
     raster = geometry.rasterise(geometry.on_screen(drawn, x, y, 1 / depth), width, height)
     covered = np.flatnonzero(raster.key)

@@ -170,10 +170,10 @@ def test_a_photo_on_its_side_shows_the_same_person_in_the_same_light(quarters: i
     fit, other = (
         fit_photos(sample(), [one], [at], options, extractors={}) for one, at in ((image, marks), (turned, places))
     )
-    assert other.sliders == pytest.approx(fit.sliders, abs=1e-6)
+    assert other.sliders == fit.sliders
     (view,), (there,) = fit.views, other.views
-    assert there.expressions == pytest.approx(view.expressions, abs=1e-6)
-    np.testing.assert_allclose(there.targets, places, atol=1e-9)
+    assert there.expressions == view.expressions
+    np.testing.assert_allclose(there.targets, places, atol=5e-4)
     size = image.shape[1], image.shape[0]
     points = subject().rig.points[::50]
     shown, seen = (project(one.camera, points) for one in (view, there))
@@ -195,7 +195,7 @@ def test_starts_are_turned_with_their_photos(quarters: int) -> None:
     before = (height, width) if quarters % 2 else (width, height)
     upright = UprightPhotos.from_photos([np.zeros((before[1], before[0], 3), np.float32)], [places])
     assert upright.quarters == (quarters,)
-    np.testing.assert_allclose(upright.landmarks[0], own.landmarks[0])
+    np.testing.assert_allclose(upright.landmarks[0], own.landmarks[0], atol=5e-4)
     start = replace(own.state, poses=own.state.poses - np.array([0, 0, quarters * np.pi / 2, 0.1, 0, 0, 0]))
     points = torch.as_tensor(subject().rig.points[::50])
 

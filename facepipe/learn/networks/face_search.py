@@ -28,7 +28,9 @@ _UNLIKE = 0.1  # of a crop's side: RMS distance from the template
 _SAME = 0.4  # of a crop's side: faces nearer than this are one
 # Crops that a face's landmarks are the mean of, each as it is and mirrored: turn in radians, scale.
 _LOOKS = [(turn, scale) for scale in (1.0, 1.12, 0.9) for turn in (0.0, 0.12, -0.12)]
-_DOUBT = 0.008  # of a crop's side: RMS distance of a landmark from its mean over these at which it counts half
+# Of a crop's side: RMS distance of a landmark from its mean over these at which it counts half; or this many times the
+# median, where all differ by more: landmarks as a whole then don't count less beside all else that a photo shows.
+_DOUBT, _USUAL = 0.008, 1.5
 _LEAST = 0.1  # confidence: the farther looks differ, the less that means
 
 
@@ -199,8 +201,13 @@ def judged_face(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatA
     unlike = np.sqrt(((mean - target) ** 2).sum(axis=1).mean()) / side
     if spread.mean() > _UNSTEADY or unlike > _UNLIKE:
         return None
-    confidence = np.maximum(_LEAST, 1 / (1 + (spread / _DOUBT) ** 4))
-    return FoundFace(landmarks=mean, presence=float(presence.mean()), confidence=confidence)
+    return FoundFace(landmarks=mean, presence=float(presence.mean()), confidence=_confidence(spread))
+
+
+def _confidence(spread: FloatArray) -> FloatArray:
+    """(68,) of RMS distances in sides of a crop."""
+    doubt = max(_DOUBT, _USUAL * float(np.median(spread)))
+    return np.asarray(np.maximum(_LEAST, 1 / (1 + (spread / doubt) ** 4)))
 
 
 def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:

@@ -20,11 +20,16 @@ from facepipe.learn.photo.result import FittedCamera, FittedView
 # A clockwise quarter turn: the harmonic that each of the nine comes from, and its sign (`facepipe.learn.light.basis`)
 _HARMONICS = [0, 3, 2, 1, 4, 7, 6, 5, 8]
 _SIGNS = np.array((1, -1, 1, 1, -1, -1, 1, 1, -1))
+_GRID = 1024  # to a pixel: landmarks on it are the same numbers however often they are turned
 
 
 @dataclass(frozen=True, kw_only=True)
 class UprightPhotos:
-    """Photos turned counter-clockwise by quarters, each until its face is within 45 degrees of upright."""
+    """Photos turned counter-clockwise by quarters, each until its face is within 45 degrees of upright.
+
+    A fit carries last digits of where it starts to first ones of where it ends: a photo and the same one on its side
+    must have the same landmarks to the last digit.
+    """
 
     photos: tuple[FloatArray, ...]  # (h, w, 3)
     landmarks: tuple[FloatArray, ...]  # (68, 2) pixels
@@ -35,8 +40,9 @@ class UprightPhotos:
         """:param photos: as they are, (h, w, 3)"""
         quarters = tuple(map(quarters_to_upright, landmarks))
         turned = [np.ascontiguousarray(np.rot90(*pair)) for pair in zip(photos, quarters, strict=True)]
-        marks = zip(landmarks, quarters, map(_size, photos), strict=True)
-        return cls(photos=tuple(turned), landmarks=tuple(quarter_turned(*each) for each in marks), quarters=quarters)
+        each = zip(landmarks, quarters, map(_size, photos), strict=True)
+        marks = tuple(np.round(quarter_turned(*one) * _GRID) / _GRID for one in each)
+        return cls(photos=tuple(turned), landmarks=marks, quarters=quarters)
 
     def start(self, start: State) -> State:
         """A state of the photos as they were, as one of these."""
