@@ -29,8 +29,8 @@ class BuiltInHead:
         from facepipe.heads.asset import asset
 
         names = asset().parts
-        known = tuple(mesh for mesh in parts.meshes if mesh.name in names)
-        if len(known) != len(names) or (parts.meters_per_unit, parts.up_axis) != (0.01, "Y"):
+        known = parts.meshes[: len(names)]
+        if [mesh.name for mesh in known] != list(names) or (parts.meters_per_unit, parts.up_axis) != (0.01, "Y"):
             return None
         from facepipe.heads.assembly import average
 
@@ -59,10 +59,15 @@ class BuiltInHead:
 
         return _TO_MM * with_parts_fitted(points / _TO_MM)
 
-    def settled(self, changed: FaceParts) -> FaceParts:
-        """The template with other points, whose blinks close its lids, and whose cards lie on its skin."""
+    def settled(self, changed: FaceParts, *, blinks: bool = True) -> FaceParts:
+        """The template with other points, whose blinks close its lids, and whose cards lie on its skin.
+
+        :param blinks: made of the lids; else they stay as they are
+        """
         from facepipe.heads.assembly import with_own_blinks, with_own_cards
 
-        body = {mesh.name: mesh for mesh in changed.meshes}
-        points = np.concatenate([np.asarray(body[mesh.name].points, np.float64) for mesh in self.body.meshes])
-        return with_own_cards(with_own_blinks(changed, points), self.parts)
+        if blinks:
+            body = changed.meshes[: len(self.body.meshes)]
+            points = np.concatenate([np.asarray(mesh.points, np.float64) for mesh in body])
+            changed = with_own_blinks(changed, points)
+        return with_own_cards(changed, self.parts)

@@ -25,7 +25,7 @@ from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 
 _FEWEST_LANDMARKS = 6
-_ODD_SIZE = 0.1  # logarithm: a scan that has grown or shrunk by more is held at the size that its landmarks have
+_ODD_SIZE = 0.2  # logarithm: a scan that has grown or shrunk by more is held at the size that its landmarks have
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,9 +36,9 @@ examples:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -95,10 +95,12 @@ class RebuildAction(StageAction["RebuildReport"]):
 
     def author(self, face: Face, job: Job) -> RebuildReport:
         from facepipe.core.atomic import apart
+        from facepipe.heads.assembly import BLINKS
         from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import QualityLimits, load_database, misses, whole_face
         from facepipe.processors.rebuild.action_reports import RebuildReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
+        from facepipe.processors.rebuild.built_in_head import BuiltInHead
         from facepipe.processors.rebuild.mouth_contacts import mouth_contacts, mouth_lines
         from facepipe.processors.rebuild.rebuild import Rebuild, step_count
         from facepipe.processors.rebuild.rebuild_report import RebuildPictures
@@ -114,8 +116,12 @@ class RebuildAction(StageAction["RebuildReport"]):
             rebuilt = Rebuild(project, body, _named_steps(bar, steps))()
         quality = to_json(rebuilt.quality)
         missed = (*left_out_lines(project, rebuilt.left_out), *misses(rebuilt.quality, QualityLimits()))
-        neutral, shapes = template.dressed(body, rebuilt.neutral), template.dressed_shapes(body, rebuilt.shapes)
-        authored = AuthorNeutral(shapes=shapes)(face, neutral, recipe=job.recipe(quality=quality))
+        own, shapes = BuiltInHead.of(parts), template.dressed_shapes(body, rebuilt.shapes)
+        neutral, author = rebuilt.neutral, AuthorNeutral(shapes=shapes)
+        if own is not None:
+            neutral = neutral if rebuilt.corrected else own.fitted(neutral)
+            author = replace(author, settled=partial(own.settled, blinks=not _scanned(rebuilt.reports, BLINKS)))
+        authored = author(face, template.dressed(body, neutral), recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])
         baked = author_scan_textures(face, parts, shown, scan, place, project.texture_options)
@@ -142,6 +148,12 @@ class RebuildAction(StageAction["RebuildReport"]):
             result = {"path": str(report.job.out), **report.to_dict(), "report": str(self.report)}
             with report.job.watch("report", report.pictures.count) as bar:
                 report.pictures.write(path, result, bar.update)
+
+
+def _scanned(reports: Mapping[str, Mapping[str, Any]], shapes: Collection[str]) -> bool:
+    """Whether a scan showed one of the shapes."""
+    found = reports.get("shapes", {}).get("shapes", {})
+    return any(found[name]["observed"] > 0 for name in shapes if name in found)
 
 
 def _named_steps(bar: Any, steps: int) -> Callable[[str], None]:

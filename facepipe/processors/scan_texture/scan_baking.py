@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.colors import to_srgb
@@ -36,6 +36,7 @@ from facepipe.stage import Face
 _ROOM_MM = 5.0  # around the skin
 _FINEST_MM = 0.1  # between samples
 _OFF_THE_FACE = 0.05  # what skin counts there when light is looked for: hair may be on it
+_HAIR_SIZE, _HAIR_REACH = 1.7, 0.07  # of the eyes' distance: how large it is at least, and how near it is to skin
 _FOREHEAD, _ON_BROWS = (0.25,), (0.0, -0.05)  # above the brows' landmarks, shares of chin to root of the nose
 _BROWS_REACH = 0.12  # of the eyes' distance, around these
 _SHOWN = 0.3  # confidence
@@ -62,16 +63,35 @@ class ScanTextures:
     brows: float = 0.0  # how much darker they are than the forehead, of the logarithm
 
 
-def lay_on(skin: SkinSurface, scan: Scan, place: Similarity) -> SkinOnScan:
+def lay_on(skin: SkinSurface, scan: Scan, place: Similarity, covered: BoolArray | None = None) -> SkinOnScan:
     """A skin on a scan.
 
     :param skin: in the pose of the scan, millimetres
     :param place: from the scan's coordinates to those of the skin
+    :param covered: (n,) points of the skin to which the scan's colours do not go
     :raises InputError: a picture of the scan that can't be read
     """
     low, high = skin.points.min(axis=0) - _ROOM_MM, skin.points.max(axis=0) + _ROOM_MM
     samples = scan_samples(scan, place, low, high, max(0.8 * texel_width(skin), _FINEST_MM))
-    return SkinOnScan(skin=skin, samples=samples)
+    return SkinOnScan(skin=skin, samples=samples, covered=covered)
+
+
+def under_hair(parts: FaceParts, points: FloatArray, skin: SkinSurface) -> BoolArray:
+    """(n,) points of the skin close under cards of hair: the scalp there has the hair's colour already.
+
+    :param points: (m, 3) of all meshes, in the pose of the skin
+    """
+    from scipy.spatial import cKDTree
+
+    cut = {material.name for material in parts.materials if isinstance(material.opacity, TextureInput)}
+    size = skin.eye_distance(skin.points)
+    covered, first = np.zeros(len(skin.points), bool), 0
+    for mesh in parts.meshes:
+        own = points[first : first + len(mesh.points)]
+        first += len(mesh.points)
+        if mesh.material in cut and np.ptp(own, axis=0).max() > _HAIR_SIZE * size:  # brows and lashes are smaller
+            covered |= cKDTree(own).query(skin.points)[0] < _HAIR_REACH * size
+    return covered
 
 
 def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
@@ -157,7 +177,8 @@ def author_scan_textures(
     files: dict[str, tuple[str, ...]] = {}
     colored, hidden = 0.0, tuple[str, ...]()
     with one_thread():
-        on_scan = lay_on(skin_of(parts, points, options.texture_size), scan, place)
+        skin = skin_of(parts, points, options.texture_size)
+        on_scan = lay_on(skin, scan, place, under_hair(parts, points, skin))
         edge = place.scale * median_edge(scan.points, scan.triangles)
         if relief and is_finer(on_scan, edge):
             for image, materials in _reliefs(parts, on_scan, edge):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.polygons import point_areas, point_normals
 from facepipe.geometry.texels import Texels
 from facepipe.processors.photo_texture import DARKEST, Observed, SkinSurface, step
@@ -37,6 +37,7 @@ class SkinOnScan:
 
     skin: SkinSurface  # its points as the scan shows them, millimetres
     samples: ScanSamples
+    covered: BoolArray | None = None  # (n,) to which its colours do not go
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -64,6 +65,8 @@ class SkinOnScan:
 
         _, near = self.nearest(self.skin.points, self.normals)
         trust = near * self.skin.outside
+        if self.covered is not None:
+            trust = trust * ~self.covered
         hidden = self.skin.outside & (trust < _SHOWN)
         if not hidden.any():
             return np.asarray(trust)

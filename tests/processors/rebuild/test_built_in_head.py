@@ -130,6 +130,8 @@ def test_a_real_scan_becomes_a_ready_face_by_one_command(tmp_path: Path, capsys:
     assert (kept.values["template"], kept.values["database"], kept.standalone) == (None, None, True)
     face = facepipe.open(out).parts()
     assert {mesh.name for mesh in face.meshes} >= {"Teeth", *CARDS}
+    corners = face.meshes[0].points[np.asarray(face.meshes[0].landmarks["multipie68"].indices)[[36, 45]]]
+    assert 8.0 < np.linalg.norm(corners[1] - corners[0]) < 10.2  # cm between the outer corners of the eyes
     assert len(face.skeleton.joints) == 44
     found = blink(Subject(face), eye_sheets(person(0)))
     assert found.shown <= 0.01

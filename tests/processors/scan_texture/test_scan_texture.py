@@ -29,6 +29,7 @@ from facepipe.processors.database import Topology, create_database, save_databas
 from facepipe.processors.photo_texture import Baker, SkinSurface, inner, skin_of
 from facepipe.processors.rebuild.template import Template
 from facepipe.processors.scan_texture import ScanTextures, bake_scan, lay_on
+from facepipe.processors.scan_texture.scan_baking import under_hair
 from facepipe.processors.scan_texture.scan_relief import baked_relief, is_finer, median_edge
 from facepipe.processors.scan_texture.scan_samples import scan_samples
 from facepipe.scans import Scan, ScanLandmarks
@@ -181,6 +182,21 @@ def test_brows_are_seen_where_a_scan_has_them(actor: Actor) -> None:
     )
     assert without < 0.12
     assert with_them > 0.25
+
+
+def test_the_scalp_under_hair_stays_the_templates(actor: Actor) -> None:
+    parts = make(0, textures=SIZE)
+    points = whole_points(parts)
+    skin = skin_of(parts, points, None)
+    covered = under_hair(parts, points, skin)
+    top = skin.points[:, 1] > skin.points[skin.landmarks[17:27], 1].max() + 70.0  # mm
+    assert covered[top & skin.outside].mean() > 0.9
+    assert not covered[skin.landmarks[17:]].any()
+    assert not under_hair(replace(parts, meshes=parts.meshes[:1]), points, skin).any()
+    baked = bake_scan(lay_on(actor.template, actor.scan, CENTIMETRES, covered), 0.0)
+    face = actor.template.outside & (inner(actor.template) > 0.9) & ~covered
+    assert np.abs(off(actor, baked, face)).mean() < 0.006
+    assert np.abs(off(actor, baked, covered & top)).mean() > 0.02
 
 
 WAVE, HEIGHT = 6.0, 0.15  # mm, of ripples on a scan
