@@ -5,7 +5,7 @@ environment of its own, judges pictures of that:
 
     python3.11 -m venv dlib-env && dlib-env/bin/pip install dlib-bin numpy face_recognition_models "setuptools<81"
     python benchmarks/likeness.py --dlib dlib-env/bin/python [--portraits obama biden] [--others 10] [--size 1024]
-        [--folder FOLDER] [--processes 2] [--json out.json]
+        [--folder FOLDER] [--together] [--processes 2] [--json out.json]
 
 Figures are distances of face descriptors; below 0.6 dlib takes two pictures for one person's. Looks: with the photo's
 skin; with that of the average head, as `fit-photo` leaves it; and the average head in place of the person, with either
@@ -19,6 +19,9 @@ skin and with the expression that the person has in the photo. Lines:
   margin          by how much another photo is nearer to the front than to that of anyone else (the least)
   look-alikes     the same of the photo itself: above 0 the person is known among the three most alike. Anyone else are
                   the other portraits' people, and others that are drawn from the head in the box
+
+With `--together` people with three portraits or more are made of all but one of them at once, too: how near the front
+is to the one left out, beside the fronts of the others alone.
 
 Blank: no face was found, or there is none to compare. Neutrals: narrow face, after similarity, from points to surface.
 """
@@ -53,6 +56,7 @@ from likeness_pictures import (
     head_triangles,
     made,
     other,
+    together,
 )
 from likeness_portraits import portraits
 from tables import aligned
@@ -80,6 +84,7 @@ def main() -> int:
     parser.add_argument("--others", type=positive, default=10, help="people drawn from the head (default 10)")
     parser.add_argument("--size", type=positive, default=1024, help="texels a side that are baked (default 1024)")
     parser.add_argument("--folder", type=Path, help="keep stages and pictures here; fits that are there stay")
+    parser.add_argument("--together", action="store_true", help="also make people of several portraits at once")
     parser.add_argument("--processes", type=positive, default=2, help="people at a time (default 2)")
     parser.add_argument("--data", type=Path, default=DATA, help="default ../shared/data beside the repository")
     parser.add_argument(
@@ -91,9 +96,9 @@ def main() -> int:
         folder = arguments.folder or Path(passing)
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            people, others = _made(arguments, folder)
+            people, others, joint = _made(arguments, folder)
             pictures = [person.photo for person in people] + [one for each in others for one in each.values()]
-            pictures += [picture for person in people for picture in person.pictures.values()]
+            pictures += [picture for person in people for picture in person.pictures.values()] + [*joint.values()]
             seen = run_child(arguments.dlib, Path(__file__).with_name("dlib_faces.py"), *pictures, folder / "seen.json")
         except (ChildError, OSError) as error:
             print(error, file=sys.stderr)
@@ -102,6 +107,7 @@ def main() -> int:
     descriptors = dict(zip(pictures, rows, strict=True))
     result = {
         "lines": judged(people, others, descriptors),
+        "together": left_out(people, joint, descriptors),
         "neutrals": neutral_distances(people, head_triangles()),
         "not_found": [picture.name for picture, row in descriptors.items() if row is None],
         "seconds": {person.portrait.name: dict(person.seconds) for person in people},
@@ -113,8 +119,11 @@ def main() -> int:
     return 0
 
 
-def _made(arguments: argparse.Namespace, folder: Path) -> tuple[list[Made], list[dict[str, Path]]]:
-    """The people of the portraits, and pictures of others, several at a time in processes of one thread."""
+def _made(arguments: argparse.Namespace, folder: Path) -> tuple[list[Made], list[dict[str, Path]], dict[str, Path]]:
+    """The people of the portraits, pictures of others, and of people made of all their portraits but one, by its name.
+
+    Several at a time, in processes of one thread.
+    """
     wanted = portraits(arguments.data, arguments.cache)
     if arguments.portraits:
         wanted = [portrait for portrait in wanted if portrait.name in arguments.portraits]
@@ -125,7 +134,13 @@ def _made(arguments: argparse.Namespace, folder: Path) -> tuple[list[Made], list
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         people = [pool.submit(made, portrait, head, folder, arguments.size) for portrait in wanted]
         others = [pool.submit(other, seed, folder, arguments.size) for seed in range(1, arguments.others + 1)]
-        return [person.result() for person in people], [each.result() for each in others]
+        joint = {
+            portrait.name: pool.submit(together, rest, head, folder, arguments.size)
+            for portrait in (wanted if arguments.together else [])
+            if len(rest := [each for each in wanted if each.person == portrait.person and each is not portrait]) > 1
+        }
+        pictures = {name: front.result() for name, front in joint.items()}
+        return [person.result() for person in people], [each.result() for each in others], pictures
 
 
 def judged(people: Sequence[Made], others: Sequence[Mapping[str, Path]], seen: Descriptors) -> Figures:
@@ -148,6 +163,20 @@ def judged(people: Sequence[Made], others: Sequence[Mapping[str, Path]], seen: D
             for line in LINES:
                 figures[line][look][person.portrait.name] = values.get(line)
     return figures
+
+
+def left_out(people: Sequence[Made], joint: Mapping[str, Path], seen: Descriptors) -> list[Json]:
+    """How near a photo is to the front of its person made of the others together, and of each of them alone.
+
+    :param joint: front pictures of people made of all their portraits but one, by its name
+    """
+    rows = []
+    for person in people:
+        if person.portrait.name in joint:
+            alone = [each.pictures["front", TEXTURED] for each in people if _same(each, person) and each is not person]
+            found = [_apart(seen, front, person.photo) for front in (joint[person.portrait.name], *alone)]
+            rows.append({"portrait": person.portrait.name, "together": found[0], "alone": found[1:]})
+    return rows
 
 
 def _same(one: Made, other: Made) -> bool:
@@ -202,6 +231,9 @@ def table(result: Json) -> str:
                 values = [*(figures[name] for name in names), float(np.mean(known)), worst]
                 rows.append((line, look, *("" if value is None else f"{value:.3f}" for value in values)))
     lines = [*aligned(rows), "", *_right(result["lines"][LOOK_ALIKES]), *_neutrals(result["neutrals"])]
+    for row in result["together"]:
+        figures = ["none" if value is None else f"{value:.3f}" for value in (row["together"], *row["alone"])]
+        lines.append(f"the others together to {row['portrait']}: {figures[0]}, each alone {', '.join(figures[1:])}")
     for step in ("fit-photo", "bake-photo"):
         seconds = [each[step] for each in result["seconds"].values() if step in each]
         if seconds:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -76,6 +76,18 @@ def made(portrait: Portrait, head: Path, folder: Path, size: int) -> Made:
             shown[line, look] = path
     mm = 1000 * facepipe.open(fit).meters_per_unit
     return Made(portrait=portrait, photo=photo, pictures=shown, narrow=neutral[:NARROW] * mm, seconds=seconds)
+
+
+def together(portraits: Sequence[Portrait], head: Path, folder: Path, size: int) -> Path:
+    """The front picture of a person made of several portraits at once; a fit that is in the folder stays."""
+    name, photos = "-".join(portrait.name for portrait in portraits), [portrait.path for portrait in portraits]
+    fit, baked, front = (folder / f"{name}.{end}" for end in ("usda", "baked.usda", "front.png"))
+    if not fit.is_file():
+        facepipe.fit_photo(head, photos=photos, out=fit)
+    facepipe.bake_photo(fit, photos=photos, out=baked, size=size, overwrite=True)
+    face = facepipe.open(baked)
+    pictures(face.parts(), face.evaluate(pose="set"), [PictureOptions(size=SIZE, samples=_SAMPLES)])[0].save(front)
+    return front
 
 
 class _Person:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmark_modules import BENCHMARKS
-from likeness import judged, main, neutral_distances, table
+from likeness import judged, left_out, main, neutral_distances, table
 from likeness_pictures import CAMERA, LOOKS, MASKED, MEAN, PHOTO, TEXTURED, UNTEXTURED, YAWS, Made
 from likeness_portraits import Portrait
 
@@ -59,6 +59,14 @@ def test_the_masked_render_is_compared_with_the_photo_under_the_same_mask() -> N
     assert judged([person("ann")], [], seen(places))["camera, masked"][TEXTURED] == {"ann": 0.25}
 
 
+def test_people_made_of_several_portraits_are_judged_by_the_one_left_out() -> None:
+    people = [person(name) for name in ("ann", "ann2", "bob")]
+    places = {"ann2/photo": 0.0, "ann/front/textured": 0.5, "seed": 0.25}
+    assert left_out(people, {"ann2": Path("seed")}, seen(places)) == [
+        {"portrait": "ann2", "together": 0.25, "alone": [0.5]}
+    ]
+
+
 def test_neutrals_are_compared_after_similarity() -> None:
     turned = 2.5 * GRID @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]] + 7
     bent = GRID + [0, 0, 1] * (GRID[:, :1] == 0)
@@ -72,7 +80,16 @@ def test_the_table_shows_means_and_worst() -> None:
     lines = {line: {TEXTURED: {"ann": 0.25, "bob": 0.5}} for line in ("front", "look-alikes")}
     pair = {"portraits": ["ann", "bob"], "same": False, "mm": 1.5}
     seconds = {"ann": {"bake-photo": 2.0}, "bob": {"bake-photo": 4.0}}
-    printed = table({"lines": lines, "neutrals": [pair], "seconds": seconds, "not_found": ["x.png"]})
+    printed = table(
+        {
+            "lines": lines,
+            "neutrals": [pair],
+            "seconds": seconds,
+            "not_found": ["x.png"],
+            "together": [{"portrait": "ann", "together": 0.25, "alone": [0.5, None]}],
+        }
+    )
+    assert "the others together to ann: 0.250, each alone 0.500, none" in printed
     rows = [line.split() for line in printed.splitlines()]
     assert ["front", "textured", "0.250", "0.500", "0.375", "0.500"] in rows
     assert ["look-alikes", "textured", "0.250", "0.500", "0.375", "0.250"] in rows
