@@ -14,7 +14,6 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import MIRRORED, quarter_turned
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.files import LandmarkSession, landmark_model
-from facepipe.learn.networks.landmark_offsets import own_offsets
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _STRIDE = 0.28  # of a crop's side
@@ -31,6 +30,7 @@ _LOOKS = [(turn, scale) for scale in (1.0, 1.12, 0.9) for turn in (0.0, 0.12, -0
 # Of a crop's side: RMS distance of a landmark from its mean over these at which it counts half; or this many times the
 # median, where all differ by more: landmarks as a whole then don't count less beside all else that a photo shows.
 _DOUBT, _USUAL = 0.008, 1.5
+_CONTOUR = slice(0, 17)
 _LEAST = 0.1  # confidence: the farther looks differ, the less that means
 
 
@@ -60,13 +60,10 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     if not np.isfinite(pixels).all():
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
     network = LandmarkSession(model or landmark_model())
-    offsets = own_offsets() if model is None else None
     for quarters in range(4):
         turned = np.ascontiguousarray(np.rot90(pixels, quarters))
         size = turned.shape[1], turned.shape[0]
         faces = _upright_faces(network, turned)
-        if offsets is not None:
-            faces = [replace(face, landmarks=offsets.corrected(face.landmarks)) for face in faces]
         if faces:
             return [replace(face, landmarks=quarter_turned(face.landmarks, -quarters, size)) for face in faces]
     return []
@@ -75,7 +72,7 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
 def _upright_faces(network: LandmarkSession, pixels: FloatArray) -> list[FoundFace]:
     photo, scale = _shrunk(torch.as_tensor(pixels))
     settled = _settled(network, photo, _candidates(network, photo))
-    judged = [judged_face(network, photo, landmarks) for landmarks in settled]
+    judged = [_judged(network, photo, landmarks) for landmarks in settled]
     faces = _apart([face for face in judged if face is not None])
     return [replace(face, landmarks=face.landmarks * scale) for face in faces]
 
@@ -177,7 +174,7 @@ def _crops(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatA
     return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
 
 
-def judged_face(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
+def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
     """The face near landmarks by several crops of it, or None where they disagree or show nothing like one.
 
     :param photo: (h, w, 3) sRGB 0..1, float32
@@ -196,12 +193,22 @@ def judged_face(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatA
     if final is None or presence.mean() < _SURE:
         return None
     side = float(np.hypot(*final[:, 0])) * network.size
-    spread = np.sqrt(((looks - mean) ** 2).sum(axis=2).mean(axis=0)) / side
+    spread = _spread(looks, mean) / side
     target = from_crop(TEMPLATE * network.size, final)
     unlike = np.sqrt(((mean - target) ** 2).sum(axis=1).mean()) / side
     if spread.mean() > _UNSTEADY or unlike > _UNLIKE:
         return None
     return FoundFace(landmarks=mean, presence=float(presence.mean()), confidence=_confidence(spread))
+
+
+def _spread(looks: FloatArray, mean: FloatArray) -> FloatArray:
+    """(68,) RMS distances of landmarks (n, 68, 2) from their mean; those of the contour slide along it: across."""
+    off = looks - mean
+    spread = np.sqrt((off**2).sum(axis=2).mean(axis=0))
+    along = np.gradient(mean[_CONTOUR], axis=0)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    spread[_CONTOUR] = np.sqrt(2 * ((off[:, _CONTOUR] * across).sum(axis=2) ** 2).mean(axis=0))
+    return np.asarray(spread)
 
 
 def _confidence(spread: FloatArray) -> FloatArray:

@@ -106,7 +106,8 @@ def fit_photos(
 
     :param photos: (h, w, 3) sRGB 0..1
     :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
-    :param confidences: (68,) of each photo's landmarks, 0 to 1: what their squared errors count; None: all alike
+    :param confidences: (68,) of each photo's landmarks, 0 to 1: what their squared errors count beside each
+        other; None: all alike
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);

@@ -134,7 +134,7 @@ class LandmarkFit:
     ) -> None:
         """
         :param targets: (68, 2) landmarks of each photo, pixels
-        :param confidences: (68,) of each photo's, 0 to 1: what their squared errors count; None: 1
+        :param confidences: (68,) of each photo, 0 to 1: what squared errors count beside each other; None: alike
         :param rig: of the subject, where there is one already
         :raises InputError: the face lacks the 68 landmarks
         """
@@ -142,9 +142,10 @@ class LandmarkFit:
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
         self.rig = LandmarkRig.from_subject(subject) if rig is None else rig
         every = [np.ones(COUNT)] * len(self.targets) if confidences is None else confidences
-        self.sigma = [  # (68, 1) pixels
-            priors.landmark_sigma * face_size(each) / np.sqrt(np.maximum(trust, _LEAST_CONFIDENCE))[:, None]
-            for each, trust in zip(self.targets, every, strict=True)
+        trusts = [np.maximum(each, _LEAST_CONFIDENCE) for each in every]
+        self.sigma = [  # (68, 1) pixels; all together the landmarks of a photo count the same whatever the confidences
+            priors.landmark_sigma * face_size(each) * np.sqrt(trust.mean() / trust)[:, None]
+            for each, trust in zip(self.targets, trusts, strict=True)
         ]
 
     def start(self) -> State:
