@@ -104,7 +104,9 @@ class RebuildReport(Report):
             report = self.stages["shapes"]
             lines += _shape_lines(report["shapes"], [*report["unseen"], *report["undecided"]])
             if report["undecided"]:
-                lines.append(f"not told apart by the scans, the template's: {', '.join(report['undecided'])}")
+                lines.append(
+                    f"hardly shown or not told apart by the scans, the template's: {', '.join(report['undecided'])}"
+                )
         if self.left_out:
             lines.append(f"left out: {', '.join(self.left_out)}")
         if self.textures:

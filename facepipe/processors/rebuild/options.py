@@ -91,12 +91,16 @@ class RegisterScansOptions(Ranged):
 
 @dataclass(frozen=True, kw_only=True)
 class SplitExpressionsOptions(SplitOptions):
-    """How registered expressions are split: they lie a little worse than what `SplitOptions` expects.
+    """How registered expressions are split.
+
+    They are off by about 0.2 mm in each coordinate, and over longer distances than `noise_length`: points slide along
+    the surface together. More noise stands for that: on seven simulated people errors of shapes are 0.562 of those of
+    the template's with 0.6, and 0.575 with 0.2.
 
     :raises InputError: a number out of range
     """
 
-    noise: float = field(default=0.2, metadata=SplitOptions.__dataclass_fields__["noise"].metadata)
+    noise: float = field(default=0.6, metadata=SplitOptions.__dataclass_fields__["noise"].metadata)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ class ShapeRow:
     change_mm: float  # mean distance from the template's
     scans: tuple[str, ...]  # that show it
     alike: tuple[str, ...] = ()  # shapes that the scans don't separate from it, where both move
-    unseen: bool = False  # scans show it not at all, or as one with another: it is the template's
+    unseen: bool = False  # scans show it not or hardly, or as one with another: it is the template's
 
 
 def shape_rows(rebuilt: Rebuilt) -> list[ShapeRow]:
@@ -74,7 +74,7 @@ def shapes_table(rows: Sequence[ShapeRow]) -> Iterator[Markup]:
             (2, 3, 4),
         )
     for what, names in (
-        ("Not shown by the scans", [row.name for row in unseen if not row.alike]),
+        ("Not shown by the scans, or hardly", [row.name for row in unseen if not row.alike]),
         ("Not told apart by the scans", [row.name for row in unseen if row.alike]),
     ):
         if names:

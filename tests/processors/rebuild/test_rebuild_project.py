@@ -36,7 +36,7 @@ def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path)
     assert smile.weights == DEFAULT_COMPOSITES["smile"]
     assert wink.weights == {"blink": 1.0}
     assert project.neutral_options.unit == "mm"
-    assert project.split_options.noise == 0.2
+    assert project.split_options.noise == 0.6
     assert project.neutral.weights == {}
     shown = read_project(_project(folder, HEAD + "weights = { eyeBlink_L = 1 }\n"))
     assert shown.neutral.weights == {"eyeBlink_L": 1.0}
