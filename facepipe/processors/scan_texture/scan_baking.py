@@ -37,6 +37,7 @@ _ROOM_MM = 5.0  # around the skin
 _FINEST_MM = 0.1  # between samples
 _OFF_THE_FACE = 0.05  # what skin counts there when light is looked for: hair may be on it
 _HAIR_SIZE, _HAIR_REACH = 1.7, 0.07  # of the eyes' distance: how large it is at least, and how near it is to skin
+_FRINGE = 0.12  # so far from its edge it hides skin that no scalp is
 _FOREHEAD, _ON_BROWS = (0.25,), (0.0, -0.05)  # above the brows' landmarks, shares of chin to root of the nose
 _BROWS_REACH = 0.12  # of the eyes' distance, around these
 _SHOWN = 0.3  # confidence
@@ -58,7 +59,7 @@ class ScanTextures:
     """Textures of a skin."""
 
     pictures: tuple[Float32Array, ...]  # of each (size, size, 3) sRGB 0..1
-    coverage: float  # share of the skin's outside whose colours the scan shows
+    coverage: float  # share of the skin's outside, without what is covered, whose colours the scan shows
     light: float  # what was evened, mean of the logarithm
     brows: float = 0.0  # how much darker they are than the forehead, of the logarithm
 
@@ -91,7 +92,10 @@ def under_hair(parts: FaceParts, points: FloatArray, skin: SkinSurface) -> BoolA
         first += len(mesh.points)
         if mesh.material in cut and np.ptp(own, axis=0).max() > _HAIR_SIZE * size:  # brows and lashes are smaller
             covered |= cKDTree(own).query(skin.points)[0] < _HAIR_REACH * size
-    return covered
+    bare = skin.outside & ~covered
+    if not covered.any() or not bare.any():
+        return covered
+    return np.asarray(covered & (cKDTree(skin.points[bare]).query(skin.points)[0] > _FRINGE * size))
 
 
 def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
@@ -106,6 +110,8 @@ def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
     light = even * _light(skin, on_scan.normals, colors, trust) if even > 0 else np.zeros_like(colors)
     observed = [baker.evened(number, one, light, np.ones(len(trust))) for number, one in enumerate(observed)]
     areas = skin.areas * skin.outside
+    if on_scan.covered is not None:
+        areas = areas * ~on_scan.covered
     return ScanTextures(
         pictures=tuple(_pictures(baker, observed)),
         coverage=float(trust @ areas / areas.sum()),
