@@ -118,6 +118,16 @@ class Person:
             replace(face, meshes=(*face.meshes, _shoulders(rng)), materials=(*face.materials, cloth)), self._values
         )
 
+    def scanned(self, look: Look, rng: np.random.Generator) -> Subject:
+        """The head alone with its skin, or in one grey."""
+        face, names = dressed(self._bare, look, _TEXELS), {mesh.name for mesh in self._bare.meshes}
+        materials = face.materials
+        if rng.random() < 0.5:
+            grey = (rng.uniform(0.1, 0.7),) * 3
+            materials = tuple(replace(material, diffuse_color=grey) for material in materials)
+        meshes = tuple(mesh for mesh in face.meshes if mesh.name in names)
+        return Subject(replace(face, meshes=meshes, materials=materials), self._values)
+
 
 def random_look(rng: np.random.Generator) -> Look:
     """The look of someone."""

@@ -65,7 +65,7 @@ def varied(heads: Heads, rows: npt.NDArray[np.integer], rng: np.random.Generator
     landmarks, known = batch.landmarks.clone(), batch.known.clone()
     flip = torch.as_tensor(mirrored)
     landmarks[flip], known[flip] = landmarks[flip][:, MIRRORED], known[flip][:, MIRRORED]
-    images = _covered(_recolored(batch.images, rng), rng)
+    images = _cut(_covered(_recolored(batch.images, rng), rng), rng)
     presence, judged = batch.presence.clone(), batch.judged.clone()
     for i in np.flatnonzero(rng.random(count) < 0.07):
         images[i] = _scrambled(images[i], rng)
@@ -114,6 +114,20 @@ def _covered(images: Tensor, rng: np.random.Generator) -> Tensor:
         images[i, :, y : y + height, x : x + width] = color + 0.3 * torch.as_tensor(
             rng.normal(0, rng.random(), (3, height, width)), dtype=torch.float32
         )
+    return images
+
+
+def _cut(images: Tensor, rng: np.random.Generator) -> Tensor:
+    """Pictures that end within the crop: from there on its last pixels go on, or one colour."""
+    for i in np.flatnonzero(rng.random(len(images)) < 0.2):
+        turn, flip = rng.random() < 0.6, rng.random() < 0.5
+        image = images[i].mT if turn else images[i]  # cut from side to side, or from above or below
+        image = image.flip(1) if flip else image
+        end = int(rng.integers(2, SIZE * 9 // 20))
+        plain = torch.as_tensor(rng.normal(0, 1.2, (3, 1, 1)), dtype=torch.float32)
+        image[:, :end] = plain if rng.random() < 0.4 else image[:, end : end + 1].clone()
+        image = image.flip(1) if flip else image
+        images[i] = image.mT if turn else image
     return images
 
 
