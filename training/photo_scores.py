@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
-from landmark_data import MIRROR
 from scipy.ndimage import gaussian_filter
 
+from facepipe.geometry.landmarks import MIRRORED
 from facepipe.learn.features.crops import from_crop, sample_crop
 from facepipe.learn.networks import find_landmarks, landmark_model
 from facepipe.processors.photo_fit import read_landmarks, read_photo
@@ -69,7 +69,7 @@ def scores(photo: Path, network: Path) -> list[tuple[str, FloatArray, int]]:
     for name, matrix, side in views(truth):
         image = changed(name, sample_crop(pixels, matrix, side)[0].permute(1, 2, 0).numpy())
         found = [from_crop(face.landmarks, matrix) for face in find_landmarks(image, network)]
-        found = [marks[MIRROR] if name == "mirrored" else marks for marks in found]
+        found = [marks[MIRRORED] if name == "mirrored" else marks for marks in found]
         off = [np.linalg.norm(marks - truth, axis=1) / across for marks in found]
         hits = [i for i, one in enumerate(off) if one[17:].mean() < _NEAR]
         errors = np.full(3, np.nan)
