@@ -66,10 +66,7 @@ def _check_parts(points: FloatArray, where: str) -> None:
     """Against the average head, turned and scaled robustly."""
     spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     trust = np.ones(len(points))
-    scatter = float(np.sqrt((_off_average(points, trust) ** 2).sum(axis=1).mean())) / spread
-    if scatter > _SCATTER:
-        what = f"the landmarks are {scatter:.2g} of the face's spread away from any turned head's"
-        raise InputError(where, f"{what}, expected at most {_SCATTER:g}")
+    scattered = float(np.sqrt((_off_average(points, trust) ** 2).sum(axis=1).mean())) / spread
     for _ in range(_ROUNDS):
         off = _off_average(points, trust) / spread
         trust = 1 / (1 + (off**2).sum(axis=1) / _OUTLIER**2)
@@ -78,6 +75,9 @@ def _check_parts(points: FloatArray, where: str) -> None:
         if away > _AWAY:
             what = f"the landmarks of the {name} are {away:.2g} of the face's spread away from where a face has them"
             raise InputError(where, f"{what}, expected at most {_AWAY:g}")
+    if scattered > _SCATTER:
+        what = f"the landmarks are {scattered:.2g} of the face's spread away from any turned head's"
+        raise InputError(where, f"{what}, expected at most {_SCATTER:g}")
 
 
 def _off_average(points: FloatArray, weights: FloatArray) -> FloatArray:
