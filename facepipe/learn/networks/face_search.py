@@ -29,7 +29,7 @@ _SAME = 0.4  # of a crop's side: faces nearer than this are one
 _LOOKS = [(turn, scale) for scale in (1.0, 1.12, 0.9) for turn in (0.0, 0.12, -0.12)]
 # Of a crop's side: RMS distance of a landmark from its mean over these at which it counts half; or this many times the
 # median, where all differ by more: landmarks as a whole then don't count less beside all else that a photo shows.
-_DOUBT, _USUAL = 0.008, 1.5
+_DOUBT, _USUAL = 0.008, 2.5
 _CONTOUR = slice(0, 17)
 _LEAST = 0.1  # confidence: the farther looks differ, the less that means
 
