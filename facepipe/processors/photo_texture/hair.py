@@ -24,7 +24,7 @@ _RIM = 3.0  # pixels off outlines
 _ROOTS = (0.03, 0.10)  # off the cards: where the scalp has their colour, where it has none
 _PAINTED = 0.6  # of the skin's brightness: below it a template is painted with hair
 _UNLIKE = np.array([0.35, 0.12, 0.12])  # brightness and two hues, as logarithms: beyond them hair is no skin
-_ENOUGH = 0.3  # of the places with hair
+_CLEAR, _OTHER = 0.2, 0.5  # of the places of hair: with hair that is darker or brighter than skin, or of another hue
 _FEWEST = 20
 _DARKEST, _BRIGHTEST = 0.01, 0.7  # linear
 
@@ -76,6 +76,8 @@ def hair_color(
 ) -> FloatArray | None:
     """(3,) linear colour of hair, the median of what is seen near the face and is no skin; None where little is.
 
+    Skin at the edge of hair may lie in other light than fitted: what differs in brightness must do so to one side.
+
     :param scales: (3,) of each photo's light
     :param color: (3,) linear, of the skin
     """
@@ -87,10 +89,13 @@ def hair_color(
     )
     off = np.log(np.maximum(colors, 1e-4)) - np.log(color)
     levels = np.column_stack([off @ GREY, off[:, 0] - off[:, 1], off[:, 2] - off[:, 1]])
-    strange = (np.abs(levels) > _UNLIKE).any(axis=1)
-    if strange.sum() < _FEWEST or strange.mean() < _ENOUGH:
+    dark, bright = levels[:, 0] < -_UNLIKE[0], levels[:, 0] > _UNLIKE[0]
+    clear = dark if dark.sum() >= bright.sum() else bright
+    other = (np.abs(levels) > _UNLIKE).any(axis=1)
+    chosen = next((one for one, least in ((clear, _CLEAR), (other, _OTHER)) if one.sum() >= least * len(one)), None)
+    if chosen is None or chosen.sum() < _FEWEST:
         return None
-    return np.asarray(np.clip(np.exp(np.median(off[strange], axis=0)) * color, _DARKEST, _BRIGHTEST))
+    return np.asarray(np.clip(np.exp(np.median(off[chosen], axis=0)) * color, _DARKEST, _BRIGHTEST))
 
 
 def _behind_cards(photo: Exposure, marks: FloatArray, hair: FloatArray) -> FloatArray:
