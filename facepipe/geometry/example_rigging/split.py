@@ -40,7 +40,7 @@ class Split:
     warnings: tuple[str, ...]
     undecided: tuple[
         int, ...
-    ] = ()  # shapes of pairs that composites can't tell apart at all: the template's, to the bit
+    ] = ()  # shapes of pairs that composites can't distinguish at all: the template's, to the bit
 
 
 def split_shapes(

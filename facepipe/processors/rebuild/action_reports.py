@@ -105,7 +105,7 @@ class RebuildReport(Report):
             lines += _shape_lines(report["shapes"], [*report["unseen"], *report["undecided"]])
             if report["undecided"]:
                 lines.append(
-                    f"hardly shown or not told apart by the scans, the template's: {', '.join(report['undecided'])}"
+                    f"hardly shown or not distinguished by the scans, the template's: {', '.join(report['undecided'])}"
                 )
         if self.left_out:
             lines.append(f"left out: {', '.join(self.left_out)}")

@@ -69,13 +69,13 @@ def shapes_table(rows: Sequence[ShapeRow]) -> Iterator[Markup]:
     ]  # fmt: skip
     if lines:
         yield ruled_table(
-            ["", "shown by scans, 0 to 1", "", "gain", "change mm", "scans that show it", "not told apart from"],
+            ["", "shown by scans, 0 to 1", "", "gain", "change mm", "scans that show it", "not distinguished from"],
             lines,
             (2, 3, 4),
         )
     for what, names in (
         ("Not shown by the scans, or hardly", [row.name for row in unseen if not row.alike]),
-        ("Not told apart by the scans", [row.name for row in unseen if row.alike]),
+        ("Not distinguished by the scans", [row.name for row in unseen if row.alike]),
     ):
         if names:
             yield tag("p", f"{what}: as the template has them", class_="muted")

@@ -271,7 +271,7 @@ def test_the_table_of_shapes_says_what_scans_do_not_tell_apart() -> None:
     table = "".join(shapes_table([shared, replace(twin, unseen=True), _row("d", 0.0, unseen=True)]))
     assert "<td>c</td>" in table
     assert table.index("Not shown by the scans") < table.index("<li>d</li>")
-    assert table.index("<li>d</li>") < table.index("Not told apart by the scans") < table.index("<li>b</li>")
+    assert table.index("<li>d</li>") < table.index("Not distinguished by the scans") < table.index("<li>b</li>")
 
 
 def test_pictures_of_one_size_stand_on_top_of_each_other() -> None:
