@@ -22,7 +22,7 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 # all lengths are shares of the eyes' distance
 _INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
-_LIDS = (0.03, 0.07)  # off the landmarks of the eyes
+_LIDS = (0.05, 0.10)  # off the landmarks of the eyes
 _WIDE = 0.25  # over which both sides of a face are made alike
 _UNEVEN = 0.5  # of what both sides vary over that, what is skin
 _LOCAL = 0.10  # over which highlights and folds stand out
@@ -95,13 +95,13 @@ def _forehead(skin: SkinSurface) -> tuple[FloatArray, FloatArray]:
 def _limits(skin: SkinSurface) -> FloatArray:
     """(n,) deviations beyond which a colour is no skin.
 
-    Faces have lips and nostrils, lids and foreheads are skin alone, and brows are hair that belongs there.
+    Faces have lips and nostrils; lids and foreheads are skin alone; brows are hair that belongs there.
     """
     above, brows = _forehead(skin)
     marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
     lids = 1 - step(cKDTree(marks[36:48]).query(skin.points)[0] / unit, *_LIDS)
     outside, face, brow = _STRANGE
-    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
+    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above) * (1 - lids)
     return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - lids) * (1 - above))
 
 
