@@ -13,7 +13,7 @@ from facepipe.processors.skin.features import points_between, smoothstep
 from facepipe.processors.skin.surface import surface_of
 from facepipe.scans import ScanLandmarks
 
-_SHUT = 0.17  # of an eye's width, that lids' landmarks are apart; those found on shut eyes are 0.13, on open ones 0.3
+_SHUT = 0.21  # of an eye's width, that lids' landmarks are apart; those found on a real scan's shut eyes are 0.2
 _SEALED = 0.03  # of the mouth's width, that lips' landmarks are apart
 _UPPER, _LOWER = (60, 61, 62, 63, 64), (60, 67, 66, 65, 64)  # the lips' inner landmarks, from corner to corner
 _LIPS = 0.16  # of the mouth's width: so far from their rims, lips follow these
