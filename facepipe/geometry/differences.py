@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.polygons import distinct_edges
 
 SMALLEST_COTANGENT = 0.05  # obtuse and flat triangles: weights stay positive, so that a face keeps one solution
 LARGEST_COTANGENT = 20.0
@@ -44,7 +45,6 @@ def cotangent_weights(points: FloatArray, triangles: IntArray) -> tuple[IntArray
         least = np.maximum(_FLATTEST * np.abs(along), np.finfo(np.float64).tiny)  # a sum of cotangents stays finite
         cotangents.append(0.5 * along / np.maximum(doubled_area, least))
         pairs.append(triangles[:, [(apex + 1) % 3, (apex + 2) % 3]])
-    ends = np.sort(np.concatenate(pairs), axis=1)
-    edges, place = np.unique(ends, axis=0, return_inverse=True)
-    weights = np.bincount(place.ravel(), np.concatenate(cotangents), minlength=len(edges))
+    edges, edge, _ = distinct_edges(np.concatenate(pairs))
+    weights = np.bincount(edge, np.concatenate(cotangents), minlength=len(edges))
     return edges, np.clip(weights, SMALLEST_COTANGENT, LARGEST_COTANGENT)

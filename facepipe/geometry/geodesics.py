@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.polygons import triangulate
+from facepipe.geometry.polygons import distinct_edges, triangulate
 
 _TINY = 1e-12  # shortest edge of the graph, of the largest coordinate: csgraph takes 0 for no edge
 
@@ -76,8 +76,8 @@ def _symmetric(pairs: IntArray, lengths: FloatArray, points: FloatArray) -> Any:
 def _lines_across(points: FloatArray, cells: IntArray) -> tuple[IntArray, FloatArray]:
     """Pairs of points (m, 2) on either side of an edge that exactly two cells share, and unfolded distances (m,)."""
     ends, others = _edges_of(cells)
-    edges, place, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(place.ravel(), kind="stable")
+    edges, edge, uses = distinct_edges(ends)
+    order = np.argsort(edge, kind="stable")
     starts = (np.cumsum(uses) - uses)[uses == 2]
     one, other = others[order[starts]], others[order[starts + 1]]
     found = [_lines(points, edges[uses == 2], one[:, i], other[:, k]) for i in range(2) for k in range(2)]
@@ -85,12 +85,12 @@ def _lines_across(points: FloatArray, cells: IntArray) -> tuple[IntArray, FloatA
 
 
 def _edges_of(cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Edges (e, 2) of every cell, lower point first, and the cell's other corners (e, 2): -1 for none."""
+    """Edges (e, 2) of every cell, and the cell's other corners (e, 2): -1 for none."""
     quads, triangles = cells[cells[:, 3] >= 0], cells[cells[:, 3] < 0]
     turns = [np.roll(quads, -i, axis=1) for i in range(4)]
     turns += [triangles[:, [i, (i + 1) % 3, (i + 2) % 3, 3]] for i in range(3)]
     whole = np.concatenate(turns)
-    return np.sort(whole[:, :2], axis=1), whole[:, 2:]
+    return whole[:, :2], whole[:, 2:]
 
 
 def _lines(points: FloatArray, edges: IntArray, a: IntArray, b: IntArray) -> tuple[IntArray, FloatArray]:

@@ -69,12 +69,19 @@ def edges(face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> tuple[
     following = np.arange(1, len(indices) + 1)
     following[ends[counts > 0] - 1] = (ends - counts)[counts > 0]
     others = indices[following]
-    low = int(indices.min(initial=0))
-    span = int(indices.max(initial=0)) - low + 1
+    pairs, _, faces = distinct_edges(np.stack([indices, others], axis=1))
+    return pairs, faces
+
+
+def distinct_edges(ends: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Distinct edges (e, 2), lower point first, sorted; the edge (m,) of each of (m, 2) `ends`; their counts (e,)."""
+    ends = np.asarray(ends, dtype=np.int64)
+    low = int(ends.min(initial=0))
+    span = int(ends.max(initial=0)) - low + 1
     # one number a pair: twenty times as fast as np.unique of rows
-    keys = (np.minimum(indices, others) - low) * span + np.maximum(indices, others) - low
-    unique, faces = np.unique(keys, return_counts=True)
-    return np.stack(np.divmod(unique, span), axis=1) + low, faces
+    keys = (ends.min(axis=1) - low) * span + ends.max(axis=1) - low
+    unique, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return np.stack(np.divmod(unique, span), axis=1) + low, edge, count
 
 
 def components(point_count: int, edge_pairs: IntArray) -> IntArray:

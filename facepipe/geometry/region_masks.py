@@ -6,7 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.factor import factorise
-from facepipe.geometry.polygons import components
+from facepipe.geometry.polygons import components, distinct_edges
 
 _ROUNDING = 1e-5  # sums of masks closer to 1 than this were 1 before they were stored
 _SHORTEST = 1e-6  # of the mean edge: shorter edges count as this long
@@ -37,7 +37,7 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     :param width: 0 or more; 0 changes nothing
     """
     smoothed = np.array(masks, dtype=np.float64)
-    pairs = np.unique(np.sort(np.asarray(edges, np.int64).reshape(-1, 2), axis=1), axis=0)
+    pairs, *_ = distinct_edges(np.asarray(edges).reshape(-1, 2))
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     if width == 0 or not len(pairs) or not len(smoothed):
         return smoothed

@@ -44,6 +44,7 @@ def jpeg(name: str, pixels: Any) -> Texture:
 
 
 TILES = ("face", "back")
+_SMALL = 128  # texels a side, up to which a quarter of the places will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
 _SHADE = np.array([0.75, 0.95, 1.0])
@@ -102,12 +103,14 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     """(size, size, 3) sRGB bytes."""
     rng = np.random.default_rng((look.seed, 100 + tile))
     m, scalp = masks(tile), STYLES[look.style][0]
-    base = _enlarged(to_bytes(to_srgb(coarse(look, tile))), size)
+    small = size <= _SMALL
+    base = _enlarged(to_bytes(to_srgb(coarse(look, tile, 4 if small else 1))), size)
     skin = _enlarged((1 - m["scalp"] * scalp) * (1 - np.maximum(m["mouth"], m["socket"])), size)
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
     blood = 0.03 * skin * _enlarged(patches, size)
-    melanin = skin * (0.05 * grain + _enlarged(_spots(look, tile, rng), size))
+    spots = np.zeros_like(grain) if small else _enlarged(_spots(look, tile, rng), size)
+    melanin = skin * (0.05 * grain + spots)
     hairs = _hairs(look, m, size, rng)
     for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
         light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from facepipe.core.arrays import IntArray
-from facepipe.geometry.polygons import components
+from facepipe.geometry.polygons import components, distinct_edges
 from facepipe.learn.rasterise import Raster, corner_areas, expand, take, usable
 
 _ROUNDING = 1e-5  # of nearness; what is behind an edge is farther than this
@@ -223,8 +223,8 @@ def mesh_edges(triangles: IntArray) -> npt.NDArray[np.int64]:
     triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     ends = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
     across = np.concatenate([triangles[:, (i + 2) % 3] for i in range(3)])
-    pairs, owner, count = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(owner.ravel(), kind="stable")
+    pairs, owner, count = distinct_edges(ends)
+    order = np.argsort(owner, kind="stable")
     last = np.cumsum(count) - 1
     edges = np.column_stack([pairs, across[order[last - count + 1]], across[order[last]]])
     return np.asarray(edges[count <= 2])

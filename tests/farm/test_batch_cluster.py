@@ -180,6 +180,7 @@ def test_a_worker_that_hangs_loses_nothing(show: Path, tmp_path: Path, monkeypat
         stop.join()
 
 
+@pytest.mark.slow
 def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: Path, farm: Farm) -> None:
     faces(show, 9)
     farm.worker()
@@ -213,6 +214,7 @@ def test_a_worker_of_another_version_is_refused(show: Path, farm: Farm) -> None:
     assert not (show / "built").exists()
 
 
+@pytest.mark.slow
 def test_a_worker_of_another_version_that_comes_later_gets_nothing(show: Path, farm: Farm) -> None:
     faces(show, 9)
     farm.worker()

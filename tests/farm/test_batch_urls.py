@@ -192,6 +192,7 @@ def test_a_folder_for_copies_that_can_not_be_made_is_a_line(run_urls: Runner, sh
     assert report.failures == (f"{show / 'base.bin'}: can't be made: File exists (3 tasks)",)
 
 
+@pytest.mark.slow
 def test_a_lost_connection_is_tried_again_and_then_told(
     s3: Any, server: S3Server, show: Path, run_urls: Runner
 ) -> None:
@@ -210,6 +211,7 @@ def test_a_lost_connection_is_tried_again_and_then_told(
     assert dict(run_urls().counts) == {"kept": 4, "made": 2}
 
 
+@pytest.mark.slow
 def test_workers_of_a_cluster_have_copies_of_their_own(s3: Any, show: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     (show / "plan.toml").write_text(AT_URLS)

@@ -18,6 +18,7 @@ def test_no_shape_brings_teeth_through_lips(seed: int, ending: str) -> None:
     assert {name for name, one in found.items() if one.cells > SINGLE[0] or one.depth > SINGLE[1]} == set()
 
 
+@pytest.mark.slow
 def test_few_combinations_bring_teeth_through_lips() -> None:
     average = person(0)
     mouth, drawn = mouth_sheet(average), list(draw_combinations(expressions(average), 60))

@@ -94,6 +94,7 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     assert (tmp_path / "me.glb").stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_sample_a_pixel")
 def test_the_demo_makes_everything(tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

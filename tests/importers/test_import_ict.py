@@ -182,6 +182,7 @@ def _write_obj(path: Path, points: np.ndarray, data: dict[str, Any]) -> None:
     path.write_text("\n".join(rows) + "\n")
 
 
+@pytest.mark.slow
 def test_the_obj_folder_gives_the_same_parts_as_the_packed_form(tmp_path: Path) -> None:
     data = arrays(PACKED)
     neutral = data["neutral"].astype(np.float64)

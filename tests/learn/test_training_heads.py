@@ -14,6 +14,7 @@ import heads
 import landmark_data
 import numpy as np
 import photo_scores
+import pytest
 import scenes
 import train_features
 import train_landmarks
@@ -50,6 +51,7 @@ def test_landmarks_lie_where_the_labels_have_their_parts() -> None:
             assert np.linalg.norm(view.landmarks[numbers].mean(axis=0) - middle) < 0.06 * scenes.SIZE, name
 
 
+@pytest.mark.slow
 def test_people_are_drawn_alike_by_the_same_numbers_and_not_by_others() -> None:
     (again,) = heads.person(0, np.random.default_rng(2), poses=1, views=1)  # the first of two views
     first = pictures()[0]
@@ -79,6 +81,7 @@ def test_shards_are_read_with_faces_where_their_crops_expect_them(tmp_path: Path
     assert np.sqrt(((geometry - TEMPLATE) ** 2).sum(axis=1).mean()) < 0.1
 
 
+@pytest.mark.slow
 def test_training_of_features_lowers_the_loss_on_their_classes(tmp_path: Path) -> None:
     heads.write_shard(pictures()[2:], tmp_path / "looks_000.npz")
     read = features_data.read([tmp_path])
@@ -94,6 +97,7 @@ def test_training_of_features_lowers_the_loss_on_their_classes(tmp_path: Path) -
     assert left[8] < left[1]
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss_and_gives_a_network_that_facepipe_reads() -> None:
     shown = pictures() * 8
     known = landmark_data.Heads(

@@ -11,7 +11,15 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.geodesics import cells, even_triangles, surface_graph
-from facepipe.geometry.polygons import components, edges, point_areas, point_normals, point_triangles, welded_points
+from facepipe.geometry.polygons import (
+    components,
+    distinct_edges,
+    edges,
+    point_areas,
+    point_normals,
+    point_triangles,
+    welded_points,
+)
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import mesh_spaces
@@ -114,10 +122,10 @@ def _sewn(
 ) -> Surface:
     group = welded_points(points, border, _SAME * float(np.ptp(points[triangles.ravel()], axis=0).max()))
     first = np.unique(group, return_index=True)[1]
-    triangles, pairs = group[triangles], np.sort(group[pairs], axis=1)
+    triangles, (pairs, *_) = group[triangles], distinct_edges(group[pairs])
     faces = np.where(faces >= 0, group[faces], -1)
     proper = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
-    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     component = components(len(first), pairs)
     landmarks = _landmarks(parts, group)
     counted = component[np.unique(triangles[proper]) if landmarks is None else landmarks]

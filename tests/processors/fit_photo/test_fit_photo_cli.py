@@ -228,6 +228,7 @@ def test_edit_fits_again_from_the_recipe(person: Path, capsys: pytest.CaptureFix
     assert (person / "person.usda").read_bytes() == (person / "anew.usda").read_bytes()
 
 
+@pytest.mark.slow
 def test_likeness_is_judged_by_a_network_of_the_caller(studio: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save(coarse_picture(32), studio / "net.onnx")
     words = (*ONE, *SOON, "--identity-model", "net.onnx", "--force")

@@ -149,6 +149,7 @@ def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted:
     assert np.median(np.abs(render[..., :3] - photo)[shown]) < 10
 
 
+@pytest.mark.slow
 def test_cards_of_brows_go_where_the_photo_has_brows(tmp_path: Path) -> None:
     parts = with_cards(person(LIGHT_SKIN, 64), "Brows", "Lashes")
     put_fitted(parts, parts, tmp_path, size=240, front=0.0)
@@ -190,6 +191,7 @@ def test_hair_has_the_colour_of_the_hair_in_the_photo(tmp_path: Path) -> None:
     assert report.hair is not None
 
 
+@pytest.mark.slow
 def test_what_is_behind_a_head_is_not_its_hair(tmp_path: Path) -> None:
     """Behind a head with a painted scalp and no cards is magenta."""
     parts = with_cards(person(LIGHT_SKIN, 64), "Hair")

@@ -175,6 +175,7 @@ def test_light_is_evened_but_not_the_persons_tone(actor: Actor) -> None:
     assert np.abs(off(actor, flat, chosen)).mean() < 0.02
 
 
+@pytest.mark.slow
 def test_brows_are_seen_where_a_scan_has_them(actor: Actor) -> None:
     """Cards of brows would lie on them once more."""
     without, with_them = (
