@@ -14,6 +14,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from pxr import Ar, Sdf
 
 from facepipe.core.errors import InputError
@@ -100,15 +101,24 @@ def _check_text(where: object, data: bytes | mmap.mmap) -> None:
     expressions = b"`" in marks or b"pathExpression" in text
     if not expressions and marks.count(b"{") <= 2 * MOST_LEVELS and not _DEEP_PATH.search(marks):
         return
+    kept = _MARKS + b"\x01\x02\x03" + (b"()" if expressions else b"")
+    text = _without_runs(text, kept + b"\\")
     for old, new in (*((one, b"") for one in _NO_QUOTES), *_LONG_QUOTES):
         text = text.replace(old, new)
-    kept = _MARKS + b"\x01\x02\x03" + (b"()" if expressions else b"")
     depth = 0
     for match in _WORDS.finditer(text.translate(None, _all_but(kept))):
         word = match[0]
         depth += (word == b"{") - (word == b"}")
         if max(depth, _levels(word)) > 2 * MOST_LEVELS:  # a prim in a variant has two
             raise InputError(where, f"can't be read as USD: nests more than {2 * MOST_LEVELS} deep")
+
+
+def _without_runs(text: bytes, kept: bytes) -> bytes:
+    """The text with one blank for each run of other bytes: what stood apart still does."""
+    blanked = np.frombuffer(text.translate(bytes(byte if byte in kept else 32 for byte in range(256))), np.uint8)
+    needed = blanked != 32
+    needed[1:] |= needed[:-1].copy()
+    return bytes(blanked[needed])
 
 
 def _all_but(kept: bytes) -> bytes:

@@ -9,7 +9,7 @@ from fuzz_formats import FORMATS
 from fuzzing import fuzz
 
 QUICK = ("usda", "usdc", "usdz", "recipes", "photos")  # the rest is slow
-SLOW = 100  # cases
+SLOW = 60  # cases
 
 
 @pytest.mark.parametrize("name", QUICK)

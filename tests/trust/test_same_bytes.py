@@ -15,7 +15,7 @@ from places import SUPPORT
 
 from facepipe.cli import commands_of
 
-SETTINGS = ((1, 1), (2, 2), (4, 3))  # threads, seed
+SETTINGS = ((1, 1), (4, 2))  # threads, seed
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 WRITER = SUPPORT / "every_writer.py"
 # these write text to stdout, or what others write, or take minutes
@@ -42,10 +42,9 @@ def test_every_command_writes_the_same_bytes(tmp_path: Path) -> None:
     folders = [tmp_path / str(threads) for threads, _ in SETTINGS]
     for (threads, seed), folder in zip(SETTINGS, folders, strict=True):  # not at once: their threads would wait
         _write(threads, seed, folder)
-    first, *others = (_digests(folder) for folder in folders)
+    first, other = map(_digests, folders)
     assert len(first) > 90
-    for other in others:
-        assert [name for name in first.keys() | other.keys() if first.get(name) != other.get(name)] == []
+    assert [name for name in first.keys() | other.keys() if first.get(name) != other.get(name)] == []
 
 
 def test_every_writing_command_is_among_them() -> None:

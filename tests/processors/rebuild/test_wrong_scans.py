@@ -164,9 +164,9 @@ def test_limits_follow_what_the_other_scans_show() -> None:
 
 @pytest.mark.slow
 def test_a_fresh_actor_with_one_wrong_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Another person's smile among fifteen scans: no shape of a real head is worse than the template's.
+    """Another person's smile among eight scans: no shape of a real head is worse than the template's.
 
-    With that scan 20 of the shapes of such an actor were worse, cheekSquintLeft 17 times.
+    With that scan 20 of the shapes of such an actor (of fifteen scans) were worse, cheekSquintLeft 17 times.
     """
     actor, other, wrong = Actor(207), Actor(208), "smile"
     template = ict_template()
@@ -178,7 +178,8 @@ def test_a_fresh_actor_with_one_wrong_scan(tmp_path: Path, capsys: pytest.Captur
     save_database(create_database(people).database, tmp_path / "faces.fpdb")
     lines = ['template = "head.usda"', 'database = "faces.fpdb"', "[neutral]", 'scan = "neutral.ply"']
     pose = put_scan(tmp_path, "neutral", actor.neutral, 207).pose
-    for number, (name, shown) in enumerate(COMPOSITES.items()):
+    scans = dict(list(COMPOSITES.items())[:8])
+    for number, (name, shown) in enumerate(scans.items()):
         put_scan(tmp_path, name, (other if name == wrong else actor).composite(shown), 20700 + number)
         weights = ", ".join(f"{shape} = {weight}" for shape, weight in ours(shown).items())
         lines += [f"[expressions.{name}]", f'scan = "{name}.ply"', f"weights = {{ {weights} }}"]
@@ -199,7 +200,8 @@ def test_a_fresh_actor_with_one_wrong_scan(tmp_path: Path, capsys: pytest.Captur
     ratios = {name: off(found.shapes, name) / off(found.personal, name) for name in ict().names}
     print({name: round(ratio, 3) for name, ratio in sorted(ratios.items(), key=lambda item: -item[1])})
     assert max(ratios.values()) <= 1.0 + 1e-6
-    assert np.mean(list(ratios.values())) < 0.75
+    right = {shape for name, shown in scans.items() if name != wrong for shape in shown}
+    assert np.mean([ratios[name] for name in right]) < 0.75
 
 
 def put_scan(folder: Path, name: str, truth: np.ndarray, seed: int) -> SimulatedScan:
