@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import done, failed, run
 from faces import tiny_face
+from full_faces import full_photo
 
 import facepipe
 from facepipe.cli import commands_of
@@ -95,6 +97,11 @@ def test_inspect_counts(capsys: pytest.CaptureFixture[str], face: Path) -> None:
     assert "root/jaw" in summary["joints"]
     code, out, _ = run(capsys, "inspect", face)
     assert "2: jawOpen, mouthSmileLeft" in out
+    assert "photos" not in out
+    photos = [replace(full_photo(), name=name, animation=None, tint={}) for name in ("side", "front")]
+    save_parts(replace(facepipe.open(face).parts(), photos=tuple(photos)), face.with_name("seen.usda"))
+    lines = [line.split(maxsplit=1) for line in done(capsys, "inspect", face.with_name("seen.usda")).splitlines()]
+    assert [text for name, *text in filter(None, lines) if name == "photos"] == [["2: side, front"]]
 
 
 def test_landmarks_of_every_form(capsys: pytest.CaptureFixture[str], face: Path) -> None:

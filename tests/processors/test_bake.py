@@ -30,7 +30,7 @@ from facepipe.processors.neural_rig.sample_motion import BakeMotion
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import slide
 from facepipe.stage import save_parts
-from facepipe.stage.read_controls import is_recorded
+from facepipe.stage.read_controls import ControlTrack, is_recorded
 
 FEW = ("--spread", 12, "--sweep", 5, "--together", 6)
 WHOLE = FrameBlocksOptions(block=1000, margin=0)
@@ -209,6 +209,13 @@ def test_rigs_are_learned_from_faces_that_an_animation_moves(
     out = done(capsys, "neural-rig", "retarget", tmp_path / "head.fpnr", path, *words)
     assert json.loads(out)["controls"] == "given"
     assert json.loads(out)["error_mean_mm"] < 0.1 * report["motion_mean_mm"]
+
+
+def test_a_control_is_guessed_only_between_samples_that_differ() -> None:
+    track = ControlTrack(name="open", where="", codes=np.array([0.0, 2, 4, 6]), values=np.array([0.0, 1, 1, 3]))
+    codes = np.array([-1.0, 0, 1, 2, 3, 4, 5, 6, 7])
+    assert track.at(codes).tolist() == [0, 0, 0.5, 1, 1, 1, 2, 3, 3]
+    assert codes[track.guessed(codes)].tolist() == [1, 5]
 
 
 def test_controls_between_samples_of_the_animation_are_not_guessed(frames: Motion, tmp_path: Path) -> None:

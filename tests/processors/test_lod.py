@@ -173,6 +173,8 @@ def test_standalone_files_keep_the_levels(levels: Face, tmp_path: Path, suffix: 
     levels.save(tmp_path / f"whole{suffix}")
     whole = facepipe.open(tmp_path / f"whole{suffix}")
     assert whole.levels == levels.levels
+    shown = Usd.Stage.Open(str(tmp_path / f"whole{suffix}"))  # by other programs
+    assert shown.GetDefaultPrim().GetVariantSet("lod").GetVariantSelection() == levels.levels[0]
     for number in range(4):
         one, other = (face.at_level(number) for face in (whole, levels))
         assert one.meshes[0].material_faces[0].material == other.meshes[0].material_faces[0].material

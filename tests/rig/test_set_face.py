@@ -19,7 +19,17 @@ from small_head import make
 
 import facepipe
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.parts import Animation, Blendshape, BoneLimits, FaceParts, Inbetween, PhotoView, Skeleton, Slider
+from facepipe.parts import (
+    Animation,
+    Blendshape,
+    BoneLimits,
+    FaceParts,
+    Inbetween,
+    Mesh,
+    PhotoView,
+    Skeleton,
+    Slider,
+)
 from facepipe.rig import (
     build,
     coefficient_matrices,
@@ -30,7 +40,7 @@ from facepipe.rig import (
     set_face,
     slide,
 )
-from facepipe.rig.set_mesh import _rotations
+from facepipe.rig.set_mesh import _rotations, set_mesh
 from facepipe.rig.set_person import random_poses
 from facepipe.stage import save_parts
 
@@ -153,6 +163,27 @@ def test_a_rigid_person_is_exact_and_turns_normals() -> None:
     np.testing.assert_allclose(found.parts.meshes[0].normals, normals @ turn.T, atol=1e-6)
     scales = np.linalg.norm(found.parts.skeleton.rest_transforms[:, :3, :3], axis=1)
     np.testing.assert_allclose(scales, 1.0, atol=1e-12)  # no engine has to keep it
+
+
+def test_normals_of_a_stretched_mesh_are_of_length_one() -> None:
+    """A flat mesh twice as wide: its normals turn by the inverse transpose, diag(1 / 2, 1, 1)."""
+    skin = replace(
+        tiny_face().meshes[0].skin,
+        joint_indices=np.zeros((4, 1), np.int32),
+        joint_weights=np.ones((4, 1), np.float32),
+        geom_bind_transform=np.eye(4),
+    )
+    mesh = Mesh(
+        name="Flat",
+        points=np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]),
+        face_vertex_counts=np.int32([4]),
+        face_vertex_indices=np.int32([0, 1, 2, 3]),
+        normals=np.float32([[0.6, 0.0, 0.8]] * 4),
+        skin=skin,
+    )
+    found = set_mesh(mesh, {}, np.tile(np.eye(4)[:3] * [[2], [1], [1]], (4, 1, 1)))
+    expected = np.array([0.3, 0.0, 0.8]) / np.sqrt(0.73)
+    np.testing.assert_allclose(found.normals, np.tile(expected, (4, 1)), atol=1e-6)
 
 
 def test_the_smallest_rotation_between_directions_turns_about_what_is_square_to_both() -> None:

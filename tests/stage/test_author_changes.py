@@ -269,6 +269,14 @@ def test_every_kind_of_file_holds_the_change(source: Path, tmp_path: Path, suffi
     same_content(parts, read(out))
 
 
+def test_options_of_a_recipe_have_no_order(tmp_path: Path) -> None:
+    recipe = p.Recipe(verb="x", sources=(), digests=(), options={"a": 1, "b": {"c": 2, "d": 3}}, version="0")
+    save_parts(replace(good_face(), recipe=recipe), tmp_path / "face.usda")
+    parts = facepipe.open(tmp_path / "face.usda").parts()
+    turned = replace(parts, recipe=replace(recipe, options={"b": {"d": 3, "c": 2}, "a": 1}))
+    assert changed(tmp_path / "face.usda", tmp_path / "out.usda", turned) == ()
+
+
 def test_changes_of_changes(source: Path, tmp_path: Path) -> None:
     """Layer over layer, and back again to what the first one was."""
     first, second = tmp_path / "first.usda", tmp_path / "second.usda"

@@ -17,6 +17,7 @@ from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.blendshapes import MOST_INBETWEENS
 from facepipe.stage.files import open_stage
 from facepipe.stage.prims import MOST_OF
+from facepipe.stage.stage_counts import MOST_STEPS
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
 
@@ -73,6 +74,13 @@ def test_what_leads_too_far_is_refused_in_one_line(bomb: Callable[[], str], tmp_
     with pytest.raises(InputError, match=BOMBS[bomb]) as caught:
         open_stage(write(tmp_path, {"bomb.usda": bomb()}), strict=False)
     assert "\n" not in str(caught.value)
+
+
+def test_chains_of_the_most_steps_open(tmp_path: Path) -> None:
+    write(tmp_path, {"most.usda": relationships(MOST_STEPS), "more.usda": relationships(MOST_STEPS + 1)})
+    assert open_stage(tmp_path / "most.usda").GetDefaultPrim()
+    with pytest.raises(InputError, match=f"leads through more than {MOST_STEPS}"):
+        open_stage(tmp_path / "more.usda")
 
 
 def test_chains_over_references_are_counted_as_composed(tmp_path: Path) -> None:
