@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +26,10 @@ from facepipe.processors.fit_bones import (
     Target,
     initial_coefficients,
     read_targets,
+    target_fits,
 )
+from facepipe.processors.fit_bones.bone_fit import BoneFit
+from facepipe.processors.fit_bones.solver import Fitted
 from facepipe.rig import CHANNELS, Rig, build, rest_coefficients
 from facepipe.stage import Face
 
@@ -85,7 +90,9 @@ def test_known_poses_are_found_and_come_back_from_the_file(kind: str, tmp_path: 
     before, face = file.read_bytes(), facepipe.open(file)
     goals = [target(rig.evaluate(coefficients=pose(rig, seed)), f"p{seed}") for seed in range(2)]
     with face.deriving(tmp_path / "out.usda") as result:
+        start = time.perf_counter()
         report = FitBones(threshold_mm=0.01, limits=face_limits(rig))(result, goals)
+        assert 0.0 <= report.seconds <= time.perf_counter() - start
     assert file.read_bytes() == before
     again = facepipe.open(tmp_path / "out.usda")
     for goal in goals:
@@ -298,6 +305,20 @@ def test_reached_targets_get_no_residual() -> None:
     assert one is not None
     assert (one.shapes, one.points) == (0, 0)
     assert face.shapes == Face.from_parts(small()).shapes
+
+
+def test_poses_are_fitted_a_few_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(target_fits, "_TOGETHER", 2)
+    fit_all, counts = BoneFit.fit_all, []
+
+    def counted(fit: BoneFit, targets: Sequence[np.ndarray], start: np.ndarray) -> list[Fitted]:
+        counts.append(len(targets))
+        return fit_all(fit, targets, start)
+
+    monkeypatch.setattr(BoneFit, "fit_all", counted)
+    points = rig_of("small").evaluate()
+    fitted(small(), FitBones(), *(target(points, f"p{number}") for number in range(5)))
+    assert counts == [2, 2, 1]
 
 
 def test_names_that_are_taken_get_numbers() -> None:

@@ -91,3 +91,15 @@ def test_held_unknowns_stay_and_the_others_step_as_if_they_were_not_there() -> N
     for row, free in enumerate(inside):
         expected[row, free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[row, free])
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_what_a_step_changed_of_the_gradient_is_undone_by_that_step() -> None:
+    """The secant equation, for the last step of each target."""
+    random = np.random.default_rng(0)
+    root = random.normal(size=(4, 4))
+    hessian, steps = root @ root.T + np.eye(4), random.normal(size=(3, 2, 4))
+    memory = _Memory(np.eye(4))
+    for step in steps:
+        memory.add(step, step @ hessian)
+    found = memory.direction(steps[-1] @ hessian, np.ones((2, 4), dtype=bool))
+    np.testing.assert_allclose(found, -steps[-1], atol=1e-12)

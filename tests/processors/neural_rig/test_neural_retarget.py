@@ -85,6 +85,12 @@ def test_where_frames_are_silent_the_deformation_is_transferred(rig: NeuralRig) 
     assert np.allclose(found.points(seen.values), base.points(seen.values), atol=0.05)
 
 
+def test_no_noise_is_a_choice_too(rig: NeuralRig) -> None:
+    subject, seen = Subject.of(second_face(), "second.usda"), motion(replace(FRAMES, spread=10))
+    found = RetargetNeuralRig(options=RetargetOptions(noise_mm=0.0))(rig, subject, seen.points, seen.values)
+    assert found.report.noise_mm == 0.0
+
+
 def test_noise_keeps_chance_out() -> None:
     """Of thirty inputs two move a point; twenty noisy examples don't make the others move it as much."""
     random = np.random.default_rng(0)

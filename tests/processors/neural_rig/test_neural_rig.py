@@ -29,6 +29,7 @@ from facepipe.processors.neural_rig import (
     with_neural_rig,
 )
 from facepipe.processors.neural_rig.output_basis import output_metric, skinned_moves
+from facepipe.processors.neural_rig.straight_models import best_blendshapes, ridge
 from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 
@@ -303,3 +304,11 @@ def test_the_metric_is_of_what_outputs_move_and_bend(motion: Motion) -> None:
     even = [output_metric(shift, motion.rest, triangles, detail).item() for detail in (0.0, 2.0)]
     assert even[0] == pytest.approx(even[1])
     assert np.sum((outputs @ bent) ** 2) > 1.01 * np.sum((outputs @ plain) ** 2)
+
+
+def test_straight_models_are_exact_where_points_follow_controls_straight(motion: Motion) -> None:
+    shapes = np.random.default_rng(0).normal(size=(len(motion.controls), *motion.rest.shape))
+    straight = replace(motion, points=motion.rest + np.tensordot(motion.values, shapes, axes=1))
+    for model in (best_blendshapes(straight), ridge(straight, 1e-4, 50)):
+        found = np.stack([model.points(row) for row in motion.values[:9]])
+        np.testing.assert_allclose(found, straight.points[:9], atol=1e-3)

@@ -17,6 +17,7 @@ from PIL import Image
 
 import facepipe
 from facepipe.parts import FaceParts, Material, TextureInput
+from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points
 from facepipe.stage import Face
 
 LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds
@@ -224,3 +225,17 @@ def test_textures_are_put_on_layers_that_are_being_made(fitted: Path, tmp_path: 
     with pytest.raises(facepipe.InputError, match="M_Fase"), face.deriving(tmp_path / "out.usda") as layer:
         layer.new_texture(["M_Fase"], "a.png", b"")
     assert not list(tmp_path.iterdir())
+
+
+def test_mirrored_points_are_across_the_plane_between_landmarks_of_both_sides() -> None:
+    """The plane is off the origin and at no axis; a point has no mirror image where there is no other."""
+    random = np.random.default_rng(0)
+    ways = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    half = random.uniform((-2.0, -1.0, 0.1), (2.0, 1.0, 2.0), (68, 3))
+    alone = np.array([[0.0, 5.0, 1.0]])
+    other = half * np.array([1.0, 1.0, -1.0])
+    points = np.concatenate([half, other, alone]) @ ways + 3.0
+    landmarks = np.arange(68)
+    landmarks[list(RIGHT)] = np.array(LEFT) + 68
+    found = mirrored_points(points, landmarks)
+    assert found.tolist() == [*range(68, 136), *range(68), -1]
