@@ -70,6 +70,15 @@ def test_places_lie_on_the_part_of_the_triangle_that_is_named() -> None:
     )
 
 
+def test_a_corner_is_named_as_one_from_either_of_its_edges() -> None:
+    """Rounding decides which of two edges ends nearer to a point beyond their corner."""
+    surface = np.array([[-0.5, -0.4, 0.6], [-0.8, 0.2, 0.5], [-0.6, -0.9, -0.5]])
+    outwards = surface - np.roll(surface, -1, axis=0) / 2.0 - np.roll(surface, -2, axis=0) / 2.0
+    points = surface[:, None] + np.linspace(0.01, 1.0, 50)[:, None] * outwards[:, None]
+    found = closest_places(points.reshape(-1, 3), surface, np.array([[0, 1, 2]]))
+    np.testing.assert_array_equal(found.features, CORNER + np.repeat([0, 1, 2], 50))
+
+
 def test_points_of_the_surface_lie_at_distance_0() -> None:
     surface, triangles = ball(6)
     surface = surface * np.random.default_rng(3).uniform(0.25, 1.75, (len(surface), 1))

@@ -164,6 +164,14 @@ def test_what_was_not_scanned_shows_nothing() -> None:
     assert error(one.deltas, truth)[:5].sum() < 0.5 * error(templates(), truth)[:5].sum()
 
 
+def test_shapes_that_scans_hardly_show_are_named() -> None:
+    """Shape 2 moves no point that was scanned in the composites that hold it."""
+    seen = np.ones((len(WEIGHTS), COUNT))
+    seen[1:3, templates()[2].any(axis=1)] = 0.0
+    assert "the scans hardly show s2" in split(personal(), point_weights=seen).warnings
+    assert not any("hardly" in warning for warning in split(personal()).warnings)
+
+
 def test_a_stiff_piece_has_one_gain_and_turn() -> None:
     stiff = np.full(COUNT, -1)
     stiff[SHEET : SHEET + 4] = 0

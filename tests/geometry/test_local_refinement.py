@@ -194,14 +194,15 @@ def test_where_the_scan_lies_changes_nothing() -> None:
     assert np.abs(_refined(pose=POSE).points - _refined().points).max() < 1e-6
 
 
-def test_a_point_that_follows_in_part_goes_that_share_of_the_way() -> None:
+@pytest.mark.parametrize(("share", "size"), [(0.25, 1.0), (0.5, 1.0), (1.0, 1.0), (0.25, 0.01)])
+def test_a_point_that_follows_in_part_goes_that_share_of_the_way(share: float, size: float) -> None:
     places, triangles = grid(21)
-    flat = np.c_[places, np.zeros(len(places))]
-    target = ScanTarget.of_surface(*_plane(0.2))
+    flat = size * np.c_[places, np.zeros(len(places))]
+    scan, fine = _plane(0.2)
+    target = ScanTarget.of_surface(scan * [size, size, 1.0], fine)
     view = View(scan=target, anchors=_NO_ANCHORS, start=AT_HOME)
-    for share in (0.25, 0.5, 1.0):
-        found = refine_locally(_surface(flat, triangles), view, np.full(len(flat), share))
-        assert np.allclose(found.points, flat + 0.2 * share * _UP, atol=0.01)
+    found = refine_locally(_surface(flat, triangles), view, np.full(len(flat), share))
+    assert np.allclose(found.points, flat + 0.2 * share * _UP, atol=0.01)
 
 
 def test_half_of_a_wave_as_long_as_the_detail_is_followed() -> None:
