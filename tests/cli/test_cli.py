@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -99,9 +100,12 @@ def test_inspect_counts(capsys: pytest.CaptureFixture[str], face: Path) -> None:
     assert "2: jawOpen, mouthSmileLeft" in out
     assert "photos" not in out
     photos = [replace(full_photo(), name=name, animation=None, tint={}) for name in ("side", "front")]
-    save_parts(replace(facepipe.open(face).parts(), photos=tuple(photos)), face.with_name("seen.usda"))
-    lines = [line.split(maxsplit=1) for line in done(capsys, "inspect", face.with_name("seen.usda")).splitlines()]
-    assert [text for name, *text in filter(None, lines) if name == "photos"] == [["2: side, front"]]
+    assert re.search(r"^attach joint +none$", out, re.MULTILINE)
+    parts = replace(facepipe.open(face).parts(), photos=tuple(photos), attach_joint="root/jaw")
+    save_parts(parts, face.with_name("seen.usda"))
+    out = done(capsys, "inspect", face.with_name("seen.usda"))
+    assert [line.split(maxsplit=1)[1] for line in out.splitlines() if line.startswith("photos")] == ["2: side, front"]
+    assert re.search(r"^attach joint +root/jaw$", out, re.MULTILINE)
 
 
 def test_landmarks_of_every_form(capsys: pytest.CaptureFixture[str], face: Path) -> None:

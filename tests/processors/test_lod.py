@@ -23,6 +23,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import components, edges, point_triangles
 from facepipe.parts import FaceParts, Mesh, Skeleton
+from facepipe.processors.lod.cards import _lengthwise, cards_of
 from facepipe.stage import Face, save_parts
 
 COUNTS = (1200, 500, 200)
@@ -437,6 +438,25 @@ def test_a_few_cards_are_simplified_as_other_meshes_are(tmp_path: Path) -> None:
     save_parts(dataclasses.replace(parts, meshes=(*parts.meshes[:2], few)), tmp_path / "face.usda")
     report = facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=(1000,))
     assert report.levels[0].errors.cards == {}
+
+
+def test_a_piece_with_half_its_points_on_its_border_is_a_card() -> None:
+    """Grids of 6 by 8 points, 24 of them on the border; of 8 by 9 it is 30 of 72."""
+    for rows, columns, taken in ((6, 8, True), (8, 9, False)):
+        number = np.arange(rows * columns).reshape(rows, columns)
+        quads = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
+        one = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+        triangles = np.concatenate([one + rows * columns * piece for piece in range(16)])
+        card = cards_of(np.zeros((16 * rows * columns, 3)), triangles, np.zeros(len(triangles), np.int64))
+        assert len(np.unique(card)) == (16 if taken else 1)
+        assert (card >= 0).all() == taken
+
+
+def test_lengthwise_goes_from_one_end_of_a_card_to_the_other() -> None:
+    start = 2 * np.arange(9)[:, None]
+    triangles = np.concatenate([start + np.array(corners) for corners in ([0, 1, 3], [0, 3, 2])])
+    place = _lengthwise(20, triangles, np.zeros(18, np.int64)).reshape(10, 2).mean(axis=1)
+    assert (np.diff(place) > 0).all() or (np.diff(place) < 0).all()
 
 
 @pytest.mark.slow

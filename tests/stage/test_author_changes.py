@@ -244,6 +244,12 @@ def test_the_layer_is_the_change(source: Path, tmp_path: Path, name: str) -> Non
     assert len(set(lines)) == len(lines)
 
 
+def test_the_line_of_a_shape_names_its_inbetween_that_changed(source: Path, tmp_path: Path) -> None:
+    assert changed(source, tmp_path / "out.usda", inbetween(weight=0.25)(good_face())) == (
+        "Head: jawOpen: inbetween half",
+    )
+
+
 def test_scales_are_compared_in_half_precision(source: Path, tmp_path: Path) -> None:
     """SkelAnimation holds no more of them."""
     finer = clip(scales=np.asarray(CLIP.scales) + np.float32(1e-5))(good_face())

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faces import replace_mesh, tiny_face
-from full_faces import PNG, full_face
+from full_faces import PNG, full_face, full_photo
 from parts_differences import assert_same
 from places import SUPPORT
 from pxr import Usd, UsdGeom, UsdSkel
@@ -190,6 +190,15 @@ def test_standalone_files_can_be_moved(tmp_path: Path, source: str, out: str) ->
     assert_same(full_face(), facepipe.open(third / f"saved{out}").parts())
     if out == ".usda":
         assert str(tmp_path) not in (third / f"flat{out}").read_text()
+
+
+def test_a_photo_has_a_pixel_or_more(tmp_path: Path) -> None:
+    photo = replace(full_photo(), animation=None, tint={})
+    save_parts(replace(tiny_face(), photos=(replace(photo, width=1, height=1),)), tmp_path / "face.usda")
+    assert [(one.width, one.height) for one in facepipe.open(tmp_path / "face.usda").photos] == [(1, 1)]
+    for size in ({"width": 0}, {"height": 0}):
+        with pytest.raises(InputError, match="expected 1 to 1048576 each"):
+            save_parts(replace(tiny_face(), photos=(replace(photo, **size),)), tmp_path / "none.usda")
 
 
 def test_recipe_sources_are_seen_from_the_stage(tmp_path: Path) -> None:
