@@ -22,6 +22,7 @@ from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.blend import Blend, BlendFaces, Weights
 from facepipe.processors.blend.lids import LidContact
+from facepipe.processors.blend.quality import _deviation
 from facepipe.processors.blend.weights import weights_to_json
 from facepipe.stage import save_parts
 
@@ -95,6 +96,10 @@ def test_the_summary_counts_parts_shapes_and_lids(folder: Path, capsys: Capsys) 
         "shapes transferred: 34 (shape0, shape1, shape2, shape3, ...)",
         "shapes left out, as some source lacks them: 2 (shape0, shape1)",
     ]
+
+
+def test_no_edges_deviate_by_nothing() -> None:
+    assert set(dataclasses.astuple(_deviation(np.zeros(0)))) == {0}
 
 
 def test_every_warning_is_said_once(folder: Path, capsys: Capsys) -> None:

@@ -15,6 +15,7 @@ import facepipe
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
 from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
+from facepipe.processors.blend.kept_parts import _default
 from facepipe.processors.blend.weights import Shares
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
@@ -315,3 +316,8 @@ def test_one_source_gives_itself_back_with_a_warning() -> None:
     for pose in ({}, {"jawOpen": 1.0}, {"jawOpen": 0.5, "mouthSmileLeft": 1.0}):
         same(result.evaluate(pose), Face.from_parts(parts).evaluate(pose), 1e-6)
     assert "one source: the result is that face" in report.warnings
+
+
+def test_eyeballs_and_teeth_are_known_by_their_names() -> None:
+    names = ("Head", "EyeLeft", "EyeRight", "TeethUpper", "Tooth_1", "myEyeballs", "Eyelashes", "EyeLeftWet")
+    assert _default(names) == ("EyeLeft", "EyeRight", "TeethUpper", "Tooth_1", "myEyeballs")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from photographed_face import SOON, fit_photo
 from PIL import Image
+from scipy.stats import chi2
 
 import facepipe
 from facepipe.core.errors import TopologyError
@@ -18,7 +19,7 @@ from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts
 from facepipe.processors.database import whole_points
-from facepipe.processors.photo_fit.person_model import PersonModel, person_model
+from facepipe.processors.photo_fit.person_model import IdentityReport, PersonModel, person_model
 from facepipe.stage import Face, save_parts
 
 pytest.importorskip("torch")
@@ -151,3 +152,9 @@ def test_hair_goes_with_the_skin() -> None:
     skin = found.points(someone(2))[: found.count] - whole_points(found.parts)[: found.count]
     assert np.linalg.norm(hair, axis=1).mean() > 1.0  # millimetres
     assert np.linalg.norm(hair, axis=1).max() <= np.linalg.norm(skin, axis=1).max()
+
+
+@pytest.mark.parametrize("modes", [10, 100])
+def test_usual_deviations_are_those_of_all_but_one_in_a_thousand(modes: int) -> None:
+    report = IdentityReport(modes=modes, deviations=1.0, beyond_sliders_mean_mm=0.0, beyond_sliders_max_mm=0.0)
+    assert report.usual == pytest.approx((chi2.ppf(0.999, modes) / modes) ** 0.5, rel=5e-3)

@@ -17,6 +17,7 @@ from PIL import Image
 
 import facepipe
 from facepipe.parts import FaceParts, Material, TextureInput
+from facepipe.processors.photo_texture.observed import sampled
 from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points
 from facepipe.stage import Face
 
@@ -239,3 +240,11 @@ def test_mirrored_points_are_across_the_plane_between_landmarks_of_both_sides() 
     landmarks[list(RIGHT)] = np.array(LEFT) + 68
     found = mirrored_points(points, landmarks)
     assert found.tolist() == [*range(68, 136), *range(68), -1]
+
+
+def test_photos_are_sampled_up_to_their_first_row_and_column() -> None:
+    """Where pixels have their middles, samples are the pixels."""
+    pixels = np.random.default_rng(0).random((40, 48, 3)).astype(np.float32)
+    rows, columns = np.indices((40, 48)).reshape(2, -1)[:, ::-1]
+    found = sampled(pixels, np.stack([columns, rows], axis=1) + 0.5, 1.0)
+    np.testing.assert_allclose(found, pixels[rows, columns], atol=1e-4)

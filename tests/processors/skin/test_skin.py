@@ -167,6 +167,14 @@ def test_the_jaw_opens_the_chin_and_lower_teeth_alone(kind: str) -> None:
     assert at[[27, 30, 33, 51, 62, 19, 24]].max() == 0
 
 
+def test_triangles_of_a_part_are_all_those_between_its_points() -> None:
+    whole = surface_of(head("sample"), "sample")
+    corners = np.unique(whole.triangles[7])
+    found = whole.part_triangles(corners)
+    assert sorted(map(sorted, found.tolist())) == [[0, 1, 2]]
+    assert len(whole.part_triangles(np.arange(len(whole.points)))) == len(whole.triangles)
+
+
 def test_no_weight_lies_beyond_a_radius() -> None:
     face = Face.from_parts(without_joints(head("sample")))
     whole = surface_of(face.parts(), "sample")
@@ -287,7 +295,7 @@ BAD_FILES = {
     json.dumps({"joints": {"a": {"position": [1, 2, True]}}}): "position -> 2: True, expected a finite number",
     json.dumps({**GOOD, "unit": "inch"}): "unit: 'inch', expected stage, mm, cm, m",
     json.dumps({**GOOD, "bones": 1}): "'bones' is unknown",
-    json.dumps({**GOOD, "parts": {"Teeth*": "tail"}}): "no joint 'tail'",
+    json.dumps({**GOOD, "parts": {"Teeth*": "tail"}}): "no joint 'tail', expected one of the file",
     json.dumps({**GOOD, "parts": {"Teeth*": {"upper": "head"}}}): "Teeth*: no 'lower', expected one",
     json.dumps(with_joint(radius=-1)): "expected a length above 0",
     json.dumps(with_joint(rotation=[0, 0, 0, 0])): "expected a unit quaternion",

@@ -252,13 +252,14 @@ def test_faces_that_cannot_are_refused_in_one_line(tmp_path: Path, capsys: pytes
 
 
 def test_points_beside_a_slit_look_on_their_own_side_only() -> None:
-    side, distance = np.array([0.5, -0.5, 0.5]), np.array([1.0, 1.0, 50.0])  # above, below, above but far off
+    side = np.array([0.5, -0.5, 0.5, 0.05])  # above, below, above but far off, almost on the line
+    distance = np.array([1.0, 1.0, 50.0, 1.0])
     slit = Slit(name="mouth", width=40.0, side=side, distance=distance)
     triangles = np.array([[0, 0, 2], [1, 1, 2], [3, 3, 3]])  # above, below, beside a corner
     other = Slit(name="mouth", width=40.0, side=np.array([0.5, -0.5, 0.0, 0.0]), distance=np.zeros(4))
-    sides = _sides([slit], [other], np.arange(3), triangles)
+    sides = _sides([slit], [other], np.arange(4), triangles)
     assert [(points.tolist(), allowed.tolist()) for points, allowed in sides] == [
         ([0], [0, 2]),
         ([1], [1, 2]),
-        ([2], [0, 1, 2]),
+        ([2, 3], [0, 1, 2]),
     ]

@@ -10,7 +10,7 @@ from slider_tables import LIST, MATRIX, TOML
 
 from facepipe.core.errors import InputError
 from facepipe.parts import Slider
-from facepipe.processors.sliders import Drive, SliderRule, SliderTable, read_table
+from facepipe.processors.sliders import Drive, SliderRule, SliderTable, read_table, slider_table
 from facepipe.rig import CHANNELS, rest_coefficients, slide
 
 JOINTS = ("root", "root/jaw", "root/lidLeft", "root/lidRight")
@@ -283,12 +283,16 @@ def test_large_files_and_folders_are_refused(tmp_path: Path) -> None:
             read_table(tmp_path / f"nowhere{suffix}")
 
 
-def test_tables_of_too_much_are_refused() -> None:
+def test_tables_of_too_much_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     rules = tuple(SliderRule(name=f"s{i}", where="t", channels=(Drive(target="*:t", where="t"),)) for i in range(4097))
     with pytest.raises(InputError, match="4097 sliders, expected 1 to 4096"):
         SliderTable(rules=rules)
     with pytest.raises(InputError, match="more than 262144 channels"):
         SliderTable(rules=rules[:200]).resolve([f"j{i}" for i in range(500)], (), 0.01)
+    monkeypatch.setattr(slider_table, "_MOST_DRIVEN", 12)
+    assert len(SliderTable(rules=rules[:2]).resolve(["j0", "j1"], (), 0.01)) == 2  # of 3 channels of 2 joints
+    with pytest.raises(InputError, match="more than 12 channels"):
+        SliderTable(rules=rules[:3]).resolve(["j0", "j1"], (), 0.01)
 
 
 def test_a_table_made_in_python_is_as_one_that_was_read(tmp_path: Path) -> None:
