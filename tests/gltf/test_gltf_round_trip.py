@@ -22,7 +22,7 @@ import pytest
 import small_head as sample
 from facepipe_gltf import Options, save, write
 from facepipe_gltf import read as gltf
-from facepipe_gltf.record_format import content_digest
+from facepipe_gltf.record_format import content_digest, stepped, steps_between
 from faces import tiny_face
 from import_data import shared
 from parts_differences import differences
@@ -65,6 +65,16 @@ def staged(parts: FaceParts, folder: Path) -> FaceParts:
 def there_and_back(parts: FaceParts, path: Path, options: Options | None = None) -> FaceParts:
     save(write(parts, options or Options(influences=8, animations=True)), path)
     return gltf.read(path, gltf.Options()).parts
+
+
+def test_steps_go_from_one_float32_to_the_next_and_both_zeros_are_one() -> None:
+    least = np.float32(2.0**-149)
+    values = np.array([-1.0, -least, -0.0, 0.0, least, 1.0], np.float32)
+    above, below = np.nextafter(values, np.float32(2)), np.nextafter(values, np.float32(-2))
+    np.testing.assert_array_equal(steps_between(values, above), np.ones(6))
+    np.testing.assert_array_equal(steps_between(values, below), -np.ones(6))
+    np.testing.assert_array_equal(stepped(values, np.ones(6)), above)
+    np.testing.assert_array_equal(stepped(values, -np.ones(6)), below)
 
 
 @pytest.mark.parametrize("name", FACES)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from facepipe_gltf import read as gltf
-from gltf_builder import PNG, Array, Builder, Model, animated, build, make_model, matrix, quaternion
+from gltf_builder import PNG, Array, Builder, Model, animated, build, glb, make_model, matrix, quaternion
 from places import SHARED
 from pxr import Usd, UsdSkel
 
@@ -126,6 +126,22 @@ def test_encodings_of_the_same_values_read_the_same(tmp_path: Path) -> None:
     for one, other in zip(plain.blendshapes, odd.blendshapes, strict=True):
         assert np.array_equal(one.point_indices, other.point_indices)
         assert np.array_equal(one.offsets, other.offsets)
+
+
+def test_a_buffer_may_hold_one_byte(tmp_path: Path) -> None:
+    """The index of the one point that a sparse accessor moves."""
+    builder = triangle()
+    moved = np.array([[0, 2, 0]], np.float32)
+    entry = builder.add("bufferViews", {"buffer": 1, "byteLength": 1})
+    builder.root["accessors"][0]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": entry, "componentType": 5121},
+        "values": {"bufferView": builder.view(moved.tobytes())},
+    }
+    uri = "data:application/octet-stream;base64," + base64.b64encode(b"\2").decode()
+    builder.root["buffers"] = [{"byteLength": len(builder.binary)}, {"byteLength": 1, "uri": uri}]
+    (mesh,) = read(tmp_path, glb(builder.root, bytes(builder.binary))).parts.meshes
+    np.testing.assert_array_equal(mesh.points, np.concatenate([TRIANGLE[:2], moved]))
 
 
 def test_shapes_hold_moved_points_only(tmp_path: Path) -> None:

@@ -306,6 +306,13 @@ def test_size_follows_the_deltas_that_are_not_zero() -> None:
     assert plain < size(local_shapes(40, 360))
 
 
+def test_rotations_are_made_of_the_products_that_are_not_zero() -> None:
+    """Of 81 products of Rz[i, k], Rx[k, l] and Ry[l, j], 13 are not zero; three more columns are the translation."""
+    graph = build_graph(build(tiny_face())).graph
+    shapes = {tensor.name: tuple(tensor.dims) for tensor in graph.initializer}
+    assert (shapes["scales"], shapes["entries"]) == ((9, 13 + 3), (13 + 3, 16))
+
+
 def test_scattered_points_agree(tmp_path: Path) -> None:
     """Point order without any locality: groups of single points, in an order of their own."""
     parts = local_shapes(30, 400)

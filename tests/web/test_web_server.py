@@ -181,8 +181,12 @@ def test_port_in_use(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_without_a_build(face: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    expected = "expected `python -m facepipe_web.build` before"
     (build.DIST / build.STAMP).unlink()
-    assert "python -m facepipe_web.build" in failed(capsys, "view", face, "--no-browser", folder=face.parent)
+    said = failed(capsys, "view", face, "--no-browser", folder=face.parent)
+    assert f"is older than its sources, {expected}" in said
+    build.DIST.rename(face.parent / "elsewhere")
+    assert f"is not built, {expected}" in failed(capsys, "view", face, "--no-browser", folder=face.parent)
 
 
 @pytest.mark.parametrize(
