@@ -222,8 +222,10 @@ def test_blender_alone_where_a_face_can_not_be_written(tmp_path: Path) -> None:
 
 def test_one_click_export_validates(sample: Path, tmp_path: Path) -> None:
     settings = {"directory": str(tmp_path), "file_name": "hero"}
-    found, said = blender("operators.py", sample, [["export", settings]], answer=tmp_path.parent / "a.npz")
-    assert found["said"].tolist() == [""], said
+    steps = [["mode_set", {"mode": "EDIT"}], ["export", settings]]
+    found, said = blender("operators.py", sample, steps, answer=tmp_path.parent / "a.npz")
+    assert found["said"].tolist() == ["", ""], said
+    assert found["mode"] == "OBJECT"  # so that what was being edited is in the files
     names = {one.name for one in tmp_path.iterdir()}
     assert names == {"hero.glb", "hero.onnx", "hero.onnx.json", "hero.report.json"}
     for suffix in ("glb", "onnx"):
@@ -248,6 +250,13 @@ def test_the_files_are_named_after_the_face_and_overwritten_on_demand(sample: Pa
     report = json.loads((tmp_path / "Face.report.json").read_text())
     assert report["warnings"] == []
     assert report["facts"]
+
+
+def test_the_panel_asks_for_a_folder_and_before_it_overwrites(sample: Path, tmp_path: Path) -> None:
+    (tmp_path / "hero.glb").write_bytes(b"")
+    found, _ = blender("asking.py", sample, tmp_path, answer=tmp_path.parent / "a.npz")
+    assert found["asked"].tolist() == ["folder?", "INVOKE_DEFAULT hero ask=True", "Overwrite? hero.glb"]
+    assert (tmp_path / "hero.glb").read_bytes() == b""
 
 
 def test_blend_recipe_applied_in_blender(tmp_path: Path) -> None:

@@ -1,10 +1,23 @@
 """Faces that can't be written: FOLDER. Each file is then as Blender alone writes it."""
 
 from pathlib import Path
+from typing import Any
 
 from session import ARGUMENTS, bpy
 
+from facepipe_blender.hook import FaceHook  # isort: skip  (the add-on must be registered)
+
 folder = Path(ARGUMENTS[0])
+on_export, answers = FaceHook.on_export, []
+
+
+def answered(context: Any) -> bool:
+    """Export, and note what Blender is told."""
+    answers.append(on_export(context))
+    return answers[-1]
+
+
+FaceHook.on_export = staticmethod(answered)
 bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4)
 head = bpy.context.active_object
 head.name = "Head"
@@ -48,3 +61,4 @@ head.scale = (1, 1, 1)
 head.modifiers.new("Armature", "ARMATURE").object = armature
 armature.scale = (1, 2, 1)
 assert lines(written("stretched.usda")) == lines(without_hook("stretched.usda"))
+assert answers == [True, False, False, False, False]
