@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command_line import failed
 from facepipe_gltf.engines import ENGINES
+from facepipe_gltf.influences import integer_weights
 from faces import replace_mesh, tiny_face
 from gltf_export import (
     TOLERANCE,
@@ -120,6 +121,12 @@ def test_short_offsets_are_left_out_and_the_others_kept(writing: Writing) -> Non
         long = np.linalg.norm(given, axis=1) >= 0.005
         assert 0 < long.sum() < len(long)
         assert np.array_equal(kept, given * long[:, None])
+
+
+def test_quantised_weights_are_the_nearest_of_65535_steps_and_the_largest_takes_the_rest() -> None:
+    weights = np.array([24576.25, 16383.75]) / 65535
+    found = integer_weights(np.stack([1 - weights, weights], axis=1))
+    assert found.tolist() == [[65535 - 24576, 24576], [65535 - 16384, 16384]]
 
 
 @pytest.mark.parametrize("quantize", [False, True])

@@ -106,6 +106,20 @@ def test_packed_occlusion_roughness_metallic_is_used_as_it_is(writing: Writing) 
     assert (pbr(file)["metallicFactor"], pbr(file)["roughnessFactor"]) == (1.0, 1.0)
 
 
+@pytest.mark.parametrize(
+    ("scale", "bias", "strength"), [(1.0, 0.0, None), (0.25, 0.75, 0.25), (0.25, 0.0, None), (1.5, -0.5, None)]
+)
+def test_occlusion_has_the_strength_that_scale_and_bias_stand_for(
+    scale: float, bias: float, strength: float | None, writing: Writing
+) -> None:
+    """glTF reads ``1 + strength * (value - 1)``, strengths 0 to 1; others are left out with a warning."""
+    occlusion = textured(picture("o.png", MASK), "r", scale=(scale, 1, 1, 1), bias=(bias, 0, 0, 0))
+    file, report = writing(face(Material(name="skin", occlusion=occlusion)))
+    assert file.list("materials")[0]["occlusionTexture"].get("strength") == strength
+    left_out = any("scale and bias of the occlusion texture left out" in line for line in report.warnings)
+    assert left_out == (strength is None and scale != 1.0)
+
+
 def test_separate_metallic_and_roughness_are_packed(writing: Writing) -> None:
     small = MASK[::2, ::2]
     material = Material(

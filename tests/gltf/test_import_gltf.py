@@ -256,6 +256,22 @@ def test_the_frame_rate_is_that_which_all_keys_fall_on(times: list[float], rate:
         assert (parts.animations[0].times * rate % 1 == 0).all()
 
 
+def test_a_shape_that_meshes_move_differently_keeps_the_first_motion_with_a_warning(tmp_path: Path) -> None:
+    builder = triangle()
+    builder.root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": builder.array(TRIANGLE)}]
+    builder.root["meshes"][0]["extras"] = {"targetNames": ["smile"]}
+    builder.add("nodes", {"mesh": 0})
+    times = builder.array(np.array([0.0, 1.0]))
+    samplers = [{"input": times, "output": builder.array(np.array(weights))} for weights in ([0.0, 1.0], [0.0, 0.5])]
+    channels = [{"sampler": i, "target": {"node": i, "path": "weights"}} for i in range(2)]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "talk"})
+    imported = read(tmp_path, builder)
+    (animation,) = imported.parts.animations
+    assert animation.shape_weights is not None
+    np.testing.assert_array_equal(animation.shape_weights[[0, -1]], [[0.0], [1.0]])
+    assert [line for line in imported.warnings if "the meshes move the shape smile differently" in line]
+
+
 def test_animation_of_other_nodes_is_named_in_a_warning(tmp_path: Path) -> None:
     builder = build(make_model())
     sampler = {"input": builder.array(np.array([0.0, 1.0])), "output": builder.array(np.zeros((2, 3)))}
