@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from blender_python import PYTHON, blender, needs_blender, run_blender
 from command_line import exit_code
-from faces import tiny_face
+from faces import replace_mesh, tiny_face
 from import_data import shared
 from node import validate as khronos
 from small_head import make
@@ -168,6 +168,8 @@ def test_makehuman_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize("joints", [True, False])
 def test_loose_meshes_and_faces_without_joints_come_back(tmp_path: Path, joints: bool) -> None:
     parts = tiny_face()
+    colors = np.random.default_rng(3).random((len(parts.meshes[0].points), 3)).astype(np.float32)
+    parts = replace(parts, meshes=(replace_mesh(parts.meshes[0], colors=colors), *parts.meshes[1:]))
     if not joints:
         bare = tuple(replace(mesh, skin=None) for mesh in parts.meshes)
         parts = replace(parts, skeleton=Skeleton(), meshes=bare)

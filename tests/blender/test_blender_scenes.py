@@ -53,6 +53,7 @@ def test_edit_mode_exports_what_is_being_edited(scenes: Scenes) -> None:
     assert len(wanted) == 143
     assert off(face, wanted, {}) < 1e-6
     (uv,) = face.meshes[0].uv_sets
+    assert uv.name == "st"  # what the exporter calls the map that is shown
     assert np.ptp(uv.values, axis=0).min() == pytest.approx(1.0)
     assert not [one for one in validate(folder / "mesh_in_edit_mode.usda") if one.severity == "error"]
     (face,) = faces(folder, "bones_in_edit_mode")

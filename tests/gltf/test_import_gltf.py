@@ -207,6 +207,25 @@ def at_any_time(imported: Imported, folder: Path, model: Model, tracks: Tracks, 
     return np.array(off)
 
 
+def test_a_joint_that_a_matrix_places_moves_as_one_of_parts(tmp_path: Path) -> None:
+    model = make_model()
+
+    def moved(placed: Any) -> Array:
+        builder = build(model)
+        builder.root["nodes"][1] = {"name": "root", "children": [2], **placed}
+        keys = builder.array(np.array([[0.1, 0.2, 0.3]]))
+        sampler = {"input": builder.array(np.array([0.0])), "output": keys}
+        channels = [{"sampler": 0, "target": {"node": 1, "path": "translation"}}]
+        builder.add("animations", {"channels": channels, "samplers": [sampler], "name": "slide"})
+        parts = read(tmp_path, builder).parts
+        return pose(parts, parts.animations[0], 0)
+
+    names = ("translation", "rotation", "scale")
+    parts = {name: value.tolist() for name, value in zip(names, model.trs[1], strict=True)}
+    by_matrix = moved({"matrix": matrix(*model.trs[1]).T.ravel().tolist()})
+    np.testing.assert_allclose(by_matrix, moved(parts), rtol=0, atol=1e-6)
+
+
 def test_an_animation_of_lines_alone_is_read_without_a_warning(tmp_path: Path) -> None:
     builder, *_ = animated(make_model())
     (animation,) = builder.root["animations"]

@@ -15,6 +15,7 @@ from typing import Any
 import facepipe_gltf
 import numpy as np
 import pytest
+from facepipe_gltf.raw import local_matrix
 from facepipe_gltf.read import Options, read
 from faces import replace_mesh, tiny_face
 from gltf_builder import glb
@@ -298,6 +299,11 @@ def test_what_is_no_glb_is_an_input_error(content: bytes, tmp_path: Path) -> Non
 JUNK = st.sampled_from([None, -1, 0, 1, 7, 2**31, 1e300, "x", [], {}, [None], [1, 2], True, [[0]], {"a": 1}]).map(
     copy.deepcopy
 )
+
+
+@pytest.mark.parametrize("odd", ["1", None, 1e31, [1.0]])
+def test_a_node_whose_numbers_are_none_is_not_moved(odd: object) -> None:
+    np.testing.assert_array_equal(local_matrix({"translation": [odd, 2.0, 3.0], "scale": [2.0, odd, 2.0]}), np.eye(4))
 
 
 @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
