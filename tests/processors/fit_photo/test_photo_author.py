@@ -31,6 +31,7 @@ from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Recipe, Slider
 from facepipe.performing import read_kept, recipe_to
 from facepipe.processors.photo_fit import AuthorPhotoFit, FitPhoto, Photo
+from facepipe.processors.photo_fit.author import clipping_range
 from facepipe.processors.sliders import SetSliders
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
@@ -496,3 +497,14 @@ def test_photos_that_can_not_be(folder: Path) -> None:
         FitPhoto(face=Path("face.usda"), photos=()).check()
     with pytest.raises(InputError, match="can't be read"):
         recipe_to(FitPhoto(face=Path("face.usda"), photos=(Path("in/none.png"),)), "out.usda")
+
+
+def test_the_clipping_range_is_ten_times_wider_than_the_depths_of_the_face() -> None:
+    """A camera that stands at z = 3, looks down -z, and sees points 5 and 20 before it; others behind it."""
+    to_world = np.eye(4)
+    to_world[:3, 3] = 0.0, 1.0, 3.0
+    points = np.array([[9.0, 7.0, -2.0], [0.0, 0.0, -17.0]])
+    assert clipping_range("front", to_world, points) == pytest.approx((0.5, 200.0))
+    assert clipping_range("front", to_world, np.array([*points, [0.0, 0.0, 4.0]])) == pytest.approx((0.002, 200.0))
+    with pytest.raises(FitError, match="the camera looks away from the face"):
+        clipping_range("front", to_world, points + np.array([0.0, 0.0, 20.0]))

@@ -133,6 +133,8 @@ def test_what_does_not_fit_is_reported(rig: NeuralRig) -> None:
         retarget(rig, subject, seen.points, values)
     with pytest.raises(TopologyError, match="other meshes than those of the neural rig"):
         retarget(replace(rig, topology="else"), subject, seen.points, seen.values)
+    with pytest.raises(TopologyError, match="other meshes than those of the neural rig"):  # not of their points
+        retarget(replace(rig, topology="else"), subject, seen.points[:, 1:], seen.values)
     with pytest.raises(TopologyError, match="joints that are not those of the neural rig"):
         retarget(rig, replace(subject, bones=None), seen.points, seen.values)
 
