@@ -22,7 +22,18 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
-from facepipe.processors.scan_landmarks.search import MIRRORED, _crop_matrix, _in_picture, face_frame
+from facepipe.processors.scan_landmarks.search import (
+    MIRRORED,
+    Candidate,
+    FaceFrame,
+    _apart,
+    _crop_matrix,
+    _grid,
+    _in_picture,
+    _turned,
+    axis_views,
+    face_frame,
+)
 from facepipe.scans import Scan
 
 RNG = np.random.default_rng
@@ -138,6 +149,40 @@ def test_a_crop_is_a_turned_square_about_its_middle() -> None:
     places = [[30, 20], [30, 28], [38, 20]]
     np.testing.assert_allclose(pixels @ matrix.T, places, atol=1e-12)
     np.testing.assert_allclose(_in_picture(pixels[None, :, :2], matrix[None]), [places], atol=1e-12)
+
+
+def test_a_turned_crop_is_a_crop_of_the_sum_of_turns_about_the_same_middle() -> None:
+    crop, turned = (_crop_matrix(np.array([30.0, 20.0]), side, turn, 8) for side, turn in ((16.0, 0.2), (20.0, 0.5)))
+    np.testing.assert_allclose(_turned(crop, 0.3, 1.25, 8), turned, atol=1e-12)
+
+
+def test_crops_have_all_sizes_and_lie_where_the_scan_is() -> None:
+    covered = np.zeros((100, 100), bool)
+    covered[:, :50] = True
+    matrices = _grid(covered, 1, 10)
+    sides = 10.0 * matrices[:, 0, 0]
+    np.testing.assert_allclose(np.unique(sides.round(9)), [28.0, 38.0, 52.0, 72.0, 100.0])
+    left, top = matrices[:, :, 2].T  # the first pixel's corner is the crop's
+    assert (left[sides < 99.0] + sides[sides < 99.0] / 2 <= 51.0).all()
+    assert top.min() == pytest.approx(0.0)
+    assert (top + sides).max() == pytest.approx(100.0)
+
+
+def test_views_along_the_axes_look_both_ways_through_upright_squares() -> None:
+    views = axis_views(np.zeros(3), 2.0)
+    for view in views:
+        np.testing.assert_allclose(view.axes @ view.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(view.axes) == pytest.approx(1.0)
+        np.testing.assert_allclose(view.eye, 10.0 * view.axes[2], atol=1e-12)
+    np.testing.assert_allclose(sum(view.eye for view in views), np.zeros(3), atol=1e-12)
+
+
+def test_the_surest_of_faces_at_one_place_is_kept() -> None:
+    presences, places = (0.6, 0.9, 0.7, 0.8), (0.0, 0.0, 5.0, 9.0)
+    frames = [FaceFrame(middle=np.array([x, 0.0, 0.0]), axes=np.eye(3), side=1.0) for x in places]
+    faces = [Candidate(presence=sure, frame=frame) for sure, frame in zip(presences, frames, strict=True)]
+    assert [face.presence for face in _apart(faces, 3)] == [0.9, 0.8, 0.7]
+    assert [face.presence for face in _apart(faces, 2)] == [0.9, 0.8]
 
 
 def test_a_part_of_a_surface_has_the_points_of_its_triangles() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,10 @@ from facepipe.processors.scan_photos import (
     write_cameras,
 )
 from facepipe.processors.scan_photos.photos import read_photos
+from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotosReport
+from facepipe.processors.scan_photos.scan_action import _bars
+from facepipe.processors.scan_photos.structure import Structure
+from facepipe.scans import Scan, ScanLandmarks
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -119,7 +125,7 @@ def test_masks_belong_to_photos(tmp_path: Path) -> None:
     refuses(lambda: read_photos(files, 500, masks), "96 x 64", masks / "0.png")
     Image.new("L", (96, 64), 0).save(masks / "0.png")
     refuses(lambda: read_photos(files, 500, masks), "black", masks / "0.png")
-    Image.fromarray(np.repeat([[0, 255]], 48, axis=1).repeat(64, axis=0).astype(np.uint8)).save(masks / "0.png")
+    Image.fromarray(np.repeat([[127, 128]], 48, axis=1).repeat(64, axis=0).astype(np.uint8)).save(masks / "0.png")
     mask = read_photos(files, 500, masks)[0].mask
     assert mask is not None
     assert not mask[:, :48].any()
@@ -148,6 +154,43 @@ def test_cameras_that_do_not_fit_the_photos_are_refused(tmp_path: Path) -> None:
     refuses(lambda: other(tmp_path / "photos"), "640 x 800", tmp_path / "photos" / "0.png")
 
 
+def test_photos_without_a_camera_are_named(tmp_path: Path) -> None:
+    files = noise_photos(tmp_path / "photos", 6)
+    one = camera_at(np.array([0.0, 0.0, 700.0]), width=96, height=64)
+    cameras = {file.name: one for file in files[:5]}
+    structure = Structure(cameras=cameras, points=np.zeros((0, 3)), seen=np.zeros((5, 0), bool), error=0.0)
+    made = PhotoScan(
+        scan=Scan(name="photos", points=np.zeros((1, 3))),
+        cameras=Cameras(cameras=cameras),
+        landmarks=ScanLandmarks(points=np.zeros((0, 3))),
+        report=ScanPhotosReport(warnings=("of the surface",)),
+    )
+    scan = "facepipe.processors.scan_photos.scan"
+    with (
+        mock.patch(f"{scan}.find_structure", return_value=structure),
+        mock.patch.object(ScanPhotos, "_scan", return_value=made),
+    ):
+        given, found = (ScanPhotos(cameras=known)(tmp_path / "photos").report for known in (made.cameras, None))
+    assert given.photos_unused == found.photos_unused == ("5.png",)
+    assert given.warnings == ("1 of 6 photos have no known camera: 5.png", "of the surface")
+    assert found.warnings == ("1 of 6 photos could not be placed: 5.png", "of the surface")
+
+
+def test_one_bar_is_open_at_a_time() -> None:
+    events: list[str] = []
+
+    @contextmanager
+    def watch(name: str, total: int) -> Iterator[mock.Mock]:
+        events.append(f"{name} of {total}")
+        yield mock.Mock(update=lambda: events.append("step"))
+        events.append(f"{name} ends")
+
+    with _bars(watch) as step:
+        for name, total in (("cameras", 1), ("depth", 2), ("depth", 2)):
+            step(name, total)
+    assert events == ["cameras of 1", "step", "cameras ends", "depth of 2", "step", "step", "depth ends"]
+
+
 def test_options_have_ranges() -> None:
     for field in fields_of(ScanPhotosOptions):
         if field.high is not None:
@@ -157,3 +200,6 @@ def test_options_have_ranges() -> None:
         ScanPhotosOptions(lens="none")
     with pytest.raises(InputError, match="above 0"):
         ScanPhotos(marker_distance=("a", "b", 0.0))
+    with pytest.raises(InputError, match="one of them"):
+        ScanPhotos(marker_distance=("a", "b", 100.0), cameras=Cameras())
+    assert ScanPhotos(marker_distance=("a", "b", 100.0)).cameras is None

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+from pathlib import Path
+from unittest import mock
+from unittest.mock import DEFAULT
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -15,10 +20,18 @@ from facepipe.core.errors import FitError
 from facepipe.geometry.similarity import Similarity
 from facepipe.processors.scan_photos import (
     PhotoCamera,
+    ScanPhotosOptions,
     triangulate,
 )
+from facepipe.processors.scan_photos.photos import Photo
 from facepipe.processors.scan_photos.stereo import _sampled, depth_map, disparities, rectify
-from facepipe.processors.scan_photos.structure import Structure
+from facepipe.processors.scan_photos.structure import (
+    Structure,
+    _structure,
+    _triangulated,
+    colmap_module,
+    find_structure,
+)
 from facepipe.processors.scan_photos.subject import choose_pairs, find_subject, move_camera, upright
 from facepipe.processors.scan_photos.surface import Cloud, _normals, clean, make_surface
 
@@ -125,6 +138,63 @@ def plane_photo(camera: PhotoCamera, normal: FloatArray, offset: float) -> tuple
     tone = map_coordinates(noise / noise.std(), places[:, :2].T, order=1, mode="grid-wrap")
     grey = np.clip(128 + 40 * tone, 0, 255).astype(np.uint8).reshape(camera.height, camera.width)
     return np.repeat(grey[..., None], 3, axis=2), depth
+
+
+def put_matches(folder: Path, cameras: dict[str, PhotoCamera], points: FloatArray) -> None:
+    """A database of photos (below ``photos``, by name) that all show all points."""
+    colmap = colmap_module()
+    database = colmap.Database.open(folder / "matches.db")
+    images = []
+    for name, camera in cameras.items():
+        params = [*camera.focal, *camera.center, *camera.distortion]
+        lens = colmap.Camera(model="OPENCV", width=camera.width, height=camera.height, params=params)
+        lens.camera_id = database.write_camera(lens)
+        rig, frame = colmap.Rig(), colmap.Frame()
+        rig.add_ref_sensor(lens.sensor_id)
+        frame.rig_id = database.write_rig(rig)
+        images.append(database.write_image(colmap.Image(name=name, camera_id=lens.camera_id)))
+        frame.add_data_id(colmap.data_t(lens.sensor_id, images[-1]))
+        database.write_frame(frame)
+        database.write_keypoints(images[-1], camera.project(points).astype(np.float32))
+    pair = colmap.TwoViewGeometry()
+    pair.config = colmap.TwoViewGeometryConfiguration.CALIBRATED
+    pair.inlier_matches = np.arange(len(points), dtype=np.uint32)[:, None].repeat(2, axis=1)
+    for first, second in combinations(images, 2):
+        database.write_matches(first, second, pair.inlier_matches)
+        database.write_two_view_geometry(first, second, pair)
+    database.close()
+
+
+def test_matches_of_known_cameras_are_places_and_the_cameras_stay(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
+    across = (-200.0, -100.0, 0.0, 100.0, 200.0)
+    cameras = {f"{x:.0f}.png": camera_at(np.array([x, 0.2 * x, 700.0]), 0.001 * x, distortion=LENS) for x in across}
+    points = np.random.default_rng(14).uniform(-80, 80, (30, 3))
+    put_matches(tmp_path, cameras, points)
+    (tmp_path / "photos").mkdir()
+    model = _triangulated(colmap_module(), tmp_path, cameras, ScanPhotosOptions())
+    found = _structure(model, {name: name for name in cameras}, len(cameras))
+    assert found.points.shape == points.shape
+    assert cKDTree(points).query(found.points)[0].max() < 0.01
+    assert found.seen.all()
+    for name, camera in cameras.items():
+        np.testing.assert_allclose(found.cameras[name].project(points), camera.project(points), atol=1e-6)
+
+
+def test_each_photo_of_a_known_camera_has_a_lens_of_its_own() -> None:
+    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
+    pixels = np.zeros((8, 8, 3), np.uint8)
+    photos = [Photo(name=name, pixels=pixels, full_size=(8, 8)) for name in ("a.png", "b.png")]
+    known = {photo.name: camera_at(np.array([0.0, 0.0, 700.0])) for photo in photos}
+    module = "facepipe.processors.scan_photos.structure"
+    folders = []
+    for cameras in (known, None):
+        with mock.patch.multiple(
+            module, _match=DEFAULT, _mapped=DEFAULT, _triangulated=DEFAULT, _structure=DEFAULT
+        ) as to:
+            find_structure(photos, ScanPhotosOptions(lens="shared"), cameras)
+        folders.append([file.split("/")[0] for file in to["_structure"].call_args.args[1]])
+    assert folders == [["0000", "0001"], ["0000", "0000"]]
 
 
 def structure_of(cameras: dict[str, PhotoCamera], points: FloatArray) -> Structure:

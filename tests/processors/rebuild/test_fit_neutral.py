@@ -60,6 +60,7 @@ def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture
     assert printed["path"] == str(files["out.usda"])
     assert printed["fit"]["unit"] == "cm"
     assert printed["missed"] == []
+    assert printed["residual_mean_mm"] <= printed["residual_max_mm"] < 0.1
     assert validate(files["out.usda"]) == ()
     face, template = facepipe.open(files["out.usda"]), facepipe.open(files["head.usda"])
     assert face.shapes == template.shapes

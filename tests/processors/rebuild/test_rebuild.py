@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
 from facepipe.processors.database import whole_face
 from facepipe.processors.database.array_file import read_arrays, write_arrays
+from facepipe.processors.rebuild.rebuild_action import _named_steps
 from facepipe.processors.rebuild.steps import KIND
 from facepipe.scans import Scan
 from facepipe.stage import save_parts
@@ -72,6 +74,14 @@ def test_each_step_has_a_line_in_logs(project: Path, capsys: pytest.CaptureFixtu
     assert code == 0
     steps = [line.partition(" ms: rebuild: step ")[2] for line in err.splitlines() if ": rebuild: step " in line]
     assert steps == ["1 of 4: neutral", "2 of 4: template", "3 of 4: expressions/open", "4 of 4: shapes"]
+
+
+def test_bars_that_can_name_steps_do() -> None:
+    plain, named = mock.Mock(spec=["update"]), mock.Mock(spec=["update", "set_postfix_str"])
+    for bar in (plain, named):
+        _named_steps(bar, 4)("neutral")
+        bar.update.assert_called_once_with()
+    named.set_postfix_str.assert_called_once_with("neutral")
 
 
 def test_expressions_follow_the_place_of_a_corrected_neutral(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
