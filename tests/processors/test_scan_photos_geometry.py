@@ -24,7 +24,7 @@ from facepipe.processors.scan_photos import (
     triangulate,
 )
 from facepipe.processors.scan_photos.photos import Photo
-from facepipe.processors.scan_photos.stereo import _sampled, depth_map, disparities, rectify
+from facepipe.processors.scan_photos.stereo import RectifiedView, _sampled, depth_map, disparities, rectify
 from facepipe.processors.scan_photos.structure import (
     Structure,
     _structure,
@@ -99,6 +99,14 @@ def test_rectified_photos_show_a_point_in_one_row(first: tuple[int, ...], second
     assert (in_left < pair.size).all()
     assert (in_right > 0).all()
     assert (in_right < pair.size).all()
+
+
+def test_a_view_that_is_the_photos_own_shows_the_photo() -> None:
+    pytest.importorskip("cv2", reason="needs the extra [scan]")
+    camera = camera_at(np.array([0.0, 0.0, 700.0]), width=32, height=24, focal=(64.0, 64.0), center=(16.0, 12.0))
+    photo = np.random.default_rng(15).integers(0, 256, (24, 32, 3), np.uint8)
+    own = RectifiedView(camera=camera, turn=np.eye(3), focal=64.0, origin=np.array([16.0, 12.0]))
+    np.testing.assert_array_equal(own.picture(photo, (32, 24)), photo)
 
 
 @pytest.mark.parametrize(("first", "second"), EYES)
@@ -287,6 +295,14 @@ def test_cleaning_takes_what_stands_apart_and_nothing_else() -> None:
     distance = np.abs(np.linalg.norm(kept, axis=1) - 80)
     assert np.percentile(distance, 99.9) < 1e-6
     assert len(kept) > 0.97 * len(good.points)
+
+
+def test_points_with_six_neighbours_hang_together() -> None:
+    good, places = cap(), 0.5 * np.arange(7)[:, None] * [1.0, 0.0, 0.0] + [0.0, 0.0, 500.0]
+    for count in (6, 7):
+        points = np.r_[good.points, places[:count]]
+        cloud = Cloud(points=points, normals=points * 0 + 1, colors=points * 0, spacing=good.spacing)
+        assert (clean(cloud, 2.5, 0.0).points[:, 2] > 400.0).sum() == (7 if count == 7 else 0)
 
 
 def test_points_on_a_plane_have_its_normal_on_the_side_of_the_cameras() -> None:

@@ -40,6 +40,7 @@ from facepipe.processors.database import (
 )
 from facepipe.processors.database.array_file import read_arrays, write_arrays
 from facepipe.processors.database.database_file import FORMAT
+from facepipe.processors.database.incoming_faces import stage_sources
 
 EXACT = DatabaseOptions(tolerance_mm=1e-4)
 GOOD = Quality(surface_mean_mm=0.1, surface_p95_mm=0.4, coverage=0.9, flipped_triangles=0)
@@ -496,3 +497,11 @@ def test_predicted_shapes_are_the_mean_s_on_the_mean_face() -> None:
         predicted_shapes(database, neutral, {"wink": neutral})
     with pytest.raises(InputError, match="has no expressions"):
         predicted_shapes(create_database([source(0, shapes=()), source(1, shapes=())]).database, neutral)
+
+
+@pytest.mark.parametrize("face_names", [("a", "a"), ("a", " ")])
+def test_names_of_files_are_given_and_differ(face_names: tuple[str, str]) -> None:
+    paths = [Path("one.usda"), Path("other.usda")]
+    with pytest.raises(InputError, match="empty or twice"):
+        stage_sources(paths, face_names)
+    assert [each.name for each in stage_sources(paths, ("a", "b"))] == ["a", "b"]

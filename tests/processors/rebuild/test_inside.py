@@ -3,6 +3,8 @@ found."""
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 
@@ -57,3 +59,13 @@ def test_teeth_through_lips_are_found(template: Template) -> None:
         f"mouthSmileLeft: teeth, gums or tongue come through the skin by {contact.depth_mm:.1f} mm (the template's by "
         f"{contact.template_mm:.1f} mm)"
     ]
+
+
+def test_contacts_are_with_all_of_the_skin(template: Template) -> None:
+    triangles = template.topology.triangles
+    sheet = "facepipe.processors.rebuild.mouth_contacts.Sheet.of"
+    with mock.patch(sheet, side_effect=StopIteration) as made, pytest.raises(StopIteration):
+        mouth_contacts(template, template.points, {}, {})
+    skin = triangles[np.isin(triangles, template.rows).all(axis=1)]
+    assert (skin == template.rows[0]).any()
+    np.testing.assert_array_equal(made.call_args.args[0], skin)

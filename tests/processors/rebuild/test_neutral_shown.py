@@ -214,3 +214,13 @@ def test_register_scan_takes_the_neutrals_weights(
     recipe = facepipe.open(tmp_path / "open.usda").parts().recipe
     assert recipe is not None
     assert recipe.options["neutral_weights"] == {"browUp": GIVEN}
+
+
+def test_distances_are_those_of_the_skins_rows_and_none_elsewhere() -> None:
+    template, (scan, _) = Template.of(scan_domes.face(), "head"), scan_domes.scan(PERSON)
+    by_row = np.arange(len(template.rows)) + 1.0
+    with mock.patch("facepipe.processors.rebuild.scan_fit.row_distances", return_value=by_row):
+        distances = scan_distances(template, template.points, scan, scan_domes.POSE)
+    expected = np.full(len(template.points), np.nan)
+    expected[template.rows] = by_row
+    np.testing.assert_array_equal(distances, expected)

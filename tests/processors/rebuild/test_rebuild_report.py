@@ -115,6 +115,7 @@ def test_the_page_has_each_scan_and_shape(made: Made) -> None:
     page = (made.folder / "report" / "report.html").read_text(encoding="utf-8")
     for words in ("neutral.ply", "open.ply", "shown by the scans", "jawOpen"):
         assert words in page
+    assert re.search(r"jawOpen \d\.\d\d", page)  # the weight found
     assert "outliers" not in page  # there are none
     assert page.count("<img ") >= 6 + 1  # three rows a scan, and shapes that changed
     assert not re.search(r'(src|href)="(?!data:)', page)  # no other file

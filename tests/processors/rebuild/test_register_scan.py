@@ -21,10 +21,11 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
-from facepipe.processors.database import whole_points
+from facepipe.processors.database import whole_face, whole_points
 from facepipe.processors.rebuild import Template
+from facepipe.processors.rebuild.options import RegisterScansOptions
 from facepipe.processors.rebuild.register_scan_action import RegisterScanAction
-from facepipe.processors.rebuild.register_scans import placed_neutral
+from facepipe.processors.rebuild.register_scans import NeutralScan, RegisterScans, placed_neutral
 from facepipe.scans import Scan
 
 
@@ -62,6 +63,17 @@ def test_it_says_which_points_the_scan_showed(files: Files, capsys: pytest.Captu
     assert scanned[DOME:].max() == 0.0
     assert scanned[:DOME][x > 4.0].max() == 0.0
     assert scanned[:DOME][(x < -4.0) & inside].min() == 1.0
+
+
+def test_weights_are_held_by_their_sigma() -> None:
+    head = scan_domes.face()
+    template, own = Template.of(head, "head"), whole_face(head, "head")
+    neutral = NeutralScan(points=own.points)
+    surface = RegisterScans(options=RegisterScansOptions(weight_sigma=0.2))._surface(
+        template, neutral, own.deltas, {"jawOpen": 0.5, "smile": 1.0}
+    )
+    np.testing.assert_allclose(surface.precision, [25.0, 25.0])
+    np.testing.assert_array_equal(surface.expected, [0.5, 1.0])
 
 
 def test_with_the_neutrals_scan_sizes_are_one(files: Files, capsys: pytest.CaptureFixture[str]) -> None:

@@ -24,7 +24,8 @@ from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.processors.database import WholeFace, create_database, save_database, whole_face
 from facepipe.processors.rebuild import Rebuild, Template, read_project
-from facepipe.processors.rebuild.scan_check import ScanCheck, misfits
+from facepipe.processors.rebuild.register_scans import Composite
+from facepipe.processors.rebuild.scan_check import ScanCheck, ScanChecks, misfits
 from facepipe.stage import open_face, save_parts
 
 PROJECT = """
@@ -133,6 +134,19 @@ def test_a_neutral_that_no_other_scan_is_like(
     assert code == 1
     assert {"brows", "both"} <= set(printed["left_out"])
     assert "of 3 expressions are left out: anna.ply may be another person's" in err
+
+
+def test_a_scan_somewhere_else_is_off_by_that_and_may_be_the_actors_in_another_place() -> None:
+    head = scan_domes.face()
+    template, own = Template.of(head, "head"), whole_face(head, "head")
+    shown, fit = own.points + 0.8 * own.deltas["jawOpen"], {"coverage": 1.0, "landmark_mean_mm": 0.0}
+    checks = ScanChecks(template, own.points, own.deltas)
+    for moved in (0.0, 6.0):
+        points = shown + np.array([moved, 0.0, 0.0])
+        seen = np.ones(len(points), bool)
+        check = checks.check(Composite(points=points, weights={"jawOpen": 0.8}, matched=seen), fit)
+        assert 0.5 * moved <= check.off_mm <= moved + 0.01
+        assert check.guess == "place"
 
 
 def test_limits_follow_what_the_other_scans_show() -> None:

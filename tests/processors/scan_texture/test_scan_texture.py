@@ -115,7 +115,11 @@ def off(actor: Actor, baked: ScanTextures, chosen: BoolArray) -> FloatArray:
 
 
 def test_a_textured_scan_gives_the_skin_its_own_colours(actor: Actor) -> None:
-    baked = bake_scan(lay_on(actor.template, actor.scan, CENTIMETRES), 0.0)
+    laid = lay_on(actor.template, actor.scan, CENTIMETRES)
+    skin, samples = actor.template.points[actor.template.outside], laid.samples.points
+    assert np.abs(samples.min(axis=0) - skin.min(axis=0)).max() < 1.0  # mm: of all of it
+    assert np.abs(samples.max(axis=0) - skin.max(axis=0)).max() < 1.0
+    baked = bake_scan(laid, 0.0)
     assert baked.coverage > 0.98
     assert np.abs(off(actor, baked, actor.template.outside)).mean() < 0.006  # sRGB, 0..1
     template = ScanTextures(pictures=tuple(pictures_of(actor.template)), coverage=0.0, light=0.0)
