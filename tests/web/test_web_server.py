@@ -78,11 +78,12 @@ def test_the_policy_towards_files_is_that_of_who_made_the_server() -> None:
 def server(face: Path) -> Iterator[int]:
     """The port of a viewer."""
     with view([face], Options()) as viewer:
-        thread = threading.Thread(target=viewer.serve)
+        thread = threading.Thread(target=viewer.serve, daemon=True)
         thread.start()
         yield int(viewer.url.rstrip("/").rpartition(":")[2])
         viewer.close()
-        thread.join()
+        thread.join(timeout=60)
+        assert not thread.is_alive()
 
 
 def get(port: int, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
