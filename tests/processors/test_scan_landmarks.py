@@ -157,6 +157,8 @@ def test_a_turned_crop_is_a_crop_of_the_sum_of_turns_about_the_same_middle() -> 
 
 
 def test_crops_have_all_sizes_and_lie_where_the_scan_is() -> None:
+    small = 10.0 * _grid(np.ones((4, 4), bool), 1, 10)[:, 0, 0]
+    np.testing.assert_allclose(np.unique(small.round(9)), [1.12, 1.52, 2.08, 2.88, 4.0])
     covered = np.zeros((100, 100), bool)
     covered[:, :50] = True
     matrices = _grid(covered, 1, 10)
