@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.polygons import components, merge_points
+from facepipe.geometry.polygons import components, distinct_edges, merge_points
 
 _THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
 _LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphere's is 0.28
@@ -150,10 +150,9 @@ def _by_area(points: FloatArray, triangles: IntArray, component: IntArray) -> In
 
 
 def _border(triangles: IntArray, count: int) -> BoolArray:
-    pairs = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, at, uses = np.unique(pairs[:, 0] * count + pairs[:, 1], return_index=True, return_counts=True)
+    edges, _, uses = distinct_edges(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
     border = np.zeros(count, bool)
-    border[pairs[at[uses == 1]]] = True
+    border[edges[uses == 1]] = True
     return border
 
 

@@ -44,7 +44,7 @@ def jpeg(name: str, pixels: Any) -> Texture:
 
 
 TILES = ("face", "back")
-_SMALL = 128  # texels a side, up to which a quarter of the places will do, and spots are smaller than a texel
+_SMALL = 128  # texels a side, up to which every fourth place will do, and spots are smaller than a texel
 _BLOOD = np.array([0.16, 0.62, 0.52])  # how much a unit of it darkens red, green and blue (natural logarithm)
 _MELANIN = np.array([0.45, 0.75, 1.0])
 _SHADE = np.array([0.75, 0.95, 1.0])
