@@ -27,7 +27,7 @@ _SHARE_SLIDERS = 0.5
 
 def marks_of(subject: head_sources.Subject, rng: np.random.Generator) -> np.ndarray:
     """(68, 2) in the aligned crop, seen as `scenes.render` sees heads."""
-    _, marks = scenes.random_camera(subject.pose(rng), scenes.Placement(1.0, 0.0, np.zeros(2)), rng)
+    _, marks = scenes.random_camera(subject.pose(rng), scenes.Placement(1.0, 0.0, np.zeros(2)), scenes.SIZE, rng)
     return np.asarray(to_crop(marks, face_crop(marks, 1)))
 
 

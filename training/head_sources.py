@@ -81,9 +81,20 @@ class Subject:
         self.face = face
         self._rig, self._values = build(face), values
 
-    def pose(self, rng: np.random.Generator) -> FloatArray:
-        """(n, 3) points of all meshes with a random expression."""
-        return self._points(expression(rng), gaze(rng))
+    def pose(self, rng: np.random.Generator, squints: float = 0.0) -> FloatArray:
+        """(n, 3) points of all meshes with a random expression.
+
+        :param squints: share of expressions whose eyes are narrowed too
+        """
+        weights = expression(rng)
+        if squints and rng.random() < squints:
+            amounts = {
+                "eyeBlink": rng.uniform(0, 0.6),
+                "eyeSquint": rng.uniform(0, 1),
+                "cheekSquint": rng.uniform(0, 1),
+            }
+            weights |= {name + side: amount for name, amount in amounts.items() for side in ("Left", "Right")}
+        return self._points(weights, gaze(rng))
 
     def neutral(self) -> FloatArray:
         """(n, 3) points of all meshes without an expression."""

@@ -33,8 +33,8 @@ from facepipe.heads.people import Look
 from facepipe.pictures.scene import Scene, build_scene
 
 SHARD, VIEWS = 500, 10
-_SHARE_SLIDERS, _SHARE_NONE, _SHARE_FAR = 0.2, 0.05, 0.06
-_SHARE_SCANS = 0.08  # heads alone, without hair and clothes
+SHARE_SLIDERS, _SHARE_NONE, _SHARE_FAR = 0.2, 0.05, 0.06
+SHARE_SCANS = 0.08  # heads alone, without hair and clothes
 
 Arrays = dict[str, np.ndarray]
 
@@ -46,8 +46,8 @@ def person(identity: int, rng: np.random.Generator, *, poses: int = 5, views: in
     """
     if rng.random() < _SHARE_NONE:
         return [_nothing(rng) for _ in range(views)]
-    who = head_sources.Person(rng, by_sliders=rng.random() < _SHARE_SLIDERS)
-    subject = (who.scanned if rng.random() < _SHARE_SCANS else who.dressed)(who.look, rng)
+    who = head_sources.Person(rng, by_sliders=rng.random() < SHARE_SLIDERS)
+    subject = (who.scanned if rng.random() < SHARE_SCANS else who.dressed)(who.look, rng)
     rows, textures = [], None
     for _ in range(poses):
         scene = build_scene(subject.face, subject.pose(rng), scenes.SIZE, textures)

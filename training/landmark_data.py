@@ -65,7 +65,7 @@ def varied(heads: Heads, rows: npt.NDArray[np.integer], rng: np.random.Generator
     landmarks, known = batch.landmarks.clone(), batch.known.clone()
     flip = torch.as_tensor(mirrored)
     landmarks[flip], known[flip] = landmarks[flip][:, MIRRORED], known[flip][:, MIRRORED]
-    images = _cut(_covered(_recolored(batch.images, rng), rng), rng)
+    images = _cut(covered(recolored(batch.images, rng), rng), rng)
     presence, judged = batch.presence.clone(), batch.judged.clone()
     for i in np.flatnonzero(rng.random(count) < 0.07):
         images[i] = _scrambled(images[i], rng)
@@ -92,7 +92,8 @@ def _batch(heads: Heads, rows: npt.NDArray[np.integer], turn: Tensor, shift: Ten
     )
 
 
-def _recolored(images: Tensor, rng: np.random.Generator) -> Tensor:
+def recolored(images: Tensor, rng: np.random.Generator) -> Tensor:
+    """In other light, some without colours, some blurred."""
     count = len(images)
 
     def numbers(low: float, high: float, channels: int = 1) -> Tensor:
@@ -106,10 +107,12 @@ def _recolored(images: Tensor, rng: np.random.Generator) -> Tensor:
     return images
 
 
-def _covered(images: Tensor, rng: np.random.Generator) -> Tensor:
+def covered(images: Tensor, rng: np.random.Generator) -> Tensor:
+    """Some with a rectangle in front."""
+    size = images.shape[-1]
     for i in np.flatnonzero(rng.random(len(images)) < 0.25):
-        height, width = rng.integers(SIZE // 12, SIZE * 2 // 5, 2)
-        y, x = rng.integers(0, SIZE - height), rng.integers(0, SIZE - width)
+        height, width = rng.integers(size // 12, size * 2 // 5, 2)
+        y, x = rng.integers(0, size - height), rng.integers(0, size - width)
         color = torch.as_tensor(rng.normal(0, 1, (3, 1, 1)), dtype=torch.float32)
         images[i, :, y : y + height, x : x + width] = color + 0.3 * torch.as_tensor(
             rng.normal(0, rng.random(), (3, height, width)), dtype=torch.float32

@@ -1,4 +1,5 @@
-"""The residual network behind ``landmarks.onnx``: heatmaps whose centres of mass are the landmarks.
+"""The residual networks behind ``landmarks.onnx`` and ``dense_landmarks.onnx``: heatmaps whose centres of mass are the
+landmarks.
 
 He et al., "Deep Residual Learning for Image Recognition", CVPR 2016 (blocks); Lin et al., "Feature Pyramid Networks for
 Object Detection", CVPR 2017 (the way back up); Nibali et al., "Numerical Coordinate Regression with Convolutional
@@ -6,6 +7,9 @@ Neural Networks", 2018 (coordinates of heatmaps).
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -16,42 +20,76 @@ SIZE = 96  # pixels a side of the input
 CELLS = 24  # a side of a heatmap
 COUNT = 68
 MEAN, STD = 0.45, 0.25  # of sRGB 0..1
-_WIDTHS = (16, 32, 64, 128)  # at 1/2, 1/4, 1/8 and 1/16 of the resolution
-_UP = 40
 
 
-class LandmarkNetwork(nn.Module):  # type: ignore[misc]
+class Pyramid(nn.Module):  # type: ignore[misc]
+    """From pictures down to 1/2, 1/4 and so on of their resolution, and back up to 1/4."""
+
+    def __init__(self, widths: Sequence[int], up: int) -> None:
+        """
+        :param widths: channels at 1/2, 1/4 ... of the resolution
+        :param up: channels on the way back up
+        """
+        super().__init__()
+        self.stem = nn.Conv2d(3, widths[0], 5, 2, 2, bias=False)
+        self.stem_norm = nn.BatchNorm2d(widths[0])
+        self.stages = nn.ModuleList(nn.Sequential(Block(a, b, 2), Block(b, b)) for a, b in pairwise(widths))
+        self.laterals = nn.ModuleList(nn.Conv2d(width, up, 1) for width in widths[1:])
+        self.ups = nn.ModuleList(Block(up, up) for _ in widths[2:])
+
+    def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """(b, up, h / 4, w / 4), and what is deepest."""
+        values = torch.relu(self.stem_norm(self.stem(images)))
+        levels = []
+        for stage in self.stages:
+            values = stage(values)
+            levels.append(values)
+        up = self.laterals[-1](values)
+        for lateral, block, level in zip(self.laterals[-2::-1], self.ups, levels[-2::-1], strict=True):
+            up = block(_double(up) + lateral(level))
+        return up, values
+
+
+class LandmarkNetwork(Pyramid):
     """68 landmarks and presence of crops (b, 3, 96, 96), sRGB less `MEAN` over `STD`."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.stem = nn.Conv2d(3, _WIDTHS[0], 5, 2, 2, bias=False)
-        self.stem_norm = nn.BatchNorm2d(_WIDTHS[0])
-        self.quarter = nn.Sequential(Block(_WIDTHS[0], _WIDTHS[1], 2), Block(_WIDTHS[1], _WIDTHS[1]))
-        self.eighth = nn.Sequential(Block(_WIDTHS[1], _WIDTHS[2], 2), Block(_WIDTHS[2], _WIDTHS[2]))
-        self.sixteenth = nn.Sequential(Block(_WIDTHS[2], _WIDTHS[3], 2), Block(_WIDTHS[3], _WIDTHS[3]))
-        self.laterals = nn.ModuleList(nn.Conv2d(width, _UP, 1) for width in _WIDTHS[1:])
-        self.up_eighth, self.up_quarter = Block(_UP, _UP), Block(_UP, _UP)
-        self.heat = nn.Conv2d(_UP, COUNT, 1)
-        self.presence = nn.Linear(_WIDTHS[3], 1)
-        self.register_buffer("cells", cell_centers())
+        super().__init__((16, 32, 64, 128), 40)
+        self.heat = nn.Conv2d(40, COUNT, 1)
+        self.presence = nn.Linear(128, 1)
+        self.register_buffer("cells", cell_centers(CELLS))
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Landmarks (b, 68, 2) in 0..1 of the crop, presence before the sigmoid (b, 1), heat (b, 68, 576)."""
-        values = torch.relu(self.stem_norm(self.stem(images)))
-        quarter = self.quarter(values)
-        eighth = self.eighth(quarter)
-        deep = self.sixteenth(eighth)
-        up = self.up_eighth(_double(self.laterals[2](deep)) + self.laterals[1](eighth))
-        up = self.up_quarter(_double(up) + self.laterals[0](quarter))
+        up, deep = self.pyramid(images)
         heat = self.heat(up).flatten(2).float()
         landmarks = heat.softmax(dim=2) @ self.cells
         return landmarks, self.presence(deep.mean(dim=(2, 3))), heat
 
 
-def cell_centers() -> Tensor:
-    """(576, 2) x, y of the heatmaps' cells in 0..1, row by row."""
-    centers = (torch.arange(CELLS) + 0.5) / CELLS
+class DenseNetwork(Pyramid):
+    """Many landmarks of aligned crops (b, 3, 192, 192), and how far off they may be."""
+
+    SIZE, CELLS = 192, 48
+
+    def __init__(self, count: int) -> None:
+        super().__init__((16, 32, 64, 96, 128), 56)
+        self.heat = nn.Conv2d(56, count, 1)
+        self.doubt = nn.Linear(56, 1)
+        self.usual = nn.Parameter(torch.zeros(count))
+        self.register_buffer("cells", cell_centers(self.CELLS))
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Landmarks (b, n, 2) in 0..1 of the crop, and logarithms of half their expected errors in pixels (b, n)."""
+        up, _ = self.pyramid(images)
+        share = self.heat(up).flatten(2).float().softmax(dim=2)
+        there = share @ up.flatten(2).float().mT  # what the network sees at each
+        return share @ self.cells, self.doubt(there)[..., 0] + self.usual
+
+
+def cell_centers(cells: int) -> Tensor:
+    """(cells^2, 2) x, y of a heatmap's cells in 0..1, row by row."""
+    centers = (torch.arange(cells) + 0.5) / cells
     y, x = torch.meshgrid(centers, centers, indexing="ij")
     return torch.stack([x, y], dim=-1).reshape(-1, 2)
 

@@ -31,10 +31,11 @@ _MM = 10.0  # a centimetre
 class View:
     """One picture of a head."""
 
-    image: FloatArray  # (SIZE, SIZE, 3) sRGB 0..1
-    labels: npt.NDArray[np.uint8]  # (SIZE, SIZE)
+    image: FloatArray  # (S, S, 3) sRGB 0..1
+    labels: npt.NDArray[np.uint8]  # (S, S)
     landmarks: FloatArray  # (68, 2) pixels
     present: float  # 1 a face; 0 none, misplaced by far; 0.5 between
+    camera: Camera
 
 
 @dataclass(frozen=True)
@@ -92,8 +93,10 @@ def random_light(look: Look, rng: np.random.Generator) -> Portrait:
     )
 
 
-def random_camera(points: FloatArray, placement: Placement, rng: np.random.Generator) -> tuple[Camera, FloatArray]:
-    """A camera in front of a head (n, 3), and the landmarks (68, 2) in pixels of its picture of `SIZE`."""
+def random_camera(
+    points: FloatArray, placement: Placement, size: int, rng: np.random.Generator
+) -> tuple[Camera, FloatArray]:
+    """A camera in front of a head (n, 3), and the landmarks (68, 2) in pixels of its picture, `size` a side."""
     yaw, pitch = np.radians(np.clip(rng.normal(0, 19), -45, 45)), np.radians(np.clip(rng.normal(0, 9), -24, 24))
     distance = float(np.exp(rng.uniform(np.log(32), np.log(220))))
     axes = Rotation.from_euler("XY", [pitch, yaw]).as_matrix()
@@ -101,7 +104,7 @@ def random_camera(points: FloatArray, placement: Placement, rng: np.random.Gener
     camera = Camera(axes=axes, eye=eye, focal=1.0, center=(0.0, 0.0))
     marks = landmarks_seen(camera, points) @ (1, 1j)
     target = ((TEMPLATE @ (1, 1j) - 0.5 - 0.5j) * placement.scale * np.exp(1j * placement.turn)) + 0.5 + 0.5j
-    target = (target + placement.shift @ (1, 1j)) * SIZE
+    target = (target + placement.shift @ (1, 1j)) * size
     spread = marks - marks.mean()
     turn = np.vdot(spread, target - target.mean()) / np.vdot(spread, spread).real
     center = target.mean() - turn * marks.mean()
@@ -128,10 +131,11 @@ def landmarks_seen(camera: Camera, points: FloatArray) -> FloatArray:
 def render(scene: Scene, look: Look, placement: Placement, behind: FloatArray, rng: np.random.Generator) -> View:
     """A random camera and light.
 
-    :param behind: (SIZE, SIZE, 3) sRGB
+    :param behind: (S, S, 3) sRGB
     """
     head = scene.points[: asset().parts["Head"].points.stop]
-    camera, marks = random_camera(head, placement, rng)
+    size = len(behind)
+    camera, marks = random_camera(head, placement, size, rng)
     shader = Shader(scene, camera, lights=random_light(look, rng))
-    image = draw(shader, SIZE, from_srgb(behind).astype(np.float32), _SAMPLES, _MM) / 255
-    return View(image, pixel_classes(shader, SIZE), marks, placement.present)
+    image = draw(shader, size, from_srgb(behind).astype(np.float32), _SAMPLES, _MM) / 255
+    return View(image, pixel_classes(shader, size), marks, placement.present, camera)

@@ -87,10 +87,22 @@ def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes
         blendshapes=blendshapes_of(part, shapes),
         skin=Skin(joint_indices=head.skin_joints[part.points], joint_weights=head.skin_weights[part.points]),
         regions=masks,
-        landmarks={"multipie68": Landmarks(indices=head.landmarks)} if whole else {},
+        landmarks=_landmarks(head, name),
         anchor=head.anchor if whole else None,
         material_faces=_material_faces(head, part),
     )
+
+
+def _landmarks(head: Asset, name: str) -> dict[str, Landmarks]:
+    if name == "Head":
+        return {"multipie68": Landmarks(indices=head.landmarks), "dense": Landmarks(indices=head.dense)}
+    return {"pupils": Landmarks(indices=np.array([pupil(name)], np.int32))} if name.startswith("Eyeball") else {}
+
+
+def pupil(name: str) -> int:
+    """The foremost point of an eye, as its mesh numbers them."""
+    head = asset()
+    return int(head.points[head.parts[name].points, 2].argmax())
 
 
 def _all(part: Part, value: float) -> FloatArray:

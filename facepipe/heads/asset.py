@@ -6,6 +6,7 @@ Lengths are in centimetres, Y is up, the head looks along +Z, +X is its left.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -50,6 +51,7 @@ class Asset:
     material_names: tuple[str, ...]
     regions: Mapping[str, FloatArray]  # name -> (points of Head,) soft masks, which sum to 1
     landmarks: IntArray  # (68,) points of multipie68
+    dense: IntArray  # (204,) points of dense, all over the face
     anchor: int
     joints: tuple[str, ...]  # paths, parents first
     joint_points: IntArray  # (j, k) of whose places each joint is
@@ -95,6 +97,7 @@ def asset() -> Asset:
         material_names=tuple(map(str, data["material_names"])),
         regions=dict(zip(map(str, data["region_names"]), masks, strict=True)),
         landmarks=data["landmarks"],
+        dense=np.array(json.loads((files("facepipe.heads") / "data" / "dense.json").read_text()), np.int32),
         anchor=int(data["anchor"]),
         joints=tuple(map(str, data["joints"])),
         joint_points=data["joint_points"],

@@ -71,7 +71,7 @@ def main() -> None:
     for pictures in (strokes, eyes):
         pictures.main(out)
     mouth.main(arguments.data, out)
-    for table in ("mixes.json", "bone_sliders.json"):
+    for table in ("mixes.json", "bone_sliders.json", "dense.json"):
         shutil.copyfile(Path(__file__).parent / table, out / table)
     for source, name in LICENCES.items():
         shutil.copyfile(arguments.data / source, out / name)

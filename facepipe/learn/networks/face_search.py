@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.landmarks import MIRRORED, quarter_turned
+from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
-from facepipe.learn.networks.files import LandmarkSession, landmark_model
+from facepipe.learn.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks, turned_crop
+from facepipe.learn.networks.files import DenseLandmarkSession, LandmarkSession, dense_landmark_model, landmark_model
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _STRIDE = 0.28  # of a crop's side
@@ -31,6 +32,7 @@ _LOOKS = [(turn, scale) for scale in (1.0, 1.12, 0.9) for turn in (0.0, 0.12, -0
 # median, where all differ by more: landmarks as a whole then don't count less beside all else that a photo shows.
 _DOUBT, _USUAL = 0.008, 2.5
 _CONTOUR = slice(0, 17)
+_EXACT = 0.006  # of the face's size: the error to expect of a landmark that counts fully
 _LEAST = 0.1  # confidence: the farther looks differ, the less that means
 
 
@@ -41,6 +43,9 @@ class FoundFace:
     landmarks: FloatArray  # (68, 2) pixels, Multi-PIE order
     presence: float  # 0..1
     confidence: FloatArray  # (68,) 0..1, what a landmark's squared error should count
+    dense: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))  # (d, 2) of the built-in head's scheme dense
+    dense_confidence: FloatArray = field(default_factory=lambda: np.zeros(0))  # (d,)
+    pupils: FloatArray | None = None  # (2, 3) x, y, and the error to expect: pixels, the person's left first
 
 
 def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFace]:
@@ -50,8 +55,9 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     over; those that settle, keep their presence and look like a face when cropped differently are faces. The network
     knows synthetic heads alone, upright within about 30 degrees, and larger than a seventh of the photo. Where it sees
     none, the photo is searched by quarter turns. Landmarks on which crops agree, turned, scaled and mirrored, are sure.
+    A second network looks at faces in larger crops.
 
-    :param model: an ONNX network of the kind ``landmarks``; default the one that comes with facepipe
+    :param model: an ONNX network of the kind ``landmarks``, and no second look; default those that come with facepipe
     :raises InputError: another shape, NaN or infinity; a file that is no such network
     """
     pixels = np.asarray(image, dtype=np.float32)
@@ -64,9 +70,36 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
         turned = np.ascontiguousarray(np.rot90(pixels, quarters))
         size = turned.shape[1], turned.shape[0]
         faces = _upright_faces(network, turned)
+        if faces and model is None:
+            closer = DenseLandmarkSession(dense_landmark_model())
+            faces = [_looked_closer(closer, torch.as_tensor(turned), face) for face in faces]
         if faces:
-            return [replace(face, landmarks=quarter_turned(face.landmarks, -quarters, size)) for face in faces]
+            return [_turned_back(face, quarters, size) for face in faces]
     return []
+
+
+def _looked_closer(network: DenseLandmarkSession, photo: torch.Tensor, face: FoundFace) -> FoundFace:
+    found = dense_landmarks(network, photo, face.landmarks)
+    if found is None:
+        return face
+    points, errors = found
+    confidence = np.minimum(1, (_EXACT * face_size(points[:COUNT]) / errors) ** 2)
+    return FoundFace(
+        landmarks=points[:COUNT],
+        presence=face.presence,
+        confidence=confidence[:COUNT],
+        dense=points[COUNT:-PUPILS],
+        dense_confidence=confidence[COUNT:-PUPILS],
+        pupils=np.column_stack([points, errors])[-PUPILS:],
+    )
+
+
+def _turned_back(face: FoundFace, quarters: int, size: tuple[int, int]) -> FoundFace:
+    landmarks, dense = (quarter_turned(places, -quarters, size) for places in (face.landmarks, face.dense))
+    pupils = face.pupils
+    if pupils is not None:
+        pupils = np.column_stack([quarter_turned(pupils[:, :2], -quarters, size), pupils[:, 2]])
+    return replace(face, landmarks=landmarks, dense=dense, pupils=pupils)
 
 
 def _upright_faces(network: LandmarkSession, pixels: FloatArray) -> list[FoundFace]:
@@ -183,7 +216,7 @@ def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray
     aligned = _crop(photo, landmarks, network.size)
     if aligned is None:
         return None
-    matrices = [_turned(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
+    matrices = [turned_crop(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
     crops = _crops(photo, matrices, network.size)
     places, presence = network(np.concatenate([crops, crops[..., ::-1]]))
     places[len(crops) :] = [network.size, 0] + places[len(crops) :, MIRRORED] * [-1, 1]
@@ -215,14 +248,6 @@ def _confidence(spread: FloatArray) -> FloatArray:
     """(68,) of RMS distances in sides of a crop."""
     doubt = max(_DOUBT, _USUAL * float(np.median(spread)))
     return np.asarray(np.maximum(_LEAST, 1 / (1 + (spread / doubt) ** 4)))
-
-
-def _turned(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
-    """The crop turned and scaled about its centre."""
-    change = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    centre = np.full(2, size / 2)
-    linear = matrix[:, :2] @ change
-    return np.column_stack([linear, matrix[:, :2] @ centre + matrix[:, 2] - linear @ centre])
 
 
 def _apart(faces: list[FoundFace]) -> list[FoundFace]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +41,11 @@ def landmark_model() -> Path:
     return _own("landmarks.onnx")
 
 
+def dense_landmark_model() -> Path:
+    """The file that finds many points of the built-in head's skin in a crop of a face, and how far off they may be."""
+    return _own("dense_landmarks.onnx")
+
+
 def feature_model() -> Path:
     """The file that sees content, identity and attributes in a crop of a face."""
     return _own("face_features.onnx")
@@ -50,8 +55,11 @@ def _own(name: str) -> Path:
     return Path(str(files("facepipe.learn.networks") / name))
 
 
-class LandmarkSession:
-    """An ONNX file of the kind ``landmarks``."""
+class _CropSession:
+    """An ONNX file that places landmarks in crops of faces."""
+
+    kind: str
+    outputs: tuple[str, ...]
 
     def __init__(self, source: Path | bytes) -> None:
         """
@@ -72,20 +80,54 @@ class LandmarkSession:
         outputs = {output.name for output in self._session.get_outputs()}
         try:
             described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
-            known = described["kind"] == "landmarks" and {"landmarks", "presence"} <= outputs
+            known = described["kind"] == self.kind and set(self.outputs) <= outputs
             self.size = int(described["size"])
             self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
+            self._describe(described)
         except (KeyError, TypeError, ValueError):
             known = False
         if not known:
-            raise InputError(where, f"no landmark network, expected '{_KEY}' of kind landmarks and both its outputs")
+            what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
+            raise InputError(where, what)
+
+    def _describe(self, described: Mapping[str, object]) -> None:
+        """Read what else there is to know; KeyError, TypeError or ValueError where it is missing."""
+
+    def _run(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Both outputs of sRGB crops (b, 3, S, S) in 0..1."""
+        rows = []
+        for start in range(0, len(crops), _BATCH):
+            batch = (np.asarray(crops[start : start + _BATCH], np.float32) - self._mean) / self._std
+            rows.append(self._session.run(list(self.outputs), {"image": batch}))
+        places, others = (np.concatenate(column).astype(np.float64) for column in zip(*rows, strict=True))
+        return places * self.size, others
+
+
+class LandmarkSession(_CropSession):
+    """An ONNX file of the kind ``landmarks``."""
+
+    kind, outputs = "landmarks", ("landmarks", "presence")
 
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, 68, 2) in pixels of the crops and presence (b,) of sRGB crops (b, 3, S, S) in 0..1."""
-        landmarks, presence = [np.zeros((0, 68, 2))], [np.zeros(0)]
-        for start in range(0, len(crops), _BATCH):
-            batch = (np.asarray(crops[start : start + _BATCH], np.float32) - self._mean) / self._std
-            places, present = self._session.run(["landmarks", "presence"], {"image": batch})
-            landmarks.append(places.astype(np.float64) * self.size)
-            presence.append(present[:, 0].astype(np.float64))
-        return np.concatenate(landmarks), np.concatenate(presence)
+        if not len(crops):
+            return np.zeros((0, 68, 2)), np.zeros(0)
+        landmarks, presence = self._run(crops)
+        return landmarks, presence[:, 0]
+
+
+class DenseLandmarkSession(_CropSession):
+    """An ONNX file of the kind ``dense-landmarks``."""
+
+    kind, outputs = "dense-landmarks", ("landmarks", "errors")
+    zoom: float  # of its crops beyond `face_crop`
+    mirrored: list[int]  # for each landmark that of the other side
+
+    def _describe(self, described: Mapping[str, object]) -> None:
+        self.zoom = float(described["zoom"])  # type: ignore[arg-type]
+        self.mirrored = [int(row) for row in described["mirrored"]]  # type: ignore[attr-defined]
+
+    def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (b, n, 2) and the errors to expect of them (b, n), both in pixels of crops (b, 3, S, S)."""
+        landmarks, errors = self._run(crops)
+        return landmarks, errors * self.size
