@@ -19,7 +19,7 @@ from facepipe.learn.photo.descent import Descent, Unknowns, descend
 from facepipe.learn.photo.fit_input import check_confidences, check_extractors, check_photos, check_start
 from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
-from facepipe.learn.photo.landmark_rig import COUNT, front_axes, landmark_points
+from facepipe.learn.photo.landmark_rig import COUNT, dense_points, front_axes, landmark_points
 from facepipe.learn.photo.lighting import in_better_light, lit, renew_shadows
 from facepipe.learn.photo.pose import PoseSpace
 from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
@@ -67,7 +67,7 @@ def _view(loss: JointLoss, best: Unknowns, state: State, view: int) -> FittedVie
         light=best.light[view].numpy().astype(np.float64),
         key=_lamp(best.key[view].numpy().astype(np.float64)),
         landmarks=fit.landmarks(state)[view],
-        targets=fit.targets[view],
+        targets=fit.targets[view][:COUNT],
         landmark_error=float(fit.errors(state)[view].mean()),
     )
 
@@ -105,9 +105,10 @@ def fit_photos(
     is less: landmarks alone don't show what a guess has seen in the pictures.
 
     :param photos: (h, w, 3) sRGB 0..1
-    :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner
-    :param confidences: (68,) of each photo's landmarks, 0 to 1: what their squared errors count beside each
-        other; None: all alike
+    :param landmarks: (68, 2) Multi-PIE landmarks of each, pixels from its top left corner, or (68 + d, 2) with those of
+        the face's scheme ``dense``
+    :param confidences: one for each of a photo's landmarks, 0 to 1: what their squared errors count beside each other;
+        None: all alike
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);
@@ -117,8 +118,8 @@ def fit_photos(
     :raises InputError: no photo, arrays or a start that don't fit, networks of other kinds, a face without the 68
         landmarks or without sliders
     """
-    landmarks = check_photos(photos, landmarks)
-    confidences = None if confidences is None else check_confidences(confidences, len(photos))
+    landmarks = check_photos(photos, landmarks, len(dense_points(parts)))
+    confidences = None if confidences is None else check_confidences(confidences, [len(each) for each in landmarks])
     check_extractors(extractors or {})
     upright = UprightPhotos.from_photos(photos, landmarks)
     with one_thread():
@@ -146,7 +147,8 @@ def _fit(
     networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [
-        WorkingPhoto.from_photo(*pair, options.size) for pair in zip(upright.photos, upright.landmarks, strict=True)
+        WorkingPhoto.from_photo(photo, marks[:COUNT], options.size)
+        for photo, marks in zip(upright.photos, upright.landmarks, strict=True)
     ]
     loss = JointLoss(model, fit, working, networks, options)
     begin = lit(loss, state)

@@ -19,19 +19,20 @@ from facepipe.learn.photo.pose import NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
 
 _PHOTO = "expected an array of floating-point sRGB 0 to 1"
-_LANDMARKS = f"expected a finite array ({COUNT}, 2) of pixels"
+_LANDMARKS = "expected a finite array ({}, 2) of pixels"
 
 
-def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> list[FloatArray]:
+def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], dense: int = 0) -> list[FloatArray]:
     """The landmarks in float64.
 
+    :param dense: how many the face has beside the 68
     :raises InputError: no photo, or arrays that are no photos with a face's landmarks
     """
     if len(photos) == 0 or len(photos) != len(landmarks):
         raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
     for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
         _check_photo(f"photo {number}", photo)
-        _check_landmarks(f"landmarks {number}", marks)
+        _check_landmarks(f"landmarks {number}", marks, dense)
     return [np.asarray(marks, dtype=np.float64) for marks in landmarks]
 
 
@@ -45,26 +46,27 @@ def _check_photo(where: str, photo: FloatArray) -> None:
         raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
 
 
-def _check_landmarks(where: str, marks: FloatArray) -> None:
-    _check_array(where, marks, "fiu", _LANDMARKS)
-    if marks.shape != (COUNT, 2):
-        raise InputError(where, f"shape {marks.shape}, {_LANDMARKS}")
+def _check_landmarks(where: str, marks: FloatArray, dense: int) -> None:
+    expected = _LANDMARKS.format(f"{COUNT} or {COUNT + dense}" if dense else COUNT)
+    _check_array(where, marks, "fiu", expected)
+    if marks.shape not in ((COUNT, 2), (COUNT + dense, 2)):
+        raise InputError(where, f"shape {marks.shape}, {expected}")
     if not np.isfinite(marks).all():
-        raise InputError(where, f"NaN or infinity, {_LANDMARKS}")
+        raise InputError(where, f"NaN or infinity, {expected}")
     if not eye_distance(marks) > 0:
         raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
 
 
-def check_confidences(confidences: Sequence[FloatArray], count: int) -> list[FloatArray]:
-    """The confidences of the landmarks of `count` photos in float64.
+def check_confidences(confidences: Sequence[FloatArray], counts: Sequence[int]) -> list[FloatArray]:
+    """The confidences of so many landmarks of each photo in float64.
 
     :raises InputError: another number of them, or arrays that are no numbers 0 to 1
     """
-    if len(confidences) != count:
-        raise InputError("confidences", f"{len(confidences)} of {count} photos, expected one for each")
+    if len(confidences) != len(counts):
+        raise InputError("confidences", f"{len(confidences)} of {len(counts)} photos, expected one for each")
     checked = [
-        _numbers(f"confidences {number}", each, (COUNT,), "one for each landmark")
-        for number, each in enumerate(confidences)
+        _numbers(f"confidences {number}", each, (count,), "one for each landmark")
+        for number, (each, count) in enumerate(zip(confidences, counts, strict=True))
     ]
     for number, each in enumerate(checked):
         if not 0 <= each.min() <= each.max() <= 1:

@@ -26,8 +26,8 @@ from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.features.signatures import Features
 from facepipe.learn.light import KeyLight, hue_cost
 from facepipe.learn.photo.descent import Unknowns
-from facepipe.learn.photo.landmark_fit import ALONG, LandmarkFit, huber
-from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT
+from facepipe.learn.photo.landmark_fit import LandmarkFit, huber, standardised
+from facepipe.learn.photo.landmark_rig import COUNT
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo_options import PhotoFitOptions
@@ -180,10 +180,8 @@ class JointLoss:
             torch.as_tensor(each, dtype=torch.float32)
             for each in (subject.lower, subject.upper, subject.default_shares)
         )
-        self._targets = [torch.as_tensor(each) for each in fit.targets]
-        self._sigma = [torch.as_tensor(each) for each in fit.sigma]
         used = {kind: one for kind, one in extractors.items() if getattr(options, kind) > 0}
-        marks = [photo.landmarks(each) for photo, each in zip(self.photos, fit.targets, strict=True)]
+        marks = [photo.landmarks(each[:COUNT]) for photo, each in zip(self.photos, fit.targets, strict=True)]
         self._features = FeatureLosses(used, [photo.pixels for photo in self.photos], marks)
 
     def __call__(self, at: Unknowns) -> dict[str, Tensor]:
@@ -258,11 +256,8 @@ class JointLoss:
         rig, camera = self.fit.rig, self.fit.spaces[view].camera(at.poses[view])
         points = rig.rig(sliders.double(), self.weights(at.expressions[view]).double())
         marks, outward = rig.landmarks(points, camera)
-        off = (marks - self._targets[view]) / self._sigma[view]
-        on = off[CONTOUR]
-        along = torch.stack([-outward[:, 1], outward[:, 0]], dim=1)
-        contour = torch.stack([(on * outward).sum(dim=1), ALONG * (on * along).sum(dim=1)], dim=1)
-        return huber(torch.cat([contour, off[CONTOUR.stop :]])).sum() / len(off)
+        targets = self.fit.targets[view]
+        return huber(standardised(marks[: len(targets)], outward, targets, self.fit.sigma[view])).sum() / COUNT
 
 
 def single(camera: Camera) -> Camera:

@@ -21,7 +21,11 @@ from facepipe.learn.photo.subject import Subject
 
 _LEAST, _LARGEST = 1e-8, 1e8  # damping, of the curvature
 _STEP = 1e-6  # of central differences
-ALONG = 0.15  # weight of a contour point's error along the contour: it slides
+_ALONG = 0.15  # weight of a contour point's error along the contour: it slides
+# Landmarks on either rim of the lids and of the lips, and how well their distance is known, of the size of the face:
+# better than where they are, since what misplaces one misplaces the other too.
+_UPPER, _LOWER = [37, 38, 43, 44, 61, 62, 63], [41, 40, 47, 46, 67, 66, 65]
+_OPENING = 0.006
 _HUBER = 3.0  # standard deviations beyond which an error counts linearly
 _EDGE = 0.02  # of a slider's range, below which its L1 norm is rounded off
 _ROUNDS = 3  # of reweighting
@@ -133,18 +137,19 @@ class LandmarkFit:
         confidences: Sequence[FloatArray] | None = None,
     ) -> None:
         """
-        :param targets: (68, 2) landmarks of each photo, pixels
-        :param confidences: (68,) of each photo, 0 to 1: what squared errors count beside each other; None: alike
+        :param targets: (68, 2) landmarks of each photo, pixels, or (68 + d, 2) with those of the scheme ``dense``
+        :param confidences: of each photo's, 0 to 1: what squared errors count beside each other; None: alike
         :param rig: of the subject, where there is one already
         :raises InputError: the face lacks the 68 landmarks
         """
         self.subject, self.spaces, self.priors = subject, tuple(spaces), priors
         self.targets = [np.asarray(each, dtype=np.float64) for each in targets]
-        self.rig = LandmarkRig.from_subject(subject) if rig is None else rig
-        every = [np.ones(COUNT)] * len(self.targets) if confidences is None else confidences
+        dense = any(len(each) > COUNT for each in self.targets)
+        self.rig = LandmarkRig.from_subject(subject, dense=dense) if rig is None else rig
+        every = [np.ones(len(each)) for each in self.targets] if confidences is None else confidences
         trusts = [np.maximum(each, _LEAST_CONFIDENCE) for each in every]
-        self.sigma = [  # (68, 1) pixels; all together the landmarks of a photo count the same whatever the confidences
-            priors.landmark_sigma * face_size(each) * np.sqrt(trust.mean() / trust)[:, None]
+        self.sigma = [  # (l, 1) pixels; all together the landmarks of a photo count as 68, whatever the confidences
+            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(trust.sum() / COUNT / trust)[:, None]
             for each, trust in zip(self.targets, trusts, strict=True)
         ]
 
@@ -178,14 +183,14 @@ class LandmarkFit:
 
     def landmarks(self, state: State) -> FloatArray:
         """(v, 68, 2) pixels of the face's landmarks in each photo."""
-        return np.stack([self._project(i, own[None])[0][0] for i, own in enumerate(self._own(state))])
+        return np.stack([self._project(i, own[None])[0][0, :COUNT] for i, own in enumerate(self._own(state))])
 
     def errors(self, state: State) -> FloatArray:
         """(v, 68) distances to the targets, pixels; contour points across the contour."""
         result = []
         for view, own in enumerate(self._own(state)):
             marks, outward = self._project(view, own[None])
-            off = marks[0] - self.targets[view]
+            off = (marks[0] - self.targets[view])[:COUNT]
             distance = np.linalg.norm(off, axis=1)
             distance[CONTOUR] = np.abs((off[CONTOUR] * outward[0]).sum(axis=1))
             result.append(distance)
@@ -217,7 +222,7 @@ class LandmarkFit:
         return [np.concatenate([state.shares, *pair]) for pair in zip(state.expressions, state.poses, strict=True)]
 
     def _project(self, view: int, numbers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Landmarks (k, 68, 2) and outward directions (k, 17, 2) of k rows of what one photo depends on."""
+        """Landmarks (k, l, 2) and outward directions (k, 17, 2) of k rows of what one photo depends on."""
         f, e = len(self.subject.sliders), len(self.subject.expressions)
         with torch.no_grad():
             sliders = torch.as_tensor(self.subject.slider_values(numbers[:, :f]))
@@ -225,16 +230,13 @@ class LandmarkFit:
             points = self.rig.rig(sliders, weights if len(self.subject.rig.shapes) else None)
             camera = self.spaces[view].camera(torch.as_tensor(numbers[:, f + e :]))
             marks, outward = self.rig.landmarks(points, camera)
-        return marks.numpy(), outward.numpy()
+        return marks[:, : len(self.targets[view])].numpy(), outward.numpy()
 
     def _residuals(self, view: int, numbers: FloatArray) -> FloatArray:
-        """(k, 136) errors in standard deviations; the contour's across and, weakly, along it."""
+        """(k, r) errors of k rows in standard deviations, as `standardised` has them."""
         marks, outward = self._project(view, numbers)
-        off = (marks - self.targets[view]) / self.sigma[view]
-        on = off[:, CONTOUR]
-        along = np.stack([-outward[..., 1], outward[..., 0]], axis=-1)
-        contour = np.stack([(on * outward).sum(axis=-1), ALONG * (on * along).sum(axis=-1)], axis=-1)
-        return np.concatenate([contour, off[:, CONTOUR.stop :]], axis=1).reshape(len(numbers), -1)
+        off = standardised(torch.as_tensor(marks), torch.as_tensor(outward), self.targets[view], self.sigma[view])
+        return np.asarray(off.numpy().reshape(len(numbers), -1))
 
     def _cost(self, state: State, weights: FloatArray) -> float:
         total = sum(_cost(self._residuals(view, own[None])[0]) for view, own in enumerate(self._own(state)))
@@ -283,6 +285,26 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
     ahead, behind = own + _STEP * np.eye(len(own)), own - _STEP * np.eye(len(own))
     ahead[:, :bounded], behind[:, :bounded] = np.minimum(ahead[:, :bounded], 1), np.maximum(behind[:, :bounded], 0)
     return ahead, behind
+
+
+def standardised(marks: Tensor, outward: Tensor, targets: FloatArray, sigma: FloatArray) -> Tensor:
+    """(..., l + 7, 2) how far landmarks are off targets, in standard deviations: the contour's across it and, weakly,
+    along it; last the openings of lids and lips.
+
+    :param marks: (..., l, 2) pixels
+    :param outward: (..., 17, 2) directions across the contour
+    :param targets: (l, 2) pixels
+    :param sigma: (l, 1) pixels
+    """
+    off = marks - torch.as_tensor(targets)
+    doubt = np.maximum(sigma[_UPPER], sigma[_LOWER]) * np.sqrt((1 / sigma**2).mean())  # 1: as landmarks usually count
+    opening = off[..., _UPPER, :] - off[..., _LOWER, :]
+    opening = opening / torch.as_tensor(_OPENING * face_size(targets[:COUNT]) * doubt)
+    off = off / torch.as_tensor(sigma)
+    on = off[..., CONTOUR, :]
+    along = torch.stack([-outward[..., 1], outward[..., 0]], dim=-1)
+    contour = torch.stack([(on * outward).sum(dim=-1), _ALONG * (on * along).sum(dim=-1)], dim=-1)
+    return torch.cat([contour, off[..., CONTOUR.stop :, :], opening], dim=-2)
 
 
 def huber(residuals: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig
 
-SCHEME = "multipie68"
+SCHEME, DENSE = "multipie68", "dense"
 COUNT = 68
 CONTOUR = slice(0, 17)
 _ROW = 0.012  # of the head height: half the width of a row
@@ -32,30 +32,36 @@ _INWARD = 0.22  # of the head height that a row reaches towards the middle and t
 
 @dataclass(frozen=True, kw_only=True)
 class LandmarkRig:
-    """Points of the landmarks, then of the contour's rows, as a rig of its own in float64."""
+    """Points of the landmarks, of the contour's rows, and of dense landmarks, as a rig of its own in float64."""
 
     rig: DifferentiableRig
     rows: tuple[IntArray, ...]  # 17 rows of numbers among the rig's points, each with the landmark itself
+    dense: slice  # of the rig's points: those that are landmarks beside the 68
 
     @classmethod
-    def from_subject(cls, subject: Subject) -> LandmarkRig:
-        """:raises InputError: the face lacks the 68 landmarks"""
+    def from_subject(cls, subject: Subject, *, dense: bool = False) -> LandmarkRig:
+        """
+        :param dense: whether the points of the scheme `DENSE` are landmarks too
+        :raises InputError: the face lacks the 68 landmarks
+        """
         parts = subject.parts
         points, mesh = landmark_points(parts)
         rows = [_row(subject, points, number, mesh) for number in range(CONTOUR.stop)]
         first = np.cumsum([COUNT, *map(len, rows)])
-        chosen = np.concatenate([points, *rows])
+        more = dense_points(parts) if dense else points[:0]
+        chosen = np.concatenate([points, *rows, more])
         numbers = tuple(
             np.concatenate([[k], np.arange(first[k], first[k + 1])]).astype(np.int64) for k in range(CONTOUR.stop)
         )
         rig = DifferentiableRig(
             part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
         )
-        return cls(rig=rig, rows=numbers)
+        return cls(rig=rig, rows=numbers, dense=slice(int(first[-1]), int(first[-1]) + len(more)))
 
     def landmarks(self, points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
-        """(..., 68, 2) pixels of the landmarks of the rig's points (..., m, 3), and (..., 17, 2) directions across
-        the contour, outwards; landmarks with gradients, but not of the directions and the choice of points."""
+        """(..., l, 2) pixels of the 68 landmarks, and the dense ones, of the rig's points (..., m, 3), and (..., 17, 2)
+        directions across the contour, outwards; landmarks with gradients, but not of the directions and the choice of
+        points."""
         screen = camera.project(points)[..., :2]
         labelled = screen[..., :COUNT, :]
         outward = contour_normals(labelled[..., CONTOUR, :].detach())
@@ -65,7 +71,7 @@ class LandmarkRig:
             reach = (places.detach() * outward[..., number, None, :]).sum(dim=-1)
             chosen = reach.argmax(dim=-1)[..., None, None].expand(*reach.shape[:-1], 1, 2)
             contour.append(places.gather(-2, chosen))
-        return torch.cat([*contour, labelled[..., CONTOUR.stop :, :]], dim=-2), outward
+        return torch.cat([*contour, labelled[..., CONTOUR.stop :, :], screen[..., self.dense, :]], dim=-2), outward
 
 
 def landmark_points(parts: FaceParts) -> tuple[IntArray, int]:
@@ -86,6 +92,16 @@ def landmark_points(parts: FaceParts) -> tuple[IntArray, int]:
     raise InputError(
         f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected its {COUNT} (`facepipe landmarks --help`)"
     )
+
+
+def dense_points(parts: FaceParts) -> IntArray:
+    """(d,) points of the face's landmarks of the scheme `DENSE`, meshes concatenated; none where it has none."""
+    start, found = 0, [np.zeros(0, np.int64)]
+    for mesh in parts.meshes:
+        if DENSE in mesh.landmarks:
+            found.append(start + np.asarray(mesh.landmarks[DENSE].indices, dtype=np.int64))
+        start += len(mesh.points)
+    return np.concatenate(found)
 
 
 def contour_normals(contour: Tensor) -> Tensor:

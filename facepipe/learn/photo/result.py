@@ -32,6 +32,7 @@ class FittedView:
     landmarks: FloatArray  # (68, 2) of the fitted face, pixels of the photo
     targets: FloatArray  # (68, 2) that the fit was given
     landmark_error: float  # mean distance of the two, pixels; contour points count across the contour
+    pupils: FloatArray | None = None  # (2, 3) x, y, and the error to expect: pixels of the photo, the left eye's first
 
 
 @dataclass(frozen=True, kw_only=True)

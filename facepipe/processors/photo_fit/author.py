@@ -15,8 +15,10 @@ from facepipe.core.errors import FitError, InputError
 from facepipe.core.names import suggestion, unique_identifiers
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe, Slider
+from facepipe.processors.photo_fit.gaze import gaze
 from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport, loss_ends
 from facepipe.processors.sliders import SetSliders, SetSlidersReport
+from facepipe.processors.sliders.set_sliders import pose
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
@@ -62,6 +64,8 @@ def _shapes(view: FittedView) -> Iterator[tuple[str, tuple[int, ...], tuple[int,
     yield "key", np.shape(view.key), (8,)
     yield "landmarks", np.shape(view.landmarks), (68, 2)
     yield "targets", np.shape(view.targets), (68, 2)
+    if view.pupils is not None:
+        yield "pupils", np.shape(view.pupils), (2, 3)
 
 
 def _check_key(where: str, key: FloatArray) -> None:
@@ -166,7 +170,8 @@ class AuthorPhotoFit:
         neutral = next(animation for animation in changed.animations if animation.name == self.name)
         points = face.evaluate(sliders=values)
         views = tuple(_view(face, *one, fit, points) for one in zip(names, photos, fit.views, strict=True))
-        poses = (_pose(neutral, name, view) for name, view in zip(names, fit.views, strict=True))
+        looks = [_looking(changed, gaze(face, values, view), neutral) for view in fit.views]
+        poses = (_pose(*each) for each in zip(looks, names, fit.views, strict=True))
         result = replace(
             changed,
             animations=(*changed.animations, *poses),
@@ -198,6 +203,17 @@ def _names(face: Face, parts: FaceParts, photos: Sequence[Photo]) -> tuple[str, 
         folder = face.prim.GetChild(scope)
         taken |= {str(one.GetName()) for one in folder.GetChildren()} - removed if folder else set()
     return unique_identifiers([*sorted(taken), *(Path(photo.name).stem for photo in photos)], "photo")[len(taken) :]
+
+
+def _looking(parts: FaceParts, values: Mapping[str, float], neutral: Animation) -> Animation:
+    """The neutral with eyes turned by values of the sliders that do so; lids stay: expressions have them."""
+    if not values:
+        return neutral
+    sliders = [
+        replace(slider, value=values[slider.name], shapes=(), shape_curves=()) if slider.name in values else slider
+        for slider in parts.sliders
+    ]
+    return pose(parts, sliders, neutral.name)
 
 
 def _pose(neutral: Animation, name: str, view: FittedView) -> Animation:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
@@ -104,23 +105,37 @@ def fit_face(
     """
     from facepipe.learn.photo.fit import fit_photos
 
-    start = _start(action, parts, inputs)
+    start, known = _start(action, parts, inputs), _known(parts, inputs.landmarks)
     try:
         with watch("fit", action.iterations) as bar:
-            return fit_photos(
+            fit = fit_photos(
                 parts,
                 [photo.pixels for photo in inputs.photos],
-                [each.points for each in inputs.landmarks],
+                [points for points, _ in known],
                 action.options,
-                confidences=[each.confidence for each in inputs.landmarks],
+                confidences=[confidence for _, confidence in known],
                 expressions=action.expressions,
                 extractors=inputs.extractors,
                 start=start,
                 slider_sigma=slider_sigma,
                 done=lambda _: bar.update(),
             )
+        pairs = zip(fit.views, inputs.landmarks, strict=True)
+        return replace(fit, views=tuple(replace(view, pupils=marks.pupils) for view, marks in pairs))
     except FacepipeError as error:
         raise error.under(action.face) from None
+
+
+def _known(parts: FaceParts, landmarks: Sequence[Landmarks68]) -> list[tuple[FloatArray, FloatArray]]:
+    """Landmarks and confidences of each photo: with the dense ones that were found where the face has them."""
+    from facepipe.learn.photo.landmark_rig import dense_points
+
+    count = len(dense_points(parts))
+    more = [slice(0, count if len(each.dense) == count else 0) for each in landmarks]
+    return [
+        (np.vstack([each.points, each.dense[some]]), np.append(each.confidence, each.dense_confidence[some]))
+        for each, some in zip(landmarks, more, strict=True)
+    ]
 
 
 def _start(action: FitPhoto, parts: FaceParts, inputs: PhotoInputs) -> State | None:

@@ -45,6 +45,9 @@ class Landmarks68:
     points: FloatArray  # (68, 2) float64, pixels of the photo as read: x right and y down from its top left corner
     source: str  # what found them: a file's name, or a detector
     confidence: FloatArray = field(default_factory=lambda: np.ones(68))  # (68,) 0..1: what a squared error counts
+    dense: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))  # (d, 2) more, of the scheme ``dense``
+    dense_confidence: FloatArray = field(default_factory=lambda: np.zeros(0))  # (d,)
+    pupils: FloatArray | None = None  # (2, 3) x, y, and the error to expect: pixels, the person's left first
     warnings: tuple[str, ...] = ()
 
 
@@ -131,7 +134,13 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     faces = sorted(find_landmarks(photo.pixels), key=lambda face: -_extent(face.landmarks))
     face = one_face(faces, index, str(photo.path))
     found = landmarks_in(photo, face.landmarks, "facepipe landmark network", str(photo.path))
-    return replace(found, confidence=face.confidence)
+    return replace(
+        found,
+        confidence=face.confidence,
+        dense=face.dense,
+        dense_confidence=face.dense_confidence,
+        pupils=face.pupils,
+    )
 
 
 def _extent(points: FloatArray) -> float:

@@ -121,6 +121,40 @@ def person(head: Path, fit: PhotoFit) -> Face:
     return fitted(head, head.parent / "person.usda", fit)
 
 
+LOOKS = {"lookLeft": 0.6, "lookDown": -0.4}
+
+
+def test_eyes_look_where_a_photo_shows_pupils(head: Path, fit: PhotoFit, tmp_path: Path) -> None:
+    before = facepipe.open(head)
+    pupils = np.concatenate(
+        [
+            start + mesh.landmarks["pupils"].indices
+            for mesh, start in zip(before.meshes, before.rig().mesh_offsets, strict=False)
+            if "pupils" in mesh.landmarks
+        ]
+    )
+    view, values = fit.views[0], {name: value for name, value in fit.sliders.items() if name not in LOOKS}
+    shown = before.evaluate(dict(view.expressions), sliders=values | LOOKS)
+    errors = np.array([[0.5], [0.5]])  # pixels
+    seen = replace(view, pupils=np.hstack([pixels(view.camera, shown[pupils]), errors]))
+    face = fitted(head, tmp_path / "looking.usda", replace(fit, sliders=values, views=(seen,)), PHOTOS[:1])
+    transforms, weights = face.sample(face.photos[0].animation or "")
+    posed = face.evaluate(weights, joint_transforms=transforms)
+    np.testing.assert_allclose(pixels(view.camera, posed[pupils]), seen.pupils[:, :2], atol=1.0)  # type: ignore[index]
+    lids = face.evaluate(dict(view.expressions), sliders=values)
+    still = np.ones(len(lids), bool)
+    for mesh, start in zip(before.meshes, before.rig().mesh_offsets, strict=False):
+        if mesh.name.startswith("Eyeball"):
+            still[start : start + len(mesh.points)] = False
+    np.testing.assert_allclose(posed[still], lids[still], atol=1e-4)
+
+
+def pixels(camera: FittedCamera, points: np.ndarray) -> np.ndarray:
+    """(n, 2) where a camera shows world points."""
+    local = Rotation.from_rotvec(camera.rotation).apply(points) + camera.translation
+    return np.asarray(camera.focal * local[:, :2] * (1, -1) / -local[:, 2:] + camera.center)
+
+
 def tiny(up_axis: str, meters_per_unit: float) -> FaceParts:
     """A small face with a slider over bones."""
     slider = Slider(name="jawLeft", channels=(("root/jaw", "tx", 0.5),))
