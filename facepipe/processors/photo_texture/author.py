@@ -18,6 +18,7 @@ from facepipe.kinds import Watch
 from facepipe.parts import PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
+from facepipe.processors.photo_texture.eyes import eye_whites, iris, recolored
 from facepipe.processors.photo_texture.hair import hair_cards, scale_of
 from facepipe.processors.photo_texture.observed import expose
 from facepipe.processors.photo_texture.report import BakePhotoReport
@@ -48,18 +49,24 @@ def author_textures(
         cards, exposures, posed = hair_cards(skin, face.meshes, face.materials, neutral), [], []
         for view, path in photos:
             points = _points(face, view)
-            exposures.append(expose(skin, view, _pixels(view, path).pixels, points))
+            exposure = expose(skin, view, _pixels(view, path).pixels, points)
+            exposures.append(replace(exposure, eye_whites=eye_whites(face.parts(), exposure)))
             posed.append(to_camera(view, points))
             bar.update()
         baked = Baker(skin)(exposures, None if cards is None else cards.among(neutral, posed))
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
     author_changes(face, replace(face.parts(), photos=relit, recipe=recipe))
-    files = {}
+    files: dict[str, tuple[str, ...]] = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
+    eyes = iris(face.parts(), exposures, baked.scales)
+    if eyes is not None:
+        name = f"{Path(eyes.texture.source.texture.name).stem}_photo.png"
+        face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
+        files[name] = eyes.materials
     hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
     if cards is not None and baked.hair is not None:
         (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray
-from facepipe.core.images import open_image
-from facepipe.geometry.colors import from_srgb, to_srgb
+from facepipe.core.arrays import FloatArray
+from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.texture_fill import spread
 from facepipe.processors.photo_texture.evened import (
     Relief,
@@ -28,7 +27,7 @@ from facepipe.processors.photo_texture.evened import (
 )
 from facepipe.processors.photo_texture.hair import Hair, hair_color, scalp, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
-from facepipe.processors.photo_texture.skin_surface import SkinSurface, SkinTexture
+from facepipe.processors.photo_texture.skin_surface import SkinSurface, template_texels
 
 # all lengths are shares of the eyes' distance
 _REACH = 0.02  # of the completion: what is smaller is detail
@@ -225,15 +224,3 @@ class Baker:
 
         guide = whole(other, known, target)
         return guide + whole(colors - guide, trust, target - guide)
-
-
-def template_texels(texture: SkinTexture) -> Float32Array:
-    """(size, size, 3) linear colours of a texture as its material shows it."""
-    from PIL import Image
-
-    source, size = texture.source, texture.texels.size
-    picture = open_image(source.texture.image(), f"texture {source.texture.name}").convert("RGB")
-    picture = picture.resize((size, size), Image.Resampling.BICUBIC)
-    linear = from_srgb(np.asarray(picture, np.float32) / np.float32(255))
-    shown = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1)
-    return np.asarray(shown, np.float32)

@@ -41,10 +41,12 @@ _RIDGE = 0.02
 _FAINT = 0.3  # confidence that doesn't join patches of skin
 _HIGHLIGHT = (0.06, 0.25)  # limits of what skin itself may be brighter than around it
 _FOLD = 0.04  # that it may be darker
+_STRANGE_HUE = 0.12  # logarithm by which skin differs from the hue around it at most
 _STRAIN = (0.06, 0.25)  # logarithm of stretching: where folds begin to be the expression's, where they all are
 _LESS, _FLATTER = 0.4, 0.75  # of highlights, and of an expression's folds, that goes
 _BRIGHTEST = 1.1  # light of the brightest skin of a well exposed photo
 _LIGHT_SPREAD, _SKIN_SPREAD = np.array([0.35, 0.12]), 0.1  # deviations: of brightness and hue of light, and of skin
+_WHITES, _WHITES_SPREAD = np.array([0.15, 0.0, 0.0]), np.array([0.35, 0.25])  # of eyes, between lids that redden them
 
 
 def balance(photo: Exposure, skin_color: FloatArray) -> FloatArray:
@@ -52,7 +54,7 @@ def balance(photo: Exposure, skin_color: FloatArray) -> FloatArray:
 
     A photo shows their product alone, and a fit leaves the skin about as light as the template has it. But photos are
     exposed so that a face is well lit, and balanced so that light is white; and skin has few hues, those of Monk's
-    tones. The mean of all tones by how likely they make the two.
+    tones. The mean of all tones by how likely they make the two. Whites of eyes tell of the light where they are seen.
 
     :param skin_color: (3,) linear, as the light of the stage gives it
     """
@@ -64,14 +66,31 @@ def balance(photo: Exposure, skin_color: FloatArray) -> FloatArray:
     stage = np.log(level * mean / float(mean @ GREY))
     shown = np.log(skin_color) + stage
     tones = np.log([Look(tone=tone).skin for tone in np.linspace(1.0, 10.0, 91)])
-    off = shown - tones - np.log(_BRIGHTEST)
-    level_off = off.mean(axis=1, keepdims=True)
-    parts = np.stack([np.repeat(level_off, 3, axis=1), off - level_off])  # of brightness, of hue
-    spread = _LIGHT_SPREAD[:, None, None] ** 2
+    usual, spread = _usual_light(None if photo.eye_whites is None else stage + photo.eye_whites - _WHITES)
+    parts = _level_and_hue(shown - tones - usual)
     cost = (parts**2 / (spread + _SKIN_SPREAD**2)).sum(axis=(0, 2))
-    light = np.log(_BRIGHTEST) + (parts * spread / (spread + _SKIN_SPREAD**2)).sum(axis=0)
+    light = usual + (parts * spread / (spread + _SKIN_SPREAD**2)).sum(axis=0)
     likely = np.exp((cost.min() - cost) / 2)
     return np.asarray(np.exp(likely @ light / likely.sum() - stage))
+
+
+def _usual_light(whites: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """(3,) mean of the light of a photo, a logarithm, and (2, 1, 1) variances of its brightness and hue.
+
+    :param whites: (3,) light that whites of eyes tell of, if any
+    """
+    usual, spread = np.full((1, 3), np.log(_BRIGHTEST)), _LIGHT_SPREAD[:, None, None] ** 2
+    if whites is None:
+        return usual[0], spread
+    other = _WHITES_SPREAD[:, None, None] ** 2
+    mean = (_level_and_hue(usual) / spread + _level_and_hue(whites[None]) / other) / (1 / spread + 1 / other)
+    return np.asarray(mean.sum(axis=0)[0]), np.asarray(1 / (1 / spread + 1 / other))
+
+
+def _level_and_hue(logarithms: FloatArray) -> FloatArray:
+    """(2, n, 3) the means over the channels of (n, 3), and what is left."""
+    level = np.repeat(logarithms.mean(axis=1, keepdims=True), 3, axis=1)
+    return np.stack([level, logarithms - level])
 
 
 def inner(skin: SkinSurface) -> FloatArray:
@@ -207,23 +226,26 @@ class Relief:
     """What a place of the skin is compared with."""
 
     level: FloatArray  # (n, 1) brightness around it
+    hue: FloatArray  # (n, 3) colours around it, less brightness
     usual: float  # that skin itself may be brighter
     folds: FloatArray  # (n, 1) 0..1, how far folds are the expression's
 
     def too_much(self, texels: Texels, colors: FloatArray) -> FloatArray:
-        """(m, 1) what of colours (m, 3) of texels is highlights, and an expression's folds."""
-        above = (colors @ GREY)[:, None] - texels.carried(self.level)
+        """(m, 3) what of colours (m, 3) of texels is highlights, an expression's folds, and hues that skin has not."""
+        bright = (colors @ GREY)[:, None]
+        above, hue = bright - texels.carried(self.level), colors - bright - texels.carried(self.hue)
         dark = np.minimum(above + _FOLD, 0) * texels.carried(self.folds)
-        return np.asarray(_LESS * np.maximum(above - self.usual, 0) + _FLATTER * dark, np.float32)
+        strange = hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE)
+        return np.asarray(_LESS * np.maximum(above - self.usual, 0) + _FLATTER * dark + strange, np.float32)
 
 
 def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> Relief:
     """Highlights, and folds where an expression strains the skin, by colours (n, 3)."""
     level, weight = (colors @ GREY)[:, None], trust * skin.areas
-    around = skin.smooth(level, trust, _LOCAL)
+    around, hue = skin.smooth(level, trust, _LOCAL), skin.smooth(colors - level, trust, _LOCAL)
     usual = float(np.clip(quantile((level - around)[:, 0], weight, 0.95), *_HIGHLIGHT))
     strained = skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL)
-    return Relief(level=around, usual=usual, folds=step(strained, *_STRAIN))
+    return Relief(level=around, hue=hue, usual=usual, folds=step(strained, *_STRAIN))
 
 
 def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:

@@ -41,6 +41,9 @@ class Exposure:
     normals: FloatArray  # (n, 3) unit
     trust: FloatArray  # (n,) 0..1, by geometry
     white: FloatArray  # (n, 3) linear light that white matt points show
+    all_points: FloatArray  # of all meshes, as `points`
+    all_white: FloatArray  # as `white`
+    eye_whites: FloatArray | None = None  # (3,) logarithms of what whites of eyes show over that, where any are seen
 
     @property
     def view(self) -> PhotoView:
@@ -62,8 +65,18 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
     places, depth = to_pixels(view, local)
     facing = (own * _unit(-local)).sum(axis=1)
     trust = seen.confidence(places, depth, facing) * skin.outside
-    white = light.white(own, light.hidden, light.arriving)
-    return Exposure(pixels=pixels, seen=seen, light=light, points=local, normals=own, trust=trust, white=white)
+    white = whole.white(normals, whole.hidden, whole.arriving)
+    return Exposure(
+        pixels=pixels,
+        seen=seen,
+        light=light,
+        points=local,
+        normals=own,
+        trust=trust,
+        white=white[skin.span],
+        all_points=everything,
+        all_white=white,
+    )
 
 
 def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArray) -> Observed:

@@ -9,8 +9,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.core.images import open_image
+from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.geometry.polygons import edges, point_areas, point_normals, triangulate
 from facepipe.geometry.texels import Texels, texels_of
@@ -97,7 +99,7 @@ def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurf
         raise InputError(parts.name, f"no landmarks '{SCHEME}', expected a face that was fitted to photos")
     first = sum(len(other.points) for other in parts.meshes[: parts.meshes.index(mesh)])
     opaque = np.concatenate(list(_opaque(parts)))
-    corners, faces = triangulate(mesh.face_vertex_counts)
+    corners, _ = triangulate(mesh.face_vertex_counts)
     triangles = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
     span = slice(first, first + len(mesh.points))
     return SkinSurface(
@@ -108,7 +110,7 @@ def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurf
         points=neutral[span],
         outside=_open(neutral, opaque)[span],
         mirror=mirrored_points(transformed(mesh.points, mesh.transform), np.asarray(mesh.landmarks[SCHEME].indices)),
-        textures=_textures(parts, mesh, triangles, corners, faces, size),
+        textures=textures_of(parts, mesh, size),
     )
 
 
@@ -125,36 +127,54 @@ def _opaque(parts: FaceParts) -> Iterator[IntArray]:
     first = 0
     for mesh in parts.meshes:
         corners, faces = triangulate(mesh.face_vertex_counts)
-        solid = np.array([opacity.get(name, 1.0) == 1.0 for name in _names(mesh)])[_of_faces(mesh)]
+        solid = np.array([opacity.get(name, 1.0) == 1.0 for name in names_of(mesh)])[of_faces(mesh)]
         yield np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners[solid[faces]]] + first
         first += len(mesh.points)
 
 
-def _names(mesh: Mesh) -> tuple[str, ...]:
+def names_of(mesh: Mesh) -> tuple[str, ...]:
+    """Its materials: that of the whole mesh, then those of faces."""
     return (mesh.material or "", *(bound.material for bound in mesh.material_faces))
 
 
-def _of_faces(mesh: Mesh) -> IntArray:
-    """(faces,) which of `_names` each face shows."""
+def of_faces(mesh: Mesh) -> IntArray:
+    """(faces,) which of `names_of` each face shows."""
     number = np.zeros(len(mesh.face_vertex_counts), np.int64)
     for place, bound in enumerate(mesh.material_faces, 1):
         number[np.asarray(bound.faces, dtype=np.int64)] = place
     return number
 
 
-def _textures(
-    parts: FaceParts, mesh: Mesh, triangles: IntArray, corners: IntArray, faces: IntArray, size: int | None
-) -> tuple[SkinTexture, ...]:
+def template_texels(texture: SkinTexture) -> Float32Array:
+    """(size, size, 3) linear colours of a texture as its material shows it."""
+    from PIL import Image
+
+    source, size = texture.source, texture.texels.size
+    picture = open_image(source.texture.image(), f"texture {source.texture.name}").convert("RGB")
+    picture = picture.resize((size, size), Image.Resampling.BICUBIC)
+    linear = from_srgb(np.asarray(picture, np.float32) / np.float32(255))
+    shown = np.clip(linear * np.array(source.scale[:3]) + np.array(source.bias[:3]), 0, 1)
+    return np.asarray(shown, np.float32)
+
+
+def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTexture, ...]:
+    """The textures of colours of a mesh, each with where it lies on it.
+
+    :param size: texels a side; None: as large as they are
+    :raises InputError: none of its materials has one
+    """
     materials = {material.name: material for material in parts.materials}
+    corners, faces = triangulate(mesh.face_vertex_counts)
+    triangles = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
     shown: dict[tuple[str, str], list[int]] = {}
-    for place, name in enumerate(_names(mesh)):
+    for place, name in enumerate(names_of(mesh)):
         source = materials[name].diffuse_color if name in materials else None
         if isinstance(source, TextureInput):
             shown.setdefault((source.texture.name, source.uv_set), []).append(place)
     textures = []
     for (_, uv_set), places in shown.items():
-        chosen = np.isin(_of_faces(mesh)[faces], places)
-        names = tuple(dict.fromkeys(_names(mesh)[place] for place in places))
+        chosen = np.isin(of_faces(mesh)[faces], places)
+        names = tuple(dict.fromkeys(names_of(mesh)[place] for place in places))
         source = _source(materials[names[0]])
         uv = next((one for one in mesh.uv_sets if one.name == uv_set), None)
         if uv is None or not chosen.any():

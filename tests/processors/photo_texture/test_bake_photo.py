@@ -16,6 +16,7 @@ from feature_graphs import coarse_picture, save
 from PIL import Image
 
 import facepipe
+from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.processors.photo_texture.observed import sampled
 from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points
@@ -142,7 +143,7 @@ def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted:
     assert exit_code(*words, 0.9999999) == 1
     assert "front.png: similarity of 0.9" in capsys.readouterr().err
     assert {path.name for path in folder.iterdir()} == {"front.render.png", "report.html", "report.json"}
-    assert (folder / "report.html").read_text(encoding="utf-8").count("<figure>") == 3 + 3 + 2
+    assert (folder / "report.html").read_text(encoding="utf-8").count("<figure>") == 3 + 3 + 3
     assert json.loads((folder / "report.json").read_text())["similarities"]["front.png"] > 0.95
     photo = np.asarray(Image.open(fitted / "front.png").convert("RGB"), np.float64)
     render = np.asarray(Image.open(folder / "front.render.png"), np.float64)
@@ -191,6 +192,35 @@ def test_hair_has_the_colour_of_the_hair_in_the_photo(tmp_path: Path) -> None:
     assert off < 0.5
     assert off < before / 3
     assert report.hair is not None
+
+
+IRISES = ("M_IrisLeft", "M_IrisRight", "Pupil")
+
+
+def iris_picture(parts: FaceParts) -> np.ndarray:
+    """(s, s, 3) linear, of the left iris."""
+    color = next(one for one in parts.materials if one.name == IRISES[0]).diffuse_color
+    assert isinstance(color, TextureInput)
+    picture = Image.open(io.BytesIO(color.texture.image())).convert("RGB")
+    return from_srgb(np.asarray(picture, np.float64) / 255)
+
+
+def test_irises_have_the_colour_of_those_in_the_photo(tmp_path: Path) -> None:
+    parts = person(LIGHT_SKIN, 64)
+    truth = np.array([0.25, 0.35, 0.9])
+
+    def tinted(material: Material) -> Material:
+        assert isinstance(material.diffuse_color, TextureInput)
+        return replace(material, diffuse_color=replace(material.diffuse_color, scale=(*truth.tolist(), 1.0)))
+
+    other = replace(parts, materials=tuple(tinted(one) if one.name in IRISES else one for one in parts.materials))
+    put_fitted(parts, other, tmp_path, size=480, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    made = iris_picture(facepipe.open(tmp_path / "out.usda").parts())
+    factor = made.mean(axis=(0, 1)) / iris_picture(parts).mean(axis=(0, 1))
+    assert set(IRISES) in map(set, report.textures.values())
+    assert np.abs(np.log(factor / truth)).mean() < 0.35
+    assert np.abs(np.log(factor / truth)).mean() < np.abs(np.log(truth)).mean() / 2
 
 
 @pytest.mark.slow
