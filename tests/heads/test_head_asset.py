@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -100,3 +102,9 @@ def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DATA.iterdir()}
     for path in tmp_path.iterdir():
         assert path.read_bytes() == (DATA / path.name).read_bytes(), path.name
+
+
+@pytest.mark.slow
+def test_dense_points_are_those_that_the_script_chooses() -> None:
+    chosen = runpy.run_path(str(REPOSITORY / "samples" / "head" / "dense_points.py"))["chosen"]()
+    assert chosen == json.loads((DATA / "dense.json").read_text())
