@@ -22,7 +22,7 @@ COUNT = 68
 MEAN, STD = 0.45, 0.25  # of sRGB 0..1
 
 
-class Pyramid(nn.Module):  # type: ignore[misc]
+class Pyramid(nn.Module):
     """From pictures down to 1/2, 1/4 and so on of their resolution, and back up to 1/4."""
 
     def __init__(self, widths: Sequence[int], up: int) -> None:

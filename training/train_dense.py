@@ -7,7 +7,6 @@ held out; its scores go into the file's metadata.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from dense_heads import pupils
+from descent import descend
 from landmark_data import covered, recolored
 from landmark_export import dense_onnx
 from landmark_network import MEAN, STD, DenseNetwork
@@ -28,7 +28,7 @@ from facepipe.geometry.landmarks import MIRRORED
 from facepipe.heads.asset import asset
 from facepipe.learn.features.crops import face_crop, to_crop
 
-_BATCH, _RATE, _DECAY = 16, 3e-3, 1e-2
+_BATCH = 16
 _ZOOM = 1.2  # beyond the aligned crop: no pixel for what is beside a face
 _TURN, _SCALE, _SHIFT = 0.06, 0.06, 0.025  # deviations of crops: radians, logarithm, share of a side
 
@@ -116,21 +116,8 @@ def train(heads: Heads, steps: int, seed: int, keep: Callable[[DenseNetwork, int
     """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
     torch.manual_seed(seed)
     network = DenseNetwork(heads.points.shape[1]).to(memory_format=torch.channels_last)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps, pct_start=0.1)
-    start = time.monotonic()
-    for step, batch in zip(range(steps), batches(heads, np.random.default_rng(seed)), strict=False):
-        loss = expected_error_loss(network, *batch)
-        optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 20.0)
-        optimizer.step()
-        schedule.step()
-        if step % 50 == 49:
-            print(f"{step + 1} {loss.item():.3f} {time.monotonic() - start:.0f} s", flush=True)
-        if step % 1000 == 999:
-            keep(network, step + 1)
-    return network.eval()
+    drawn = batches(heads, np.random.default_rng(seed))
+    return descend(network, lambda batch: expected_error_loss(network, *batch), drawn, steps, keep)
 
 
 def main() -> None:

@@ -7,13 +7,13 @@ out; its scores go into the file's metadata.
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import landmark_data
 import numpy as np
 import torch
+from descent import descend
 from landmark_export import to_onnx
 from landmark_network import CELLS, MEAN, SIZE, STD, LandmarkNetwork
 from script_arguments import add_training
@@ -22,7 +22,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from facepipe.core.atomic import write_bytes
 
-_BATCH, _RATE, _DECAY = 32, 3e-3, 1e-2
+_BATCH = 32
 _SPREAD = 2.0  # square cells that the heat of a landmark shall cover
 _SPREAD_SHARE, _PRESENCE_SHARE = 0.05, 1.0
 
@@ -78,21 +78,8 @@ def train(
     """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
     torch.manual_seed(seed)
     network = LandmarkNetwork().to(memory_format=torch.channels_last)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps, pct_start=0.1)
-    start = time.monotonic()
-    for step, batch in zip(range(steps), batches(heads, np.random.default_rng(seed)), strict=False):
-        loss = joint_loss(network, batch)
-        optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 20.0)
-        optimizer.step()
-        schedule.step()
-        if step % 50 == 49:
-            print(f"{step + 1} {loss.item():.3f} {time.monotonic() - start:.0f} s", flush=True)
-        if step % 500 == 499:
-            keep(network, step + 1)
-    return network.eval()
+    drawn = batches(heads, np.random.default_rng(seed))
+    return descend(network, lambda batch: joint_loss(network, batch), drawn, steps, keep)
 
 
 def main() -> None:

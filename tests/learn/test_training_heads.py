@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import code_of_training  # noqa: F401  (finds the modules of training/)
+import dense_heads
 import features_data
 import features_geometry
 import features_heads
@@ -16,6 +17,7 @@ import numpy as np
 import photo_scores
 import pytest
 import scenes
+import train_dense
 import train_features
 import train_landmarks
 from landmark_export import to_onnx
@@ -118,6 +120,24 @@ def test_training_lowers_the_loss_and_gives_a_network_that_facepipe_reads() -> N
     found, presence = session(np.zeros((1, 3, 96, 96), np.float32))
     assert found.shape == (1, 68, 2)
     assert presence.shape == (1,)
+
+
+@pytest.mark.slow
+def test_training_of_many_landmarks_lowers_the_loss_on_pictures_of_their_crops(tmp_path: Path) -> None:
+    heads.write_shard(dense_heads.person(np.random.default_rng(6)), tmp_path / "dense_000.npz")
+    known = train_dense.Heads(tmp_path, range(1))
+    images, points = known.batch(np.arange(6), None)
+    assert images.shape == (6, 3, 192, 192)
+    assert np.abs(points[:, :68].mean(dim=0).numpy() - ((TEMPLATE - 0.5) * 1.2 + 0.5)).mean() < 0.1
+    _, mirrored = known.batch(np.tile(np.arange(6), 4), np.random.default_rng(0))  # about half of them
+    assert (mirrored[:, 36, 0] < mirrored[:, 45, 0]).all()
+    known.images, known.points = (np.tile(one, (3, *[1] * (one.ndim - 1))) for one in (known.images, known.points))
+    left = {}
+    for count in (1, 20):
+        network = train_dense.train(known, count, 0, lambda *_: None)
+        with torch.no_grad():
+            left[count] = train_dense.expected_error_loss(network.train(), images, points).item()
+    assert left[20] < 0.8 * left[1]
 
 
 def test_a_photo_is_scored_in_views_that_show_the_whole_face() -> None:

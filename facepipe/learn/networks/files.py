@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -90,7 +90,7 @@ class _CropSession:
             what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
             raise InputError(where, what)
 
-    def _describe(self, described: Mapping[str, object]) -> None:
+    def _describe(self, described: Mapping[str, Any]) -> None:
         """Read what else there is to know; KeyError, TypeError or ValueError where it is missing."""
 
     def _run(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -123,9 +123,9 @@ class DenseLandmarkSession(_CropSession):
     zoom: float  # of its crops beyond `face_crop`
     mirrored: list[int]  # for each landmark that of the other side
 
-    def _describe(self, described: Mapping[str, object]) -> None:
-        self.zoom = float(described["zoom"])  # type: ignore[arg-type]
-        self.mirrored = [int(row) for row in described["mirrored"]]  # type: ignore[attr-defined]
+    def _describe(self, described: Mapping[str, Any]) -> None:
+        self.zoom = float(described["zoom"])
+        self.mirrored = [int(row) for row in described["mirrored"]]
 
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, n, 2) and the errors to expect of them (b, n), both in pixels of crops (b, 3, S, S)."""

@@ -26,7 +26,8 @@ from facepipe.learn.features.extractor import Extractor
 from facepipe.learn.features.signatures import Features
 from facepipe.learn.light import KeyLight, hue_cost
 from facepipe.learn.photo.descent import Unknowns
-from facepipe.learn.photo.landmark_fit import LandmarkFit, huber, standardised
+from facepipe.learn.photo.landmark_errors import huber, standardised
+from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import COUNT
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb

@@ -10,23 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.geometry.landmarks import face_size
+from facepipe.learn.photo.landmark_errors import HUBER, huber, standardised
 from facepipe.learn.photo.landmark_rig import CONTOUR, COUNT, LandmarkRig, landmark_points
 from facepipe.learn.photo.pose import FOCAL, NUMBERS, PoseSpace
 from facepipe.learn.photo.subject import Subject
 
 _LEAST, _LARGEST = 1e-8, 1e8  # damping, of the curvature
 _STEP = 1e-6  # of central differences
-_ALONG = 0.15  # weight of a contour point's error along the contour: it slides
-# Landmarks on either rim of the lids and of the lips, and how well their distance is known, of the size of the face:
-# better than where they are, since what misplaces one misplaces the other too.
-_UPPER, _LOWER = [37, 38, 43, 44, 61, 62, 63], [41, 40, 47, 46, 67, 66, 65]
-_OPENING = 0.006
-_HUBER = 3.0  # standard deviations beyond which an error counts linearly
 _EDGE = 0.02  # of a slider's range, below which its L1 norm is rounded off
 _ROUNDS = 3  # of reweighting
 _LEAST_CONFIDENCE = 1e-6
@@ -250,8 +244,8 @@ class LandmarkFit:
             ahead, behind = _steps(numbers, len(numbers) - NUMBERS)
             values = self._residuals(view, np.concatenate([numbers[None], ahead, behind]))
             jacobian = (values[1 : len(numbers) + 1] - values[len(numbers) + 1 :]).T / np.diag(ahead - behind)
-            slope = np.clip(values[0], -_HUBER, _HUBER)
-            scale = np.where(np.abs(values[0]) > _HUBER, _HUBER / np.maximum(np.abs(values[0]), _HUBER), 1.0)
+            slope = np.clip(values[0], -HUBER, HUBER)
+            scale = np.where(np.abs(values[0]) > HUBER, HUBER / np.maximum(np.abs(values[0]), HUBER), 1.0)
             place = np.concatenate([np.arange(f), f + view * width + np.arange(width)])
             gradient[place] += jacobian.T @ slope
             hessian[np.ix_(place, place)] += jacobian.T @ (scale[:, None] * jacobian)
@@ -285,32 +279,6 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
     ahead, behind = own + _STEP * np.eye(len(own)), own - _STEP * np.eye(len(own))
     ahead[:, :bounded], behind[:, :bounded] = np.minimum(ahead[:, :bounded], 1), np.maximum(behind[:, :bounded], 0)
     return ahead, behind
-
-
-def standardised(marks: Tensor, outward: Tensor, targets: FloatArray, sigma: FloatArray) -> Tensor:
-    """(..., l + 7, 2) how far landmarks are off targets, in standard deviations: the contour's across it and, weakly,
-    along it; last the openings of lids and lips.
-
-    :param marks: (..., l, 2) pixels
-    :param outward: (..., 17, 2) directions across the contour
-    :param targets: (l, 2) pixels
-    :param sigma: (l, 1) pixels
-    """
-    off = marks - torch.as_tensor(targets)
-    doubt = np.maximum(sigma[_UPPER], sigma[_LOWER]) * np.sqrt((1 / sigma**2).mean())  # 1: as landmarks usually count
-    opening = off[..., _UPPER, :] - off[..., _LOWER, :]
-    opening = opening / torch.as_tensor(_OPENING * face_size(targets[:COUNT]) * doubt)
-    off = off / torch.as_tensor(sigma)
-    on = off[..., CONTOUR, :]
-    along = torch.stack([-outward[..., 1], outward[..., 0]], dim=-1)
-    contour = torch.stack([(on * outward).sum(dim=-1), _ALONG * (on * along).sum(dim=-1)], dim=-1)
-    return torch.cat([contour, off[..., CONTOUR.stop :, :], opening], dim=-2)
-
-
-def huber(residuals: Tensor) -> Tensor:
-    """Half the squares of residuals in standard deviations, growing linearly beyond `_HUBER`."""
-    size = residuals.abs()
-    return torch.where(size <= _HUBER, 0.5 * size * size, _HUBER * (size - 0.5 * _HUBER))
 
 
 def _cost(residuals: FloatArray) -> float:

@@ -43,26 +43,26 @@ def author_textures(
         textures or landmarks
     """
     with watch("bake", len(photos) + 2) as bar, one_thread():
-        neutral = face.evaluate(pose="set")
-        skin = skin_of(face.parts(), neutral, size)
+        neutral, parts = face.evaluate(pose="set"), face.parts()
+        skin = skin_of(parts, neutral, size)
         bar.update()
         cards, exposures, posed = hair_cards(skin, face.meshes, face.materials, neutral), [], []
         for view, path in photos:
             points = _points(face, view)
             exposure = expose(skin, view, _pixels(view, path).pixels, points)
-            exposures.append(replace(exposure, eye_whites=eye_whites(face.parts(), exposure)))
+            exposures.append(replace(exposure, eye_whites=eye_whites(parts, exposure)))
             posed.append(to_camera(view, points))
             bar.update()
         baked = Baker(skin)(exposures, None if cards is None else cards.among(neutral, posed))
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
-    author_changes(face, replace(face.parts(), photos=relit, recipe=recipe))
+    author_changes(face, replace(parts, photos=relit, recipe=recipe))
     files: dict[str, tuple[str, ...]] = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
-    eyes = iris(face.parts(), exposures, baked.scales)
+    eyes = iris(parts, exposures, baked.scales)
     if eyes is not None:
         name = f"{Path(eyes.texture.source.texture.name).stem}_photo.png"
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))

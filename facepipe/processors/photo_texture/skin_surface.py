@@ -97,6 +97,9 @@ def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurf
     mesh = next((mesh for mesh in parts.meshes if SCHEME in mesh.landmarks), None)
     if mesh is None:
         raise InputError(parts.name, f"no landmarks '{SCHEME}', expected a face that was fitted to photos")
+    textures = textures_of(parts, mesh, size)
+    if not textures:
+        raise InputError(f"{parts.name} -> {mesh.name}", "no texture of colours, expected a material with one")
     first = sum(len(other.points) for other in parts.meshes[: parts.meshes.index(mesh)])
     opaque = np.concatenate(list(_opaque(parts)))
     corners, _ = triangulate(mesh.face_vertex_counts)
@@ -110,7 +113,7 @@ def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurf
         points=neutral[span],
         outside=_open(neutral, opaque)[span],
         mirror=mirrored_points(transformed(mesh.points, mesh.transform), np.asarray(mesh.landmarks[SCHEME].indices)),
-        textures=textures_of(parts, mesh, size),
+        textures=textures,
     )
 
 
@@ -158,10 +161,9 @@ def template_texels(texture: SkinTexture) -> Float32Array:
 
 
 def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTexture, ...]:
-    """The textures of colours of a mesh, each with where it lies on it.
+    """The textures of colours of a mesh, each with where it lies on it; none: its materials have none.
 
     :param size: texels a side; None: as large as they are
-    :raises InputError: none of its materials has one
     """
     materials = {material.name: material for material in parts.materials}
     corners, faces = triangulate(mesh.face_vertex_counts)
@@ -182,8 +184,6 @@ def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTex
         rows = triangles if uv.indices is None else np.asarray(uv.indices, dtype=np.int64)[corners]
         texels = texels_of(np.asarray(uv.values)[rows[chosen]], triangles[chosen], size or _side(source.texture))
         textures.append(SkinTexture(materials=names, source=source, texels=texels))
-    if not textures:
-        raise InputError(f"{parts.name} -> {mesh.name}", "no texture of colours, expected a material with one")
     return tuple(textures)
 
 

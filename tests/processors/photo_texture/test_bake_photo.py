@@ -223,6 +223,15 @@ def test_irises_have_the_colour_of_those_in_the_photo(tmp_path: Path) -> None:
     assert np.abs(np.log(factor / truth)).mean() < np.abs(np.log(truth)).mean() / 2
 
 
+def test_eyes_without_pictures_stay_as_they_are(tmp_path: Path) -> None:
+    parts = person(LIGHT_SKIN, 64)
+    plain = tuple(one if one.name in SKIN else replace(one, diffuse_color=(0.3, 0.3, 0.3)) for one in parts.materials)
+    parts = replace(parts, materials=plain)
+    put_fitted(parts, parts, tmp_path, size=240, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    assert sorted(name for names in report.textures.values() for name in names) == sorted(SKIN)
+
+
 @pytest.mark.slow
 def test_what_is_behind_a_head_is_not_its_hair(tmp_path: Path) -> None:
     """Behind a head with a painted scalp and no cards is magenta."""
