@@ -53,18 +53,16 @@ from likeness_pictures import (
     UNTEXTURED,
     YAWS,
     Made,
-    head_triangles,
     made,
     other,
     together,
 )
 from likeness_portraits import portraits
+from narrow_face import apart, narrow_triangles
 from tables import aligned
 
 import facepipe
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.closest_points import closest_places
-from facepipe.geometry.similarity import fit_similarity
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 CACHE = Path.home() / ".cache" / "facepipe"
@@ -108,7 +106,7 @@ def main() -> int:
     result = {
         "lines": judged(people, others, descriptors),
         "together": left_out(people, joint, descriptors),
-        "neutrals": neutral_distances(people, head_triangles()),
+        "neutrals": neutral_distances(people, narrow_triangles()),
         "not_found": [picture.name for picture, row in descriptors.items() if row is None],
         "seconds": {person.portrait.name: dict(person.seconds) for person in people},
         "dlib": seen["version"],
@@ -204,16 +202,11 @@ def neutral_distances(people: Sequence[Made], triangles: IntArray) -> list[Json]
 
     :param triangles: (t, 3) of the narrow face
     """
-
-    def off(one: FloatArray, other: FloatArray) -> float:
-        moved = fit_similarity(one, other).apply(one)
-        return float(closest_places(moved, other, triangles).distances.mean())
-
     return [
         {
             "portraits": [one.portrait.name, other.portrait.name],
             "same": _same(one, other),
-            "mm": (off(one.narrow, other.narrow) + off(other.narrow, one.narrow)) / 2,
+            "mm": apart(one.narrow, other.narrow, triangles).surface,
         }
         for one, other in combinations(people, 2)
     ]

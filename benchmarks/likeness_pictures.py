@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from likeness_portraits import Portrait
+from narrow_face import NARROW
 from PIL import Image
 
 import facepipe
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import to_srgb
-from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.heads import make
@@ -31,7 +31,6 @@ TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN = "textured", "untextured", "mean head
 LOOKS = (TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN)
 CAMERA, MASKED, PHOTO = "camera", "camera, masked", "photo, masked"
 YAWS = {"front": 0.0, "yaw -30": -30.0, "yaw +30": 30.0}
-NARROW = 6706  # points of the narrow face of ICT-FaceKit, the first of the head's
 SIZE = 512  # pixels a side in studio light
 _GREY = 0.5  # sRGB, around a face
 _SAMPLES = 2
@@ -162,13 +161,6 @@ def other(seed: int, folder: Path, size: int) -> dict[str, Path]:
         shown[look] = folder / f"seed{seed}.{look}.front.png"
         pictures(parts, None, [PictureOptions(size=SIZE, samples=_SAMPLES)])[0].save(shown[look])
     return shown
-
-
-def head_triangles() -> IntArray:
-    """(t, 3) of the narrow face."""
-    mesh = make(0, textures=0).meshes[0]
-    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
-    return np.asarray(triangles[(triangles < NARROW).all(axis=1)])
 
 
 @cache

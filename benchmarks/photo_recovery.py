@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from arguments import positive
-from tables import aligned
+from tables import aligned, verdict
 
 if TYPE_CHECKING:
     from recovery_fit import Fitted, Task
@@ -139,22 +139,18 @@ def judged(summary: dict[str, dict[str, Any]]) -> list[str]:
     lines = []
     for mode in ("neutral", "expression"):
         for name, aim in AIMS.items() if mode in summary else ():
-            lines.append(_verdict(f"{mode}: {name}", summary[mode][name], aim))
+            lines.append(verdict(f"{mode}: {name}", summary[mode][name], aim))
     if {"neutral", "expression"} <= set(summary):
         ratio = summary["expression"]["slider"] / summary["neutral"]["slider"]
-        lines.append(_verdict("slider error with expressions / neutral", ratio, EXPRESSION_AIM))
+        lines.append(verdict("slider error with expressions / neutral", ratio, EXPRESSION_AIM))
     for mode in ("neutral", "expression"):
         other = f"{mode}, no sparsity"
         if {mode, other} <= set(summary):
             fewer = 1 - summary[mode]["active"] / summary[other]["active"]
             worse = summary[mode]["landmark_px"] / summary[other]["landmark_px"] - 1
-            lines.append(_verdict(f"{mode}: active sliders left by sparsity", 1 - fewer, 1 - SPARSER_AIM))
-            lines.append(_verdict(f"{mode}: landmarks worse by sparsity", worse, WORSE_AIM))
+            lines.append(verdict(f"{mode}: active sliders left by sparsity", 1 - fewer, 1 - SPARSER_AIM))
+            lines.append(verdict(f"{mode}: landmarks worse by sparsity", worse, WORSE_AIM))
     return lines
-
-
-def _verdict(what: str, value: float, aim: float) -> str:
-    return f"{what}: {value:.3f}, aim {aim:g}{'' if value <= aim else ': missed'}"
 
 
 def table(summary: dict[str, dict[str, Any]]) -> str:

@@ -34,3 +34,8 @@ def mib(size: float | None) -> str:
 def times(ratio: float | None) -> str:
     """A ratio."""
     return "" if ratio is None else f"{ratio:.2f}x"
+
+
+def verdict(what: str, value: float, aim: float) -> str:
+    """A figure beside the most that it should be."""
+    return f"{what}: {value:.3f}, aim {aim:g}{'' if value <= aim else ': missed'}"

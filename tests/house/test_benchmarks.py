@@ -170,6 +170,17 @@ def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
         assert means["slider"] < means["nothing_slider"]
 
 
+@pytest.mark.slow
+def test_photo_geometry_benchmark_fits_nearer_than_the_mean_head(tmp_path: Path) -> None:
+    """One person, one photo."""
+    pytest.importorskip("torch")
+    out = tmp_path / "out.json"
+    run("--people", "1", "--three", "0", "--processes", "1", "--json", out, benchmark="photo_geometry.py")
+    rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
+    assert set(rows) == {"one photo", "mean head", "nearest of the modes"}
+    assert rows["nearest of the modes"]["mean"] < rows["one photo"]["mean"] < rows["mean head"]["mean"]
+
+
 def test_rebuild_benchmark_skips_what_is_not_there(tmp_path: Path) -> None:
     out = tmp_path / "out.json"
     printed = run("--json", out, "--data", tmp_path, benchmark="rebuild.py")

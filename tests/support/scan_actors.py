@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from import_data import shared
+from smooth_fields import smooth_field
 
 from facepipe.geometry.deformation_transfer import Transfer
 from facepipe.geometry.polygons import point_triangles
@@ -82,14 +83,6 @@ def database_faces(count: int = 60, seed: int = 1) -> FloatArray:
     """(count, n, 3) neutrals of people of the first 60 modes."""
     weights = np.random.default_rng(seed).standard_normal((count, DATABASE_MODES))
     return np.asarray(ict().neutral + np.tensordot(weights, ict().identity[:DATABASE_MODES], axes=1))
-
-
-def smooth_field(points: FloatArray, length: float, channels: int, rng: np.random.Generator) -> FloatArray:
-    """(n, channels) values of RMS about 1 that vary over `length` millimetres."""
-    waves = rng.standard_normal((24, 3))
-    waves *= 2.0 * np.pi / length / np.linalg.norm(waves, axis=1, keepdims=True)
-    phases = points @ waves.T + rng.uniform(0.0, 2.0 * np.pi, 24)
-    return np.asarray(np.cos(phases) @ rng.standard_normal((24, channels)) * np.sqrt(2.0 / 24))
 
 
 class Actor:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scan_actors import COMPOSITES, Actor, ict, smooth_field
+from scan_actors import COMPOSITES, Actor, ict
+from smooth_fields import smooth_field
 
 from facepipe.geometry.example_rigging import split_shapes
 
