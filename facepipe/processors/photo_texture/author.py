@@ -18,7 +18,7 @@ from facepipe.kinds import Watch
 from facepipe.parts import PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
-from facepipe.processors.photo_texture.eyes import eye_whites, iris, recolored
+from facepipe.processors.photo_texture.eyes import eye_colors, eye_whites, recolored
 from facepipe.processors.photo_texture.hair import hair_cards, scale_of
 from facepipe.processors.photo_texture.observed import expose
 from facepipe.processors.photo_texture.report import BakePhotoReport
@@ -62,8 +62,7 @@ def author_textures(
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
         face.new_texture(texture.materials, name, _png(picture))
         files[name] = texture.materials
-    eyes = iris(parts, exposures, baked.scales)
-    if eyes is not None:
+    for eyes in eye_colors(parts, exposures, baked.scales):
         name = f"{Path(eyes.texture.source.texture.name).stem}_photo.png"
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
         files[name] = eyes.materials

@@ -20,12 +20,12 @@ from facepipe.processors.photo_texture.photo_light import harmonics
 from facepipe.processors.photo_texture.seen_skin import step
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
+LIPS_OUTER, LIPS_INNER = [49, 50, 51, 52, 53, 55, 56, 57, 58, 59], [61, 61, 62, 63, 63, 65, 65, 66, 67, 67]  # landmarks
 # all lengths are shares of the eyes' distance
 _INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
-_LIDS = (0.05, 0.10)  # off the landmarks of the eyes
 _WIDE = 0.25  # over which both sides of a face are made alike
 _UNEVEN = 0.5  # of what both sides vary over that, what is skin
-_LOCAL = 0.10  # over which highlights and folds stand out
+_LOCAL = 0.10  # over which folds and hues stand out
 _LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
 _LOWER = 0.05  # brows lie below their landmarks
 _BROWS = (0.12, 0.18)  # off the arcs of the brows
@@ -39,11 +39,11 @@ _HAIRY, _LEAST_CONTRAST = 0.4, 0.1  # of the way from skin to hair: what is no s
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
 _FAINT = 0.3  # confidence that doesn't join patches of skin
-_HIGHLIGHT = (0.06, 0.25)  # limits of what skin itself may be brighter than around it
 _FOLD = 0.04  # that it may be darker
 _STRANGE_HUE = 0.12  # logarithm by which skin differs from the hue around it at most
+_FEATURES = (0.06, 0.12)  # off brows and lips: where skin begins, where all is skin
 _STRAIN = (0.06, 0.25)  # logarithm of stretching: where folds begin to be the expression's, where they all are
-_LESS, _FLATTER = 0.4, 0.75  # of highlights, and of an expression's folds, that goes
+_FLATTER = 0.75  # of an expression's folds, that goes
 _BRIGHTEST = 1.1  # light of the brightest skin of a well exposed photo
 _LIGHT_SPREAD, _SKIN_SPREAD = np.array([0.35, 0.12]), 0.1  # deviations: of brightness and hue of light, and of skin
 _WHITES, _WHITES_SPREAD = np.array([0.15, 0.0, 0.0]), np.array([0.35, 0.25])  # of eyes, between lids that redden them
@@ -114,14 +114,12 @@ def _forehead(skin: SkinSurface) -> tuple[FloatArray, FloatArray]:
 def _limits(skin: SkinSurface) -> FloatArray:
     """(n,) deviations beyond which a colour is no skin.
 
-    Faces have lips and nostrils; lids and foreheads are skin alone; brows are hair that belongs there.
+    Faces have lips, lashes and nostrils; foreheads are skin alone; brows are hair that belongs there.
     """
     above, brows = _forehead(skin)
-    marks, unit = skin.points[skin.landmarks], skin.eye_distance(skin.points)
-    lids = 1 - step(cKDTree(marks[36:48]).query(skin.points)[0] / unit, *_LIDS)
     outside, face, brow = _STRANGE
-    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above) * (1 - lids)
-    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - lids) * (1 - above))
+    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
+    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - above))
 
 
 def bare(skin: SkinSurface, shown: FloatArray, trust: FloatArray, hair: FloatArray, color: FloatArray) -> FloatArray:
@@ -227,25 +225,33 @@ class Relief:
 
     level: FloatArray  # (n, 1) brightness around it
     hue: FloatArray  # (n, 3) colours around it, less brightness
-    usual: float  # that skin itself may be brighter
     folds: FloatArray  # (n, 1) 0..1, how far folds are the expression's
+    plain: FloatArray  # (n, 1) 0..1, 0 on brows and lips, which have colours of their own
 
     def too_much(self, texels: Texels, colors: FloatArray) -> FloatArray:
-        """(m, 3) what of colours (m, 3) of texels is highlights, an expression's folds, and hues that skin has not."""
+        """(m, 3) what of colours (m, 3) of texels is an expression's folds, and hues that skin has not."""
         bright = (colors @ GREY)[:, None]
-        above, hue = bright - texels.carried(self.level), colors - bright - texels.carried(self.hue)
-        dark = np.minimum(above + _FOLD, 0) * texels.carried(self.folds)
+        hue = colors - bright - texels.carried(self.hue)
+        dark = np.minimum(bright - texels.carried(self.level) + _FOLD, 0) * texels.carried(self.folds)
         strange = hue - np.clip(hue, -_STRANGE_HUE, _STRANGE_HUE)
-        return np.asarray(_LESS * np.maximum(above - self.usual, 0) + _FLATTER * dark + strange, np.float32)
+        return np.asarray(texels.carried(self.plain) * (_FLATTER * dark + strange), np.float32)
 
 
 def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatArray) -> Relief:
-    """Highlights, and folds where an expression strains the skin, by colours (n, 3)."""
-    level, weight = (colors @ GREY)[:, None], trust * skin.areas
+    """Folds where an expression strains the skin, and strange hues, by colours (n, 3)."""
+    level = (colors @ GREY)[:, None]
     around, hue = skin.smooth(level, trust, _LOCAL), skin.smooth(colors - level, trust, _LOCAL)
-    usual = float(np.clip(quantile((level - around)[:, 0], weight, 0.95), *_HIGHLIGHT))
     strained = skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL)
-    return Relief(level=around, hue=hue, usual=usual, folds=step(strained, *_STRAIN))
+    plain = step(_off_features(skin), *_FEATURES)[:, None]
+    return Relief(level=around, hue=hue, folds=step(strained, *_STRAIN), plain=plain)
+
+
+def _off_features(skin: SkinSurface) -> FloatArray:
+    """(n,) distance from brows and lips in shares of the eyes'."""
+    marks = skin.points[skin.landmarks]
+    lips = np.concatenate([marks[48:68], (marks[LIPS_OUTER] + marks[LIPS_INNER]) / 2])
+    off = cKDTree(lips).query(skin.points)[0] / skin.eye_distance(skin.points)
+    return np.asarray(np.minimum(off, _forehead(skin)[1]))
 
 
 def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:

@@ -28,45 +28,53 @@ _TEXELS = 96  # a side of the picture as it is compared
 _FRONT = 0.012  # of the eyes' distance: a point so far behind the nearest surface is hidden
 _PUPIL = 0.3  # of the iris' median brightness: what is darker is the pupil
 _FEWEST, _SMALLEST = 60, 4.0  # texels, and pixels across that an iris is seen by
-_DARK_HALF = 0.6  # of what is seen: what is brighter may be a lamp's image
-_LEAST, _MOST = 0.15, 4.0  # factors
+_IRIS_SHARE, _WHITE_SHARE = (0.0, 0.5), (0.3, 0.9)  # quantiles of brightness: what is brighter mirrors lamps
+_IRIS_LIMITS, _WHITE_LIMITS = (0.2, 4.0), (0.5, 1.0)  # factors
 _WHITES = 0.5, 0.9  # quantiles of brightness between which whites of eyes are
 
 
 @dataclass(frozen=True, kw_only=True)
-class Iris:
-    """What irises look like."""
+class EyeColor:
+    """How much lighter irises, or the whites of eyes, are than in their picture."""
 
     texture: SkinTexture
     materials: tuple[str, ...]  # that show it, of both eyes
     factor: FloatArray  # (3,) of its linear colours
 
 
-def iris(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray]) -> Iris | None:
-    """The factor by which irises are lighter than in the face's own picture, by channel.
-
-    None: no photo shows enough of them, or they have no picture in common.
+def eye_colors(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray]) -> tuple[EyeColor, ...]:
+    """Those of irises and of whites, without what no photo shows enough of, or has no picture in common.
 
     :param scales: (3,) of each photo's light
     """
+    found = (_eye_color(parts, photos, scales, white=white) for white in (False, True))
+    return tuple(one for one in found if one is not None)
+
+
+def _eye_color(
+    parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray], *, white: bool
+) -> EyeColor | None:
     found: list[FloatArray] = [np.zeros((0, 3))]
     textures, first = [], 0
     for mesh in parts.meshes:
-        texture = _texture(parts, mesh)
+        texture = _texture(parts, mesh, white=white)
         if texture is not None:
             textures.append(texture)
             for photo, scale in zip(photos, scales, strict=True):
-                found.append(_ratios(photo, texture, first) - np.log(scale))
+                around = photo.light_around(slice(first, first + len(mesh.points)))
+                found.append(_ratios(photo, texture, first, around) - np.log(scale))
         first += len(mesh.points)
     ratios, names = np.concatenate(found), {texture.source.texture.name for texture in textures}
     if len(ratios) < _FEWEST or len(names) > 1:
         return None
     bright = ratios @ GREY
-    dark = ratios[bright <= np.quantile(bright, _DARK_HALF)]
+    low, high = np.quantile(bright, _WHITE_SHARE if white else _IRIS_SHARE)
+    ratio = np.median(ratios[(bright >= low) & (bright <= high)], axis=0)
+    if white:  # lids in their place would redden them
+        ratio = np.full(3, ratio @ GREY)
     materials = tuple(dict.fromkeys(name for texture in textures for name in texture.materials))
-    return Iris(
-        texture=textures[0], materials=materials, factor=np.clip(np.exp(np.median(dark, axis=0)), _LEAST, _MOST)
-    )
+    factor = np.clip(np.exp(ratio), *(_WHITE_LIMITS if white else _IRIS_LIMITS))
+    return EyeColor(texture=textures[0], materials=materials, factor=factor)
 
 
 def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
@@ -103,10 +111,11 @@ def _texture(parts: FaceParts, mesh: Mesh, *, white: bool = False) -> SkinTextur
     return next((one for one in textures_of(parts, mesh, _TEXELS) if (shown in one.materials) != white), None)
 
 
-def _ratios(photo: Exposure, texture: SkinTexture, first: int) -> FloatArray:
+def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray | None = None) -> FloatArray:
     """(m, 3) logarithms of colours over the template's, of texels of the iris that a photo shows.
 
     :param first: point of the eye among those of all meshes
+    :param light: (3,) there; None: that of each point
     """
     texels, template = texture.texels, template_texels(texture).reshape(-1, 3)[texture.texels.at]
     span = slice(first, first + int(texels.corners.max()) + 1)
@@ -121,7 +130,8 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int) -> FloatArray:
     if across < _SMALLEST or not seen.any():
         return np.zeros((0, 3))
     shown = from_srgb(np.clip(sampled(photo.pixels, places[seen], 1.0), 0, 1))
-    white = np.maximum(texels.taken(np.flatnonzero(seen)).carried(photo.all_white[span]), DARKEST)
+    white = texels.taken(np.flatnonzero(seen)).carried(photo.all_white[span]) if light is None else light
+    white = np.maximum(white, DARKEST)
     return np.asarray(np.log(np.maximum(shown, DARKEST) / white) - np.log(np.maximum(template[seen], DARKEST)))
 
 

@@ -95,7 +95,9 @@ def hair_color(
     chosen = next((one for one, least in ((clear, _CLEAR), (other, _OTHER)) if one.sum() >= least * len(one)), None)
     if chosen is None or chosen.sum() < _FEWEST:
         return None
-    return np.asarray(np.clip(np.exp(np.median(off[chosen], axis=0)) * color, _DARKEST, _BRIGHTEST))
+    far = np.abs(levels[chosen] / _UNLIKE).max(axis=1)  # of strands over skin, those that hide most of it
+    clear_hair = off[chosen][far >= np.median(far)]
+    return np.asarray(np.clip(np.exp(np.median(clear_hair, axis=0)) * color, _DARKEST, _BRIGHTEST))
 
 
 def _behind_cards(photo: Exposure, marks: FloatArray, hair: FloatArray) -> FloatArray:

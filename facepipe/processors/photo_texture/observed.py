@@ -18,6 +18,7 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 GREY = np.array([0.2126, 0.7152, 0.0722])  # brightness of linear light
 DARKEST = 0.004  # linear: of texels and photos, below which a ratio means nothing
 _DIM = (0.03, 0.15)  # of the light where much arrives: where confidence begins, where it is full
+_AROUND = 0.35  # of the eyes' distance, off an eye's middle
 _BLOWN = (0.955, 0.995)  # sRGB: full confidence up to here, none from here
 
 
@@ -44,6 +45,12 @@ class Exposure:
     all_points: FloatArray  # of all meshes, as `points`
     all_white: FloatArray  # as `white`
     eye_whites: FloatArray | None = None  # (3,) logarithms of what whites of eyes show over that, where any are seen
+
+    def light_around(self, span: slice) -> FloatArray:
+        """(3,) median light of the skin around some points of all meshes: what lids let through is hardly known."""
+        off = np.linalg.norm(self.points - self.all_points[span].mean(axis=0), axis=1)
+        near = (off < _AROUND * self.seen.eye_distance) & (self.trust > 0)
+        return np.asarray(np.median(self.white[near], axis=0)) if near.any() else np.ones(3)
 
     @property
     def view(self) -> PhotoView:

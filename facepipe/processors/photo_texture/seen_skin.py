@@ -12,9 +12,10 @@ from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.parts import PhotoView
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
-_JUMP = 0.07  # of the eyes' distance, in depth: an outline
+_JUMP = 0.07  # of the eyes' distance, in depth: an edge
 _SLACK = 0.03  # of the eyes' distance, in depth: a point so far behind the surface still is on it
-_OUTLINE = (0.015, 0.08)  # of the eyes' distance off an outline: where confidence begins, where it is full
+_OUTLINE = (0.015, 0.08)  # of the eyes' distance off the outline: where confidence begins, where it is full
+_CREASE = (0.005, 0.03)  # the same where the face hides a part of itself: wings of the nose, lips
 _OPENING = (0.004, 0.02)  # the same off eyes, teeth and the mouth's inside
 _FACING = (0.10, 0.40)  # cosine to the viewer
 _FRAME = 4.0  # pixels off the photo's border
@@ -27,7 +28,8 @@ class SeenSkin:
     view: PhotoView
     eye_distance: float  # stage units
     depth: Float32Array  # (h, w) of the nearest surface, infinite where there is none
-    outline: Float32Array  # (h, w) pixels to the nearest outline
+    outline: Float32Array  # (h, w) pixels to where there is no face
+    crease: Float32Array  # (h, w) pixels to the nearest edge before another part of the face
     opening: Float32Array  # (h, w) pixels to the nearest surface that is no skin
 
     def confidence(self, pixels: FloatArray, depth: FloatArray, facing: FloatArray) -> FloatArray:
@@ -41,7 +43,7 @@ class SeenSkin:
         border = np.minimum(pixels, np.array([width, height]) - pixels).min(axis=1)
         eyes = self.eye_distance * self.view.focal / np.maximum(depth, 1e-9)  # in pixels
         trust = seen * step(border / _FRAME, 0, 1) * step(facing, *_FACING)
-        for distance, limits in ((self.outline, _OUTLINE), (self.opening, _OPENING)):
+        for distance, limits in ((self.outline, _OUTLINE), (self.crease, _CREASE), (self.opening, _OPENING)):
             trust = trust * step(distance[row, column] / eyes, *limits)
         return np.asarray(trust)
 
@@ -83,7 +85,8 @@ def seen_skin(skin: SkinSurface, view: PhotoView, points: FloatArray) -> SeenSki
         view=view,
         eye_distance=eyes,
         depth=far,
-        outline=_distance(_outlines(far, _JUMP * eyes)),
+        outline=_distance(~covered),
+        crease=_distance(_outlines(far, _JUMP * eyes)),
         opening=_distance(opening),
     )
 

@@ -14,12 +14,15 @@ from baked_face import SKIN, person, put_fitted, wearing, with_cards
 from command_line import Capsys, content, done, exit_code, failed
 from feature_graphs import coarse_picture, save
 from PIL import Image
+from scipy.spatial import cKDTree
+from textures import picture
 
 import facepipe
 from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.processors.photo_texture.observed import sampled
-from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points
+from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
+from facepipe.rig import build
 from facepipe.stage import Face
 
 LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds
@@ -47,8 +50,8 @@ def skin(parts: FaceParts) -> Iterator[np.ndarray]:
     for material in parts.materials:
         if material.name in SKIN:
             assert isinstance(material.diffuse_color, TextureInput)
-            picture = Image.open(io.BytesIO(material.diffuse_color.texture.image())).convert("RGB")
-            yield np.asarray(picture, np.float64) / 255
+            image = Image.open(io.BytesIO(material.diffuse_color.texture.image())).convert("RGB")
+            yield np.asarray(image, np.float64) / 255
 
 
 def face_of(parts: FaceParts) -> np.ndarray:
@@ -143,7 +146,7 @@ def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted:
     assert exit_code(*words, 0.9999999) == 1
     assert "front.png: similarity of 0.9" in capsys.readouterr().err
     assert {path.name for path in folder.iterdir()} == {"front.render.png", "report.html", "report.json"}
-    assert (folder / "report.html").read_text(encoding="utf-8").count("<figure>") == 3 + 3 + 3
+    assert (folder / "report.html").read_text(encoding="utf-8").count("<figure>") == 3 + 3 + 4
     assert json.loads((folder / "report.json").read_text())["similarities"]["front.png"] > 0.95
     photo = np.asarray(Image.open(fitted / "front.png").convert("RGB"), np.float64)
     render = np.asarray(Image.open(folder / "front.render.png"), np.float64)
@@ -161,6 +164,37 @@ def test_cards_of_brows_go_where_the_photo_has_brows(tmp_path: Path) -> None:
     opacity = {material.name: material.opacity for material in facepipe.open(tmp_path / "out.usda").materials}
     assert opacity["Brows"] == 0
     assert isinstance(opacity["Lashes"], TextureInput)
+
+
+PAINT = np.array([0.25, 0.12, 0.3])
+
+
+def on_lids_and_brows(parts: FaceParts) -> np.ndarray:
+    """(SIZE, SIZE) texels of the face beside the upper lids' rims and on brows."""
+    surface = skin_of(parts, build(parts).points, SIZE)
+    marks, unit = surface.points[surface.landmarks], surface.eye_distance(surface.points)
+    up = (marks[27] - marks[8]) / np.linalg.norm(marks[27] - marks[8])
+    spots = np.concatenate([marks[[37, 38, 43, 44]] + 0.035 * unit * up, marks[18:26] - 0.05 * unit * up])
+    texels = surface.textures[0].texels
+    near = cKDTree(spots).query(texels.carried(surface.points))[0] < 0.025 * unit
+    mask = np.zeros(SIZE * SIZE, bool)
+    mask[texels.at[near]] = True
+    return mask.reshape(SIZE, SIZE)
+
+
+def test_lids_and_brows_look_as_in_the_photo_however_dark_and_of_what_hue(tmp_path: Path) -> None:
+    parts = person(LIGHT_SKIN)
+    spots, before = on_lids_and_brows(parts), next(skin(parts))
+    texture = picture("painted.png", (np.where(spots[..., None], PAINT, before) * 255).astype(np.uint8))
+    face = next(one for one in parts.materials if one.name == SKIN[0])
+    assert isinstance(face.diffuse_color, TextureInput)
+    other = replace(face, diffuse_color=replace(face.diffuse_color, texture=texture))
+    painted = replace(parts, materials=tuple(other if one.name == SKIN[0] else one for one in parts.materials))
+    put_fitted(parts, painted, tmp_path, size=640, front=0.0)
+    facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    made = next(skin(facepipe.open(tmp_path / "out.usda").parts()))
+    off, at_first = (np.abs(one - PAINT)[spots].mean() for one in (made, before))
+    assert off < at_first / 2
 
 
 def hair_of(parts: FaceParts) -> Material:
@@ -201,8 +235,8 @@ def iris_picture(parts: FaceParts) -> np.ndarray:
     """(s, s, 3) linear, of the left iris."""
     color = next(one for one in parts.materials if one.name == IRISES[0]).diffuse_color
     assert isinstance(color, TextureInput)
-    picture = Image.open(io.BytesIO(color.texture.image())).convert("RGB")
-    return from_srgb(np.asarray(picture, np.float64) / 255)
+    image = Image.open(io.BytesIO(color.texture.image())).convert("RGB")
+    return from_srgb(np.asarray(image, np.float64) / 255)
 
 
 def test_irises_have_the_colour_of_those_in_the_photo(tmp_path: Path) -> None:
