@@ -84,7 +84,7 @@ def names() -> tuple[str, ...]:
 @functools.cache
 def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
     from facepipe.actions import function_name
-    from facepipe.kinds import InPlaceAction, Inspector, unwatched
+    from facepipe.kinds import FolderAction, InPlaceAction, Inspector, unwatched
 
     fields = fields_of(kind)
     keywords = _own(kind)
@@ -109,7 +109,8 @@ def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
             [values[field.name] for field in fields if field.is_read and field.name in values],
         )
         inputs = [*files_of(action), *(Path(one) for one in read if isinstance(one, str | os.PathLike))]
-        check_output(out, inputs, overwrite=overwrite)
+        if not isinstance(action, FolderAction):
+            check_output(out, inputs, overwrite=overwrite)
         check_result(action, out, inputs, overwrite=overwrite)
         return perform(action, out, flatten=values.get("flatten", False)).report
 

@@ -178,6 +178,13 @@ class FileAction(Action[R]):
         """
 
 
+class FolderAction(FileAction[R]):
+    """Base of the actions that make a folder of files with report.json in it; it has no recipe."""
+
+    suffixes = ()
+    holds: ClassVar[str]  # pattern of the names in it: a folder with others is never replaced
+
+
 class InPlaceAction(FileAction[R]):
     """Base of the actions that change `base` itself, unless they are asked for another file."""
 

@@ -18,7 +18,7 @@ from facepipe.core.locks import locked
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
-from facepipe.kinds import FOUND, Action, FileAction, Job, StageAction, Watch, unwatched
+from facepipe.kinds import FOUND, Action, FileAction, FolderAction, Job, StageAction, Watch, unwatched
 from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
@@ -102,10 +102,13 @@ def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -
 
 
 def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Check before any work that a result can have a name, and what is written with it and beside it.
+    """Check before any work that a result can have a name, what is written with it and beside it, and a folder itself.
 
     :raises InputError: a suffix that it can't have, or a file or folder that may not be written
     """
+    if isinstance(action, FolderAction):
+        known = re.compile(action.holds)
+        check_report_folder(out, overwrite=overwrite, taken=inputs, known=known, command=action.verb)
     for one in _with_it(type(action), out):
         if one != out:
             check_output(one, inputs, overwrite=overwrite)
@@ -128,7 +131,7 @@ def _with_it(kind: type[Action[Any]], out: Path) -> Sequence[Path]:
     """
     suffix = out.suffix.lower()
     if issubclass(kind, FileAction):
-        if suffix not in kind.suffixes:
+        if suffix not in kind.suffixes and not issubclass(kind, FolderAction):
             raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
         return kind.with_it(out)
     exported = [f".{one}" for one in suffixes()]

@@ -14,7 +14,7 @@ from facepipe.cli.parser import Parser, add_field, output_or_edited
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
-from facepipe.kinds import A, Action, FileAction, InPlaceAction, Inspector, StageAction
+from facepipe.kinds import A, Action, FileAction, FolderAction, InPlaceAction, Inspector, StageAction
 
 if TYPE_CHECKING:
     from facepipe.performing import Kept
@@ -69,14 +69,15 @@ class ActionLine:
         inputs = inputs_of(arguments, action)
         arguments.output = arguments.output or getattr(arguments, "out", None)
         in_place = isinstance(action, InPlaceAction) and arguments.output is None
-        out = action.base if in_place else output_or_edited(arguments, inputs)
+        a_folder = isinstance(action, FolderAction) and arguments.output is not None  # which is checked with the rest
+        out = action.base if in_place else arguments.output if a_folder else output_or_edited(arguments, inputs)
         check_result(action, out, [*inputs, *([arguments.edit] if kept else [])], overwrite=arguments.force)
         flatten = arguments.flatten or (kept is not None and kept.standalone)
         waiting = functools.partial(warn, [f"{out}: another process changes it, waiting"])
         done = perform(action, out, flatten=flatten, watch=progress, waiting=waiting)
         warn(done.report.warnings)
         result = {"path": str(out), **done.report.to_dict(), **done.beside}
-        if isinstance(action, FileAction):
+        if isinstance(action, FileAction) and not a_folder:
             result["bytes"] = out.stat().st_size
         result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
         text = [action.text(done.report, out), *map(_line, done.beside.values())]

@@ -26,6 +26,7 @@ from photographed_face import write_photos
 from PIL import Image
 from rebuild_stages import put_scans
 from small_head import make
+from turning_clip import portrait, write_video
 
 from facepipe.cli import main
 from facepipe.learn.photo import lighting
@@ -67,6 +68,7 @@ skin third.usdz --from head.usda -o moved.usda --optimise --iterations 1
 train-photo head.usda -o start.onnx --people 1024 --renders 8 --epochs 1 --steps 1
 fit-photo front.png head.usda --landmarks front.json -o me.usda --report me --start start.onnx \
 --iterations 1 --size 64 --identity 0
+choose-frames clip.mp4 -o frames
 bake-photo painted/fitted.usda painted/front.png -o photographed.usda --size 128
 lod head.usda --triangles 8000,2500 -o lods.usda
 export lods.usda -o lods.glb --lods
@@ -124,6 +126,7 @@ def _put_heads() -> None:
     painted = make(0, textures=64)
     put_fitted(painted, painted, Path("painted"), size=64, front=0.0)
     live_link.write(Path("take.csv"), live_link.performance(20))
+    write_video(Path("clip.mp4"), [portrait(yaw, 0) for yaw in (0, 30)])
     _put("points.json", {"nose": 3, "chin": 4})
     places = {"neck": (0, 150, 0), "neck/head": (0, 160, 0), "neck/head/jaw": (0, 158, 2)}
     _put("joints.json", {"unit": "cm", "joints": {name: {"position": place} for name, place in places.items()}})

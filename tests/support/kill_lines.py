@@ -111,6 +111,18 @@ def _one_scan() -> None:
     scan_photos.ScanPhotos.__call__ = lambda self, photos, step: made
 
 
+def _one_look() -> None:
+    """A face that turns in two frames, and nothing to say against it."""
+    from facepipe.processors.video_frames import frame_files, search
+    from facepipe.processors.video_frames.look import Look
+
+    known = {"pitch": 0.0, "sharpness": 1.0, "lids": 0.1, "lips": 0.0, "error": 1.0}
+    looks = tuple(Look(number=i, time=0.1 * i, yaw=0.5 * i, **known) for i in range(2))
+    seen = search.Looks(looks=looks, tried=2, frames=2, seconds=0.1)
+    search.looks_in = lambda clip, done: seen
+    frame_files._refused = lambda file: []
+
+
 def _one_face() -> None:
     """The landmarks of a scan are those of the dome."""
     import scan_domes
@@ -232,6 +244,13 @@ LINES: dict[str, Line] = {
         *("train-photo", "head.usdc", "--people", "0", "--renders", "8", "--epochs", "0", "--steps", "1"),
         *("-o", "out.onnx"),
         uses=_HEAD,
+    ),
+    "choose-frames": Line(
+        words=("choose-frames", "clip.mp4", "-o", "frames", "--force"),
+        uses=("clip.mp4",),
+        outputs=("frames/report.json", "frames/frame_00000_0.00s.png", "frames/frame_00001_0.10s.png"),
+        early=True,
+        stub=_one_look,
     ),
     "animate": _out("animate", "a.usda", "take.csv", "-o", "out.usda", uses=("a.usda", "take.csv")),
     "apply-bones": _out("apply-bones", "rig.usda", "clip.fpb", "-o", "out.usda", uses=("rig.usda", "clip.fpb")),
@@ -412,9 +431,11 @@ def _heads() -> None:
     from baked_face import put_fitted
     from photographed_face import write_photos
     from small_head import make
+    from turning_clip import write_video
 
     from facepipe.stage import save_parts
 
+    write_video(Path("clip.mp4"), [np.full((64, 64, 3), 90, np.uint8)] * 2)
     parts = make(0)
     save_parts(parts, "head.usdc")
     write_photos(parts, Path())

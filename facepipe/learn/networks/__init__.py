@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.learn.networks.face_search import FoundFace, find_landmarks
+    from facepipe.learn.networks.face_search import FoundFace, find_landmarks, follow_face
     from facepipe.learn.networks.files import feature_model, landmark_model, own_extractors
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["FoundFace", "feature_model", "find_landmarks", "landmark_model", "own_extractors"]
+__all__ = ["FoundFace", "feature_model", "find_landmarks", "follow_face", "landmark_model", "own_extractors"]

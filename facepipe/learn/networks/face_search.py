@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned
+from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks, turned_crop
 from facepipe.learn.networks.files import DenseLandmarkSession, LandmarkSession, dense_landmark_model, landmark_model
@@ -60,22 +60,54 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     :param model: an ONNX network of the kind ``landmarks``, and no second look; default those that come with facepipe
     :raises InputError: another shape, NaN or infinity; a file that is no such network
     """
+    pixels = _checked(image)
+    network = LandmarkSession(model or landmark_model())
+    for quarters in range(4):
+        faces = _faces(network, pixels, quarters, closer=model is None)
+        if faces:
+            return faces
+    return []
+
+
+def follow_face(image: FloatArray, landmarks: FloatArray) -> FoundFace | None:
+    """The face that had `landmarks` (68, 2) in a picture a moment before; None where it is not near there any more.
+
+    As `find_landmarks`, but in an eighth of its time: the picture is not searched.
+
+    :param image: (h, w, 3) sRGB 0..1
+    :param landmarks: in pixels of `image`
+    :raises InputError: as `find_landmarks`
+    """
+    quarters = quarters_to_upright(landmarks)
+    found = _faces(LandmarkSession(landmark_model()), _checked(image), quarters, closer=True, near=landmarks)
+    return found[0] if found else None
+
+
+def _checked(image: FloatArray) -> FloatArray:
     pixels = np.asarray(image, dtype=np.float32)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or min(pixels.shape[:2]) < 2:
         raise InputError("photo", f"an array of shape {pixels.shape}, expected (h, w, 3)")
     if not np.isfinite(pixels).all():
         raise InputError("photo", "NaN or infinity, expected sRGB values 0..1")
-    network = LandmarkSession(model or landmark_model())
-    for quarters in range(4):
-        turned = np.ascontiguousarray(np.rot90(pixels, quarters))
-        size = turned.shape[1], turned.shape[0]
-        faces = _upright_faces(network, turned)
-        if faces and model is None:
-            closer = DenseLandmarkSession(dense_landmark_model())
-            faces = [_looked_closer(closer, torch.as_tensor(turned), face) for face in faces]
-        if faces:
-            return [_turned_back(face, quarters, size) for face in faces]
-    return []
+    return pixels
+
+
+def _faces(
+    network: LandmarkSession, pixels: FloatArray, quarters: int, *, closer: bool, near: FloatArray | None = None
+) -> list[FoundFace]:
+    """Faces that are upright once the picture is turned by quarters, in pixels of the picture as it is.
+
+    :param closer: look at them by the second network
+    :param near: (68, 2) where the only one that is looked for was
+    """
+    turned = np.ascontiguousarray(np.rot90(pixels, quarters))
+    if near is not None:
+        near = quarter_turned(near, quarters, (pixels.shape[1], pixels.shape[0]))
+    faces = _upright_faces(network, turned, near)
+    if faces and closer:
+        second = DenseLandmarkSession(dense_landmark_model())
+        faces = [_looked_closer(second, torch.as_tensor(turned), face) for face in faces]
+    return [_turned_back(face, quarters, (turned.shape[1], turned.shape[0])) for face in faces]
 
 
 def _looked_closer(network: DenseLandmarkSession, photo: torch.Tensor, face: FoundFace) -> FoundFace:
@@ -102,9 +134,9 @@ def _turned_back(face: FoundFace, quarters: int, size: tuple[int, int]) -> Found
     return replace(face, landmarks=landmarks, dense=dense, pupils=pupils)
 
 
-def _upright_faces(network: LandmarkSession, pixels: FloatArray) -> list[FoundFace]:
+def _upright_faces(network: LandmarkSession, pixels: FloatArray, near: FloatArray | None) -> list[FoundFace]:
     photo, scale = _shrunk(torch.as_tensor(pixels))
-    settled = _settled(network, photo, _candidates(network, photo))
+    settled = _settled(network, photo, _candidates(network, photo) if near is None else near[None] / scale)
     judged = [_judged(network, photo, landmarks) for landmarks in settled]
     faces = _apart([face for face in judged if face is not None])
     return [replace(face, landmarks=face.landmarks * scale) for face in faces]

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from facepipe.processors.photo_fit.landmark_file import read_landmarks, write_landmarks
     from facepipe.processors.photo_fit.photo_file import Photo, read_photo
     from facepipe.processors.photo_fit.photo_landmarks import Landmarks68, mediapipe_landmarks, own_landmarks
+    from facepipe.processors.photo_fit.plausible_landmarks import check_face
     from facepipe.processors.photo_fit.report import PhotoFitReport, PhotoReport
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -21,6 +22,7 @@ __all__ = [
     "Photo",
     "PhotoFitReport",
     "PhotoReport",
+    "check_face",
     "mediapipe_landmarks",
     "own_landmarks",
     "read_landmarks",
