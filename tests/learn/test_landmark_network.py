@@ -17,7 +17,7 @@ from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.learn.networks import FoundFace, find_landmarks, landmark_model
+from facepipe.learn.networks import FoundFace, find_landmarks, follow_face, landmark_model
 from facepipe.learn.networks.files import LandmarkSession
 
 FloatArray = npt.NDArray[np.floating]
@@ -146,6 +146,18 @@ def test_a_photo_on_its_side_shows_the_same_face(quarters: int) -> None:
     expected = {1: (y, width - x), 2: (width - x, height - y), 3: (height - y, x)}
     (found,) = find_landmarks(np.rot90(image, quarters))
     assert inner_error(found, np.stack(expected[quarters], axis=1)) < WORST_OF_RENDERS
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_face_that_has_moved_a_little_is_found_again(quarters: int) -> None:
+    """Where a search finds it, whichever way up; not where no face is."""
+    image, _ = rendered(101, size=120, share=0.6, yaw=0.2)
+    image = np.rot90(image[:, 8:], quarters)
+    (found,) = find_landmarks(image)
+    followed = follow_face(image, found.landmarks + np.array([7.0, -5.0]))
+    assert followed is not None
+    np.testing.assert_allclose(followed.landmarks, found.landmarks, atol=0.3)
+    assert follow_face(image, found.landmarks * 0.3) is None
 
 
 @pytest.mark.slow
