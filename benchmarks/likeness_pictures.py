@@ -22,6 +22,7 @@ from facepipe.heads import make
 from facepipe.parts import FaceParts, PhotoView
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
+from facepipe.pictures.photo_render import photo_render
 from facepipe.processors.photo_fit import read_photo
 from facepipe.processors.photo_texture import inner, skin_of
 from facepipe.processors.photo_texture.seen_skin import to_camera, to_pixels
@@ -108,10 +109,7 @@ class _Person:
 
     def pictures(self, photo: FloatArray) -> Iterator[tuple[str, Image.Image]]:
         """By line of the table; the masked photo too."""
-        from facepipe.learn.face_model import FaceModel
-        from facepipe.learn.photo.view_image import photo_image
-
-        image = photo_image(FaceModel(self.parts), self.view, self.posed)
+        image = photo_render(_bald(self.parts), self.view, self.posed)
         cover = image[..., 3:].clip(0, 1)
         render = to_srgb((image[..., :3] + (1 - cover) * _GREY**2.2).clip(0, 1))
         mask = _face_mask(self.parts, self.view, self.neutral, self.posed)
@@ -120,6 +118,12 @@ class _Person:
         yield PHOTO, _masked(photo, mask)
         options = [PictureOptions(size=SIZE, samples=_SAMPLES, view=(np.radians(yaw), 0.0)) for yaw in YAWS.values()]
         yield from zip(YAWS, pictures(self.parts, self.neutral, options), strict=True)
+
+
+def _bald(parts: FaceParts) -> FaceParts:
+    """The face without its hair, whose style is no person's."""
+    materials = (replace(one, opacity=0.0) if one.name == "Hair" else one for one in parts.materials)
+    return replace(parts, materials=tuple(materials))
 
 
 def _face_mask(parts: FaceParts, view: PhotoView, neutral: FloatArray, posed: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.lighting import EVEN, Lit, Samples, Studio
 from facepipe.pictures.materials import Materials, Surfaces
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
+from facepipe.pictures.photo_light import PhotoLights
 from facepipe.pictures.portrait import PORTRAIT, Portrait
 from facepipe.pictures.scene import Scene, Surface
 
@@ -64,10 +65,10 @@ class Shader:
     camera: Camera
     heatmap: HeatMap | None = None
     paint: FloatArray | None = None  # (n, 3) linear colours per point instead of the materials'
-    lights: Studio | Portrait | None = None  # instead of those of `studio`
+    lights: Studio | Portrait | PhotoLights | None = None  # instead of those of `studio`
 
     @cached_property
-    def studio(self) -> Studio | Portrait:
+    def studio(self) -> Studio | Portrait | PhotoLights:
         """The lights given; else even light where colours must be read, portrait light otherwise."""
         if self.lights is not None:
             return self.lights

@@ -13,9 +13,7 @@ from facepipe.learn.light import DARK
 from facepipe.learn.photo.descent import Descent, Unknowns
 from facepipe.learn.photo.fit import fit_result
 from facepipe.learn.photo.result import FittedView
-from facepipe.learn.photo.view_image import photo_image, view_image
-from facepipe.parts import KeyLamp, PhotoView
-from facepipe.processors.photo_fit.author import camera_to_world
+from facepipe.learn.photo.view_image import view_image
 
 SIZE = 128
 LAMP = (-1.2, 1.0, 1.4, 0.8, 0.7, 0.6, 0.6, 3.4)
@@ -88,28 +86,3 @@ def test_the_lamp_of_a_result_is_as_the_shading_takes_it() -> None:
     np.testing.assert_allclose(key[3:], (0.0, 0.7, 0.6, 0.0, 3.4), rtol=1e-6)
     nowhere = view_of(own, replace(at, key=torch.tensor([(0.0,) * 3 + LAMP[3:]]))).key
     assert tuple(nowhere) == DARK
-
-
-def test_a_photo_of_a_stage_shows_what_the_fitted_view_does() -> None:
-    own, at = untinted(LAMP)
-    view, loss = view_of(own, at), joint_loss(own)
-    with torch.no_grad():
-        points = model().rig(loss.sliders(own.truth.shares), loss.weights(own.truth.expressions[0])).numpy()
-    photo = PhotoView(
-        name="photo",
-        width=SIZE,
-        height=SIZE,
-        transform=camera_to_world(view.camera),
-        focal=view.camera.focal,
-        center=view.camera.center,
-        clipping=(1.0, 1e4),
-        light=view.light,
-        key=KeyLamp(direction=LAMP[:3], color=LAMP[3:6], shine=LAMP[6], exponent=float(np.exp(LAMP[7]))),
-    )
-    expected, image = view_image(model(), view, points, (SIZE, SIZE)), photo_image(model(), photo, points)
-    assert np.mean(np.abs(image - expected).max(axis=2) > 1e-3) < 0.01, "rounding decides at the edges of shadows alone"
-    tinted = photo_image(model(), replace(photo, key=None, tint={"M_Face": (1.0, 0.5, 1.0)}), points)
-    plain = photo_image(model(), replace(photo, key=None), points)
-    np.testing.assert_allclose(tinted[..., [0, 2, 3]], plain[..., [0, 2, 3]], atol=1e-6)
-    face = plain[SIZE // 2, SIZE // 2, 1]
-    assert tinted[SIZE // 2, SIZE // 2, 1] == pytest.approx(face / 2, rel=1e-3)

@@ -33,7 +33,9 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface, template
 _REACH = 0.02  # of the completion: what is smaller is detail
 _FAR = 0.15  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
-_SHARP = 2  # power of confidence by which photos are mixed
+_SHARP = 16  # power of preference by which photos are mixed: hardly two in one place, where features would blur
+_STRAINED = 0.5  # of preference that goes where a photo's expression folds the skin
+_OTHERS = 0.7  # preference of all photos but the one that shows the face best: features fit together in one photo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +58,7 @@ class _Layer:
     observed: tuple[Observed, ...]  # of each texture
     colors: FloatArray  # (n, 3) at points
     trust: FloatArray  # (n,)
+    calm: FloatArray  # (n, 1) preference before other photos of as much confidence, 0..1
     scale: FloatArray  # (3,) of its light
     light: FloatArray  # (9, 3) its harmonics
 
@@ -81,7 +84,7 @@ class Baker:
 
         :param hair: whose colour is looked for, and whose scalp is to have it
         """
-        layers = self._alike([self._layer(photo) for photo in photos])
+        layers = self._ranked(self._alike([self._layer(photo) for photo in photos]))
         skin_color, color, paint = self._skin_color(layers), None, None
         if hair is not None:
             color = hair_color(self.skin, hair, photos, [layer.scale for layer in layers], skin_color)
@@ -131,7 +134,8 @@ class Baker:
         colors, trust = self.at_points(observed)
         white = photo.white * np.exp(raw - colors)
         harmonics = renewed(photo, white, trust * skin.areas, scale)
-        return _Layer(observed=tuple(observed), colors=colors, trust=trust, scale=scale, light=harmonics)
+        calm = (1 - _STRAINED * around.folds) * np.clip(photo.facing, 0.0, 1.0)[:, None]
+        return _Layer(observed=tuple(observed), colors=colors, trust=trust, calm=calm, scale=scale, light=harmonics)
 
     def at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
         """(n, 3) mean colours at points, and (n,) confidence."""
@@ -160,6 +164,12 @@ class Baker:
         first = max(layers, key=lambda layer: float(layer.trust @ self.skin.areas))
         return [layer if layer is first else self._like(first, layer) for layer in layers]
 
+    def _ranked(self, layers: Sequence[_Layer]) -> list[_Layer]:
+        """Layers of which the one that shows the face best is preferred."""
+        face = inner(self.skin) * self.skin.areas
+        best = max(layers, key=lambda layer: float(layer.trust * layer.calm[:, 0] @ face))
+        return [layer if layer is best else replace(layer, calm=_OTHERS * layer.calm) for layer in layers]
+
     def _like(self, first: _Layer, layer: _Layer) -> _Layer:
         weight = first.trust * layer.trust * self.skin.areas
         if not weight.any():
@@ -170,7 +180,7 @@ class Baker:
             for one in layer.observed
         )
         scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
-        return _Layer(observed=observed, colors=layer.colors + off, trust=layer.trust, scale=scale, light=light)
+        return replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light)
 
     def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
@@ -191,7 +201,8 @@ class Baker:
         sums, weights, most = np.zeros((count, 3), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
         for layer in layers:
             one = layer.observed[number]
-            weight = one.trust**_SHARP
+            calm = self.skin.textures[number].texels.taken(one.place).carried(layer.calm)[:, 0]
+            weight = np.maximum(one.trust * calm, 1e-3) ** _SHARP
             sums[one.place] += weight[:, None] * one.ratio
             weights[one.place] += weight
             most[one.place] = np.maximum(most[one.place], one.trust)

@@ -15,8 +15,8 @@ from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.polygons import components
 from facepipe.geometry.texels import Texels
 from facepipe.heads.people import Look
+from facepipe.pictures.photo_light import harmonics
 from facepipe.processors.photo_texture.observed import GREY, Exposure
-from facepipe.processors.photo_texture.photo_light import harmonics
 from facepipe.processors.photo_texture.seen_skin import step
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 

@@ -11,7 +11,7 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.parts import PhotoView
-from facepipe.processors.photo_texture.photo_light import PhotoLight
+from facepipe.pictures.photo_light import PhotoLight
 from facepipe.processors.photo_texture.seen_skin import SeenSkin, seen_skin, step, to_camera, to_pixels
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
@@ -40,6 +40,7 @@ class Exposure:
     light: PhotoLight
     points: FloatArray  # (n, 3) of the skin, camera coordinates
     normals: FloatArray  # (n, 3) unit
+    facing: FloatArray  # (n,) cosine between them and the direction to the viewer
     trust: FloatArray  # (n,) 0..1, by geometry
     white: FloatArray  # (n, 3) linear light that white matt points show
     all_points: FloatArray  # of all meshes, as `points`
@@ -79,6 +80,7 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
         light=light,
         points=local,
         normals=own,
+        facing=facing,
         trust=trust,
         white=white[skin.span],
         all_points=everything,

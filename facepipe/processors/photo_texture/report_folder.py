@@ -18,6 +18,7 @@ from facepipe.core.markup import Markup, heading, joined, page, tag
 from facepipe.parts import FaceParts, PhotoView, TextureInput
 from facepipe.pictures import photo_pictures, save_png
 from facepipe.pictures.figures import figure
+from facepipe.pictures.photo_render import photo_render
 from facepipe.pictures.photo_report import SIZE, grid, three_sides
 from facepipe.processors.photo_fit import read_photo
 from facepipe.processors.photo_fit.report_folder import render_image
@@ -55,11 +56,8 @@ def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeShee
 
     :param photos: of the face before, whose cameras and poses it has
     """
-    from facepipe.learn.face_model import FaceModel
-    from facepipe.learn.photo.view_image import photo_image
-
     parts = face.parts_so_far()
-    model, views = FaceModel(parts), {view.name: view for view in parts.photos}
+    views = {view.name: view for view in parts.photos}
     first, marks = _landmarks(parts)
     shown = []
     for before, path in photos:
@@ -72,7 +70,7 @@ def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeShee
             ShownPhoto(
                 view=view,
                 photo=read_photo(path).pixels,
-                render=photo_image(model, view, points),
+                render=photo_render(parts, view, points),
                 screen=screen,
                 landmarks=screen[first + marks],
             )

@@ -8,7 +8,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import KeyLamp, PhotoView
-from facepipe.pictures.occlusion import depth_map, visible_sky
+from facepipe.pictures.lighting import Lit, Samples
+from facepipe.pictures.occlusion import Sky, depth_map, visible_sky
 
 _SKY_RESOLUTION = 256  # map pixels
 _LAMP_RESOLUTION = 448
@@ -28,8 +29,7 @@ class PhotoLight:
     def on_points(cls, view: PhotoView, points: FloatArray, normals: FloatArray, opaque: IntArray) -> PhotoLight:
         """Of points (n, 3) with unit normals (n, 3), past triangles (o, 3)."""
         sky = visible_sky(points, normals, opaque, np.zeros(len(points), bool), _SKY_RESOLUTION)
-        cosine = np.maximum(normals @ sky.directions.T, 0.0) * (1 - sky.seen)
-        hidden = -(4 / len(sky.directions)) * cosine @ harmonics(sky.directions)
+        hidden = hidden_harmonics(sky, normals, np.eye(3))
         arriving: FloatArray = np.ones(len(points))
         if view.key is not None:
             lamp = depth_map(points, opaque, np.array(view.key.direction), _LAMP_RESOLUTION)
@@ -38,11 +38,18 @@ class PhotoLight:
 
     def white(self, normals: FloatArray, hidden: FloatArray, arriving: FloatArray) -> FloatArray:
         """(m, 3) linear light of white matt surfaces with unit normals (m, 3)."""
-        light = np.maximum((harmonics(normals) + hidden) @ self.view.light, 0.0)
+        return self.ambient(normals, hidden) + arriving[:, None] * self.lamp(normals)
+
+    def ambient(self, normals: FloatArray, hidden: FloatArray) -> FloatArray:
+        """(m, 3) that of the harmonics alone."""
+        return np.asarray(np.maximum((harmonics(normals) + hidden) @ self.view.light, 0.0))
+
+    def lamp(self, normals: FloatArray) -> FloatArray:
+        """(m, 3) that of the lamp alone, where nothing hides it."""
         if self.view.key is None:
-            return np.asarray(light)
-        cosine = np.maximum(normals @ _towards(self.view.key), 0.0) * arriving
-        return np.asarray(light + cosine[:, None] * np.array(self.view.key.color))
+            return np.zeros((len(normals), 3))
+        cosine = np.maximum(normals @ _towards(self.view.key), 0.0)
+        return np.asarray(cosine[:, None] * np.array(self.view.key.color))
 
     def mirrored(self, normals: FloatArray, towards_eye: FloatArray, arriving: FloatArray) -> FloatArray:
         """(m, 3) linear light of the lamp's highlight: normalised Blinn-Phong with Schlick's Fresnel term."""
@@ -57,6 +64,52 @@ class PhotoLight:
         lobe = (key.exponent + 2) / 8 * np.maximum((normals * half).sum(axis=1), 1e-4) ** key.exponent
         matt = np.maximum(normals @ towards, 0.0) * arriving
         return np.asarray((key.shine * fresnel * lobe * matt)[:, None] * np.array(key.color))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoLights:
+    """The light that a photo shows, for a picture: harmonics with what the face keeps from them, and a lamp."""
+
+    view: PhotoView
+    soft = False  # the fit knows neither light below the skin nor lamps of some size
+    spread = 0.0
+
+    @property
+    def key(self) -> FloatArray | None:
+        """(3,) unit direction towards the lamp."""
+        return None if self.view.key is None else _towards(self.view.key).astype(np.float32)
+
+    def carried(self, sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
+        """(n, 10) one, and one more than what self-shadowing adds to the harmonics of normals (n, 3)."""
+        return np.column_stack([np.ones(len(normals)), 1 + hidden_harmonics(sky, normals, axes)])
+
+    def light(self, samples: Samples) -> Lit:
+        """Matt light of harmonics, and of the lamp with its highlight."""
+        light = self._light
+        # The first is what a material's map of occlusion left of it; the fit had the shape's own shadows alone.
+        hidden = samples.carried[:, 1:] / np.maximum(samples.carried[:, :1], 1e-3) - 1
+        diffuse = light.ambient(samples.normals, hidden) * samples.inside[:, None]
+        matt = light.lamp(samples.normals) * samples.inside[:, None]
+        glint = light.mirrored(samples.normals, samples.towards_eye, np.ones(len(matt)))
+        none = np.zeros_like(diffuse)
+        return Lit(diffuse=diffuse, highlights=none, key_diffuse=matt, key_highlights=glint)
+
+    @property
+    def _light(self) -> PhotoLight:
+        return PhotoLight(view=self.view, hidden=np.zeros((0, 9)), arriving=np.zeros(0))
+
+    def tone(self, color: FloatArray) -> FloatArray:
+        """Linear light as linear colours 0..1 of a screen."""
+        return np.minimum(color, 1.0)
+
+
+def hidden_harmonics(sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
+    """(n, 9) what self-shadowing adds to the harmonics of unit normals (n, 3), as `facepipe.learn.photo.shadows`.
+
+    :param axes: (3, 3) rows: the harmonics' axes in the frame of sky and normals
+    """
+    cosine = np.maximum(normals @ sky.directions.T, 0.0) * (1 - sky.seen)
+    return np.asarray(-(4 / len(sky.directions)) * cosine @ harmonics(sky.directions @ axes.T))
 
 
 def _towards(key: KeyLamp) -> FloatArray:
