@@ -49,7 +49,7 @@ class PhotoTermOptions(Ranged):
         0.02, "expected landmark error, as a share of the distance of the outer eye corners", 1e-4, 1.0
     )
     focal_sigma: float = option(
-        0.35, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
+        0.2, "spread of the focal length around a portrait lens, as a natural logarithm", 1e-3, 10
     )
 
 

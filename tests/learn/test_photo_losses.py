@@ -14,6 +14,8 @@ from with_torch import tensor, torch
 
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, color_loss, content, identity
+from facepipe.learn.photo.landmark_fit import Priors
+from facepipe.learn.photo.pose import FOCAL
 
 ALONE = {
     "landmarks": 0.0,
@@ -285,3 +287,33 @@ def test_image_terms_of_several_photos_are_means() -> None:
         alone.append(joint_loss(part, sparsity=0.0, expression_sparsity=0.0)(replace(at, **rows)))
     for name in ("landmarks", "color", "total"):
         assert both[name].item() == pytest.approx((alone[0][name] + alone[1][name]).item() / 2, rel=1e-5)
+
+
+# The prior of a normal distribution
+
+
+def prior(views: int, lens: float) -> tuple[float, float]:
+    """That of a person in some photos by lenses of a focal length in sides of the photo, and that of the person alone.
+
+    In units in which a landmark's error of one standard deviation is a half.
+    """
+    own = portrait(seed=1, views=views)
+    loss = joint_loss(own)
+    loss.fit.priors = replace(loss.fit.priors, normal=True)
+    poses = own.truth.poses.detach().clone()
+    poses[:, 6] = np.log(lens) - poses[:, 5]
+    off = (own.state.shares - subject().default_shares) / loss.fit.priors.slider_sigma
+    return 68 * float(loss(replace(own.truth, poses=poses))["prior"].detach()), float(off @ off) / 2
+
+
+@pytest.mark.parametrize("views", [1, 3])
+def test_a_person_counts_once_beside_the_sum_of_all_photos(views: int) -> None:
+    """Image terms are means over photos."""
+    found, person = prior(views, FOCAL)
+    assert found == pytest.approx(person / views, rel=1e-4)
+
+
+def test_lenses_that_are_no_portrait_lenses_cost_as_landmarks_have_it() -> None:
+    spread = Priors().focal_sigma
+    usual, *others = (prior(1, FOCAL * np.exp(off * spread))[0] for off in (0, 2, -2))
+    assert np.array(others) - usual == pytest.approx([2**2 / 2] * 2, rel=1e-3)

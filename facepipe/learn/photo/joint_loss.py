@@ -9,6 +9,7 @@ So the difference is split into bands (the Laplacian pyramid of Burt and Adelson
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -29,6 +30,7 @@ from facepipe.learn.photo.descent import Unknowns
 from facepipe.learn.photo.landmark_errors import huber, standardised
 from facepipe.learn.photo.landmark_fit import LandmarkFit
 from facepipe.learn.photo.landmark_rig import COUNT
+from facepipe.learn.photo.pose import FOCAL
 from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo_options import PhotoFitOptions
@@ -194,7 +196,10 @@ class JointLoss:
         result = {name: sum(each[name] for each in terms) / len(terms) for name in terms[0]}
         off = (at.shares - self._default).abs()
         if priors.normal:
-            result["prior"] = 0.5 * (off * off).sum() / priors.slider_sigma**2 / COUNT
+            # All photos share the person: like the others, the term is its share in one of them.
+            person = 0.5 * (off * off).sum() / priors.slider_sigma**2 / len(self.photos)
+            lens = (at.poses[:, 5:].sum(dim=1) - math.log(FOCAL)) / priors.focal_sigma
+            result["prior"] = (person + 0.5 * (lens * lens).mean()) / COUNT
         else:
             result["sparsity"] = (off * off + _CORNER**2).sqrt().sum()
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()

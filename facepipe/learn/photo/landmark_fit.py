@@ -96,7 +96,7 @@ class Priors:
     normal: bool = False  # whether that is their distribution, and not only what holds sliders that no photo shows
     slider_sparsity: float = 0.0  # L1 weight of sliders, per range
     expression_sparsity: float = 3.0  # L1 weight of expressions
-    focal_sigma: float = 0.35  # of the logarithm of the focal length
+    focal_sigma: float = 0.2  # of the logarithm of the focal length
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.learn.camera import Camera, rotation_matrices
 
 NUMBERS = 7  # rotation vector (3), middle of the head in pixels (2), log pixels per unit there, log distance
-FOCAL = 1.9  # of the photo's larger side, what a portrait lens has: about 70 mm on a 36 mm frame
+FOCAL = 2.6  # of the photo's larger side, about 94 mm on a 36 mm frame: portraits have long lenses, and are cropped
 
 
 @dataclass(frozen=True, kw_only=True)
