@@ -27,13 +27,15 @@ def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> Float
     """
     share = min(1.0, LARGEST / max(view.width, view.height))
     width, height = (max(1, round(each * share)) for each in (view.width, view.height))
-    size = max(width, height)
+    fine = max(1, LARGEST // max(width, height))  # small ones are drawn larger, where details are not blurred
+    size = fine * max(width, height)
     scene = build_scene(_tinted(parts, view), points, size)
-    shader = Shader(scene, camera_of(view, parts.up_axis).scaled(share), lights=PhotoLights(view=view))
+    shader = Shader(scene, camera_of(view, parts.up_axis).scaled(fine * share), lights=PhotoLights(view=view))
     mm = 1000 * parts.meters_per_unit
-    on_black, on_white = (_drawn(shader, size, level, mm)[:height, :width] for level in (0.0, 1.0))
+    on_black, on_white = (_drawn(shader, size, level, mm)[: fine * height, : fine * width] for level in (0.0, 1.0))
     coverage = 1 - (on_white - on_black).mean(axis=2, keepdims=True)
-    return np.concatenate([on_black, coverage.clip(0, 1)], axis=2)
+    image = np.concatenate([on_black, coverage.clip(0, 1)], axis=2)
+    return np.asarray(image.reshape(height, fine, width, fine, 4).mean(axis=(1, 3)))
 
 
 def _drawn(shader: Shader, size: int, level: float, mm: float) -> FloatArray:

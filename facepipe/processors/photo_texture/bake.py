@@ -160,27 +160,21 @@ class Baker:
         return Observed(place=one.place, ratio=ratio.astype(np.float32), trust=one.trust)
 
     def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:
-        """Layers as bright as the one that shows most, where both show skin."""
+        """Layers as bright, and of the hue, that all have in the mean: how a photo's light is balanced is a guess."""
         first = max(layers, key=lambda layer: float(layer.trust @ self.skin.areas))
-        return [layer if layer is first else self._like(first, layer) for layer in layers]
+        offs = [self._off(first, layer) for layer in layers]
+        return [_moved(layer, off - np.mean(offs, axis=0)) for layer, off in zip(layers, offs, strict=True)]
+
+    def _off(self, first: _Layer, layer: _Layer) -> FloatArray:
+        """(3,) by how much one is brighter than another where both show skin."""
+        weight = first.trust * layer.trust * self.skin.areas
+        return np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
 
     def _ranked(self, layers: Sequence[_Layer]) -> list[_Layer]:
         """Layers of which the one that shows the face best is preferred."""
         face = inner(self.skin) * self.skin.areas
         best = max(layers, key=lambda layer: float(layer.trust * layer.calm[:, 0] @ face))
         return [layer if layer is best else replace(layer, calm=_OTHERS * layer.calm) for layer in layers]
-
-    def _like(self, first: _Layer, layer: _Layer) -> _Layer:
-        weight = first.trust * layer.trust * self.skin.areas
-        if not weight.any():
-            return layer
-        off = np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
-        observed = tuple(
-            Observed(place=one.place, ratio=one.ratio + off.astype(np.float32), trust=one.trust)
-            for one in layer.observed
-        )
-        scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
-        return replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light)
 
     def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
@@ -235,3 +229,10 @@ class Baker:
 
         guide = whole(other, known, target)
         return guide + whole(colors - guide, trust, target - guide)
+
+
+def _moved(layer: _Layer, off: FloatArray) -> _Layer:
+    """A layer that is brighter by logarithms (3,), in light that is as much less."""
+    observed = tuple(replace(one, ratio=one.ratio + off.astype(np.float32)) for one in layer.observed)
+    scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
+    return replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light)
