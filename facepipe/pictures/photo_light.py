@@ -14,6 +14,7 @@ from facepipe.pictures.occlusion import Sky, depth_map, visible_sky
 _SKY_RESOLUTION = 256  # map pixels
 _LAMP_RESOLUTION = 448
 _SOFT = 3  # map pixels of a lamp's shadow's edge: photos' lamps are no points
+_FILM = 0.1  # roughness: on a cornea's film the wide highlight that skin has would be a veil
 _FACING = 0.04  # share of light that skin mirrors where it falls straight on
 
 
@@ -90,7 +91,8 @@ class PhotoLights:
         hidden = samples.carried[:, 1:] / np.maximum(samples.carried[:, :1], 1e-3) - 1
         diffuse = light.ambient(samples.normals, hidden) * samples.inside[:, None]
         matt = light.lamp(samples.normals) * samples.inside[:, None]
-        glint = light.mirrored(samples.normals, samples.towards_eye, np.ones(len(matt)))
+        rough = (samples.roughness > _FILM).astype(np.float64)
+        glint = light.mirrored(samples.normals, samples.towards_eye, rough)
         none = np.zeros_like(diffuse)
         return Lit(diffuse=diffuse, highlights=none, key_diffuse=matt, key_highlights=glint)
 
