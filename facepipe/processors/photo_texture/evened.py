@@ -20,7 +20,9 @@ from facepipe.processors.photo_texture.observed import GREY, Exposure
 from facepipe.processors.photo_texture.seen_skin import step
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
-LIPS_OUTER, LIPS_INNER = [49, 50, 51, 52, 53, 55, 56, 57, 58, 59], [61, 61, 62, 63, 63, 65, 65, 66, 67, 67]  # landmarks
+# landmarks of the lips' outer rims, and those across from them
+_LIPS_OUTER = [49, 50, 51, 52, 53, 55, 56, 57, 58, 59]
+_LIPS_INNER = [61, 61, 62, 63, 63, 65, 65, 66, 67, 67]
 # all lengths are shares of the eyes' distance
 _INNER = (0.22, 0.45)  # off the landmarks inside the face: skin up to the first, anything beyond the second
 _WIDE = 0.25  # over which both sides of a face are made alike
@@ -249,7 +251,7 @@ def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatA
 def _off_features(skin: SkinSurface) -> FloatArray:
     """(n,) distance from brows and lips in shares of the eyes'."""
     marks = skin.points[skin.landmarks]
-    lips = np.concatenate([marks[48:68], (marks[LIPS_OUTER] + marks[LIPS_INNER]) / 2])
+    lips = np.concatenate([marks[48:68], (marks[_LIPS_OUTER] + marks[_LIPS_INNER]) / 2])
     off = cKDTree(lips).query(skin.points)[0] / skin.eye_distance(skin.points)
     return np.asarray(np.minimum(off, _forehead(skin)[1]))
 
