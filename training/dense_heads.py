@@ -1,6 +1,6 @@
 """Renders random heads, large, with many points: ``python training/dense_heads.py OUT --count 4500 --seed 4``.
 
-As `heads.py`, but heads alone, nearly in the aligned crop. Arrays of a shard (n = 300, S = 224):
+As `heads.py`, but heads alone, nearly in the aligned crop. Arrays of a shard (n = 320, S = 224):
 
 - ``image`` (n, S, S, 3) uint8 sRGB, RGB
 - ``points`` (n, 274, 2) float32 x, y in pixels: the 68 landmarks of Multi-PIE, whose contour lies on the outline where
@@ -11,49 +11,70 @@ As `heads.py`, but heads alone, nearly in the aligned crop. Arrays of a shard (n
 from __future__ import annotations
 
 import argparse
+from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
 
 import head_sources
 import heads
 import numpy as np
 import pictures
 import scenes
+from card import Card, Model
 from script_arguments import add_shards
 
+from facepipe.geometry.colors import from_srgb
 from facepipe.heads.assembly import pupil
 from facepipe.heads.asset import asset
-from facepipe.pictures.scene import Scene, build_scene
+from facepipe.pictures.scene import build_scene
 
-SHARD, SIZE = 300, 224  # pictures, and pixels a side
-_VIEWS, _POSES = 6, 3  # pictures of a person, and expressions
+SHARD, SIZE = 320, 224  # pictures, and pixels a side
+_VIEWS, _POSES = 32, 4  # pictures of a person, and expressions
 _SQUINTS = 0.35
+_SPREAD = 0.8, 1.3  # of the modes of identity: faces that are nearer to the mean, and farther from it
 _TURN, _SCALE, _SHIFT = 0.15, 0.1, 0.04  # off the aligned crop: radians, powers of two, and shares of a side
 
 
-def person(rng: np.random.Generator) -> list[heads.Arrays]:
-    """Pictures of one person."""
-    who = head_sources.Person(rng, by_sliders=rng.random() < heads.SHARE_SLIDERS)
+def person(rng: np.random.Generator, *, poses: int = _POSES, views: int = _VIEWS) -> list[heads.Arrays]:
+    """So many pictures of one person.
+
+    :param poses: different expressions, as many views of each
+    """
+    who = head_sources.Person(rng, by_sliders=rng.random() < heads.SHARE_SLIDERS, spread=rng.uniform(*_SPREAD))
     subject = (who.scanned if rng.random() < heads.SHARE_SCANS else who.dressed)(who.look, rng)
-    rows, textures = [], None
-    for _ in range(_POSES):
-        scene = build_scene(subject.face, subject.pose(rng, _SQUINTS), SIZE, textures)
-        textures = scene.textures
-        rows += [_picture(scene, who, rng) for _ in range(_VIEWS // _POSES)]
+    rows, model = [], None
+    for _ in range(poses):
+        scene = build_scene(subject.face, subject.pose(rng, _SQUINTS), SIZE, model and model.scene.textures)
+        if model is None:
+            model = _card().load(scene)
+        else:
+            model.pose(scene)
+        rows += [_picture(model, who, rng) for _ in range(views // poses)]
+    model.release()
     return rows
 
 
-def _picture(scene: Scene, who: head_sources.Person, rng: np.random.Generator) -> heads.Arrays:
+def _picture(model: Model, who: head_sources.Person, rng: np.random.Generator) -> heads.Arrays:
     place = scenes.Placement(
         float(2 ** rng.uniform(-_SCALE, _SCALE)), rng.uniform(-_TURN, _TURN), rng.uniform(-_SHIFT, _SHIFT, 2)
     )
-    view = scenes.render(scene, who.look, place, pictures.background(SIZE, rng), rng)
-    image = pictures.occlude(view.image, view.labels.copy(), view.landmarks, rng)
-    screen = view.camera.project(scene.points[[*asset().dense, *pupils()]])
+    points = model.scene.points
+    camera, landmarks = scenes.random_camera(points[: asset().parts["Head"].points.stop], place, SIZE, rng)
+    behind = from_srgb(pictures.background(SIZE, rng)).astype(np.float32)
+    image = _card().draw(model, camera, scenes.random_light(who.look, rng), behind) / 255
+    image = pictures.occlude(image, np.zeros((SIZE, SIZE), np.uint8), landmarks, rng)
+    screen = camera.project(points[[*asset().dense, *pupils()]])
     dense = screen[:, :2] / np.maximum(screen[:, 3:], 1.0)
     return {
         "image": pictures.photographed(image, rng),
-        "points": np.concatenate([view.landmarks, dense]).astype(np.float32),
+        "points": np.concatenate([landmarks, dense]).astype(np.float32),
     }
+
+
+@cache
+def _card() -> Card:
+    return Card(SIZE)
 
 
 @cache
@@ -66,12 +87,19 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Render random heads, large, with many points.")
     add_shards(parser, count=4500, shard=SHARD, seed=4)
+    parser.add_argument("--processes", type=int, default=2, help="shards at a time (default 2)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    for number in range(options.first, options.first + options.count // SHARD):
-        rng = np.random.default_rng([options.seed, number])
-        rows = [row for _ in range(SHARD // _VIEWS) for row in person(rng)]
-        heads.write_shard(rows, options.out / f"dense_{number:03d}.npz")
+    numbers = range(options.first, options.first + options.count // SHARD)
+    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
+        for task in [pool.submit(shard, number, options.seed, options.out) for number in numbers]:
+            task.result()
+
+
+def shard(number: int, seed: int, out: Path) -> None:
+    """Write one of the files."""
+    rng = np.random.default_rng([seed, number])
+    heads.write_shard([row for _ in range(SHARD // _VIEWS) for row in person(rng)], out / f"dense_{number:03d}.npz")
 
 
 if __name__ == "__main__":

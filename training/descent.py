@@ -22,7 +22,7 @@ def descend(
     steps: int,
     keep: Callable[[Network, int], None],
 ) -> Network:
-    """The network after so many steps of Adam, its rate rising and falling once; `keep` gets it every 500 steps."""
+    """The network after so many steps of Adam, its rate rising and falling once; `keep` gets it ten times."""
     optimizer = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY, fused=True)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, _RATE, total_steps=steps, pct_start=0.1)
     start = time.monotonic()
@@ -35,6 +35,6 @@ def descend(
         schedule.step()
         if step % 50 == 49:
             print(f"{step + 1} {found.item():.3f} {time.monotonic() - start:.0f} s", flush=True)
-        if step % 500 == 499:
+        if (step + 1) % max(1, steps // 10) == 0:
             keep(network, step + 1)
     return network.eval()

@@ -44,8 +44,8 @@ def expression(rng: np.random.Generator) -> dict[str, float]:
         both("mouthSmile", rng.uniform(0.3, 1.0))
         both("cheekSquint", rng.uniform(0, 0.6))
         if rng.random() < 0.65:
-            both("mouthUpperUp", rng.uniform(0.1, 0.6))
-            both("mouthLowerDown", rng.uniform(0, 0.5))
+            both("mouthUpperUp", rng.uniform(0.1, 0.8))
+            both("mouthLowerDown", rng.uniform(0, 0.8))
             found["jawOpen"] = rng.uniform(0, 0.15)
         both("mouthStretch", rng.uniform(0, 0.4) * (rng.random() < 0.5))
     elif mood == "open":
@@ -109,10 +109,11 @@ class Subject:
 class Person:
     """A random person: drawn from the modes of identity, or the average head under random sliders of bones."""
 
-    def __init__(self, rng: np.random.Generator, *, by_sliders: bool) -> None:
+    def __init__(self, rng: np.random.Generator, *, by_sliders: bool, spread: float = 1.0) -> None:
+        """:param spread: of the weights of the modes"""
         who = draw(int(rng.integers(1, _SEEDS)))
         self.look = who.look
-        self._bare = make_head(np.zeros(MODES) if by_sliders else who.identity, "bones")
+        self._bare = make_head(np.zeros(MODES) if by_sliders else spread * who.identity, "bones")
         values = np.where(rng.random(len(slider_names())) < 0.7, rng.uniform(-1, 1, len(slider_names())), 0.0)
         self._values = dict(zip(slider_names(), values.tolist(), strict=True)) if by_sliders else {}
         self.attributes = values / 2 + 0.5 if by_sliders else np.full(len(values), np.nan)  # (a,) 0..1, NaN: unknown

@@ -94,30 +94,32 @@ def _batch(heads: Heads, rows: npt.NDArray[np.integer], turn: Tensor, shift: Ten
 
 def recolored(images: Tensor, rng: np.random.Generator) -> Tensor:
     """In other light, some without colours, some blurred."""
-    count = len(images)
+    count, device = len(images), images.device
 
     def numbers(low: float, high: float, channels: int = 1) -> Tensor:
-        return torch.as_tensor(rng.uniform(low, high, (count, channels, 1, 1)), dtype=torch.float32)
+        return torch.as_tensor(rng.uniform(low, high, (count, channels, 1, 1)), dtype=torch.float32, device=device)
+
+    def some(share: float) -> Tensor:
+        return torch.as_tensor(rng.random((count, 1, 1, 1)) < share, device=device)
 
     images = images * numbers(0.75, 1.3) * numbers(0.9, 1.1, 3) + numbers(-0.35, 0.35) + numbers(-0.15, 0.15, 3)
-    gray = torch.as_tensor(rng.random((count, 1, 1, 1)) < 0.12)
-    images = torch.where(gray, images.mean(dim=1, keepdim=True).expand_as(images), images)
-    for i in np.flatnonzero(rng.random(count) < 0.15):
-        images[i] = avg_pool2d(images[i : i + 1], 3, 1, 1, count_include_pad=False)[0]
-    return images
+    images = torch.where(some(0.12), images.mean(dim=1, keepdim=True), images)
+    return torch.where(some(0.15), avg_pool2d(images, 3, 1, 1, count_include_pad=False), images)
 
 
 def covered(images: Tensor, rng: np.random.Generator) -> Tensor:
     """Some with a rectangle in front."""
-    size = images.shape[-1]
-    for i in np.flatnonzero(rng.random(len(images)) < 0.25):
-        height, width = rng.integers(size // 12, size * 2 // 5, 2)
-        y, x = rng.integers(0, size - height), rng.integers(0, size - width)
-        color = torch.as_tensor(rng.normal(0, 1, (3, 1, 1)), dtype=torch.float32)
-        images[i, :, y : y + height, x : x + width] = color + 0.3 * torch.as_tensor(
-            rng.normal(0, rng.random(), (3, height, width)), dtype=torch.float32
-        )
-    return images
+    count, size = len(images), images.shape[-1]
+    sides = rng.integers(size // 12, size * 2 // 5, (2, count, 1))
+    start = (rng.random(sides.shape) * (size - sides)).astype(int)
+    along = np.arange(size)
+    inside = (along >= start) & (along < start + sides) & (rng.random((count, 1)) < 0.25)  # down, and across
+    color, noise = rng.normal(0, 1, (count, 3, 1, 1)), 0.3 * rng.random((count, 1, 1, 1))
+    mask, color, noise = (
+        torch.as_tensor(one, device=images.device) for one in (inside, np.float32(color), np.float32(noise))
+    )
+    there = (mask[0, :, :, None] & mask[1, :, None])[:, None]
+    return torch.where(there, color + noise * torch.randn_like(images), images)
 
 
 def _cut(images: Tensor, rng: np.random.Generator) -> Tensor:

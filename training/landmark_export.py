@@ -7,10 +7,15 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, Pyramid
+from onnx import TensorProto
 from torch import nn
 
 from facepipe.learn.networks.graph_writer import GraphWriter
+from facepipe.onnx_graph import Array
+
+_LARGE = 1000  # numbers
 
 
 def to_onnx(network: LandmarkNetwork, metadata: Mapping[str, object]) -> bytes:
@@ -28,7 +33,7 @@ def to_onnx(network: LandmarkNetwork, metadata: Mapping[str, object]) -> bytes:
 
 def dense_onnx(network: DenseNetwork, metadata: Mapping[str, object]) -> bytes:
     """The same of many landmarks, and of the mean errors to expect of them in 0..1 of the crop."""
-    write, count = GraphWriter(), len(network.usual)
+    write, count = _HalfWriter(), len(network.usual)
     up, _ = _pyramid(write, network)
     channels = network.heat.in_channels
     share = write.add("Softmax", write.reshape(write.conv("heat", up, network.heat), 0, count, -1), axis=2)
@@ -40,6 +45,17 @@ def dense_onnx(network: DenseNetwork, metadata: Mapping[str, object]) -> bytes:
     write.add("Exp", write.add("Add", doubt, usual), name="errors")
     size, ends = network.SIZE, {"landmarks": (count, 2), "errors": (count,)}
     return write.to_bytes("dense_landmarks", {"image": (3, size, size)}, ends, _properties(metadata))
+
+
+class _HalfWriter(GraphWriter):
+    """Stores large tensors in float16, of which a session makes float32 once: half of the file."""
+
+    def constant(self, name: str, values: Array, kind: npt.DTypeLike = np.float32) -> str:
+        """As `Nodes.constant`."""
+        array = np.asarray(values)
+        if kind is not np.float32 or array.size < _LARGE:
+            return super().constant(name, array, kind)
+        return self.add("Cast", super().constant(name, array, np.float16), to=TensorProto.FLOAT)
 
 
 def _properties(metadata: Mapping[str, object]) -> dict[str, str]:

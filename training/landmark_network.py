@@ -70,12 +70,12 @@ class LandmarkNetwork(Pyramid):
 class DenseNetwork(Pyramid):
     """Many landmarks of aligned crops (b, 3, 192, 192), and how far off they may be."""
 
-    SIZE, CELLS = 192, 48
+    SIZE, CELLS, UP = 192, 48, 80
 
     def __init__(self, count: int) -> None:
-        super().__init__((16, 32, 64, 96, 128), 56)
-        self.heat = nn.Conv2d(56, count, 1)
-        self.doubt = nn.Linear(56, 1)
+        super().__init__((32, 64, 96, 160, 192), self.UP)
+        self.heat = nn.Conv2d(self.UP, count, 1)
+        self.doubt = nn.Linear(self.UP, 1)
         self.usual = nn.Parameter(torch.zeros(count))
         self.register_buffer("cells", cell_centers(self.CELLS))
 

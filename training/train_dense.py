@@ -7,13 +7,15 @@ held out; its scores go into the file's metadata.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable, Container, Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from dense_heads import pupils
+from dense_heads import SHARD, pupils
 from descent import descend
 from landmark_data import covered, recolored
 from landmark_export import dense_onnx
@@ -26,9 +28,9 @@ from torch.nn.functional import affine_grid, grid_sample
 from facepipe.core.atomic import write_bytes
 from facepipe.geometry.landmarks import MIRRORED
 from facepipe.heads.asset import asset
-from facepipe.learn.features.crops import face_crop, to_crop
+from facepipe.learn.features.crops import face_crop
 
-_BATCH = 16
+_BATCH = 128
 _ZOOM = 1.2  # beyond the aligned crop: no pixel for what is beside a face
 _TURN, _SCALE, _SHIFT = 0.06, 0.06, 0.025  # deviations of crops: radians, logarithm, share of a side
 
@@ -36,42 +38,67 @@ FloatArray = npt.NDArray[np.floating]
 
 
 class Heads:
-    """Pictures and their points."""
+    """Pictures and their points, on the device of a training; files that come later are read by `grow`."""
 
-    def __init__(self, folder: Path, numbers: range) -> None:
-        shards = [np.load(folder / f"dense_{number:03d}.npz") for number in numbers]
-        self.images = np.concatenate([shard["image"] for shard in shards])  # (n, S, S, 3) uint8
-        self.points = np.concatenate([shard["points"] for shard in shards])  # (n, p, 2) pixels
+    def __init__(self, folder: Path, numbers: Container[int], device: str) -> None:
+        self._folder, self._numbers, self._read = folder, numbers, set[Path]()
+        self.device = device
+        self.images = torch.zeros((0, 0, 0, 3), dtype=torch.uint8, device=device)  # (n, S, S, 3)
+        self.points = torch.zeros((0, 0, 2), device=device)  # (n, p, 2) pixels
+        self.matrices = torch.zeros((0, 2, 3), device=device)  # (n, 2, 3) from aligned crops
+        self.grow()
+
+    def grow(self) -> None:
+        """Read the files that are new."""
+        paths = [one for one in sorted(self._folder.glob("dense_*.npz")) if int(one.stem[6:]) in self._numbers]
+        parts = [_shard(path) for path in paths if path not in self._read]
+        self._read.update(paths)
+        if parts:
+            images, points, matrices = (
+                torch.as_tensor(np.concatenate(column), device=self.device) for column in zip(*parts, strict=True)
+            )
+            if len(self.images):
+                images = torch.cat([self.images, images])
+                points, matrices = torch.cat([self.points, points]), torch.cat([self.matrices, matrices])
+            self.images, self.points, self.matrices = images, points, matrices
 
     def batch(self, rows: npt.NDArray[np.integer], rng: np.random.Generator | None) -> tuple[Tensor, Tensor]:
         """Normalised crops (b, 3, 192, 192) and their points (b, p, 2) in 0..1; varied where there is a generator."""
-        side, size = self.images.shape[1], DenseNetwork.SIZE
-        matrices = np.stack([face_crop(self.points[row, :68], size) for row in rows])
-        mirror = np.zeros(len(rows), bool) if rng is None else rng.random(len(rows)) < 0.5
-        for matrix, flip in zip(matrices, mirror, strict=True):
-            middle = matrix @ (size / 2, size / 2, 1)
-            turn, scale, shift = (0.0, 0.0, np.zeros(2))
-            if rng is not None:
-                turn, scale, shift = rng.normal(0, _TURN), rng.normal(0, _SCALE), rng.normal(0, _SHIFT, 2) * size
-            cos, sin = np.exp(scale) / _ZOOM * np.array([np.cos(turn), np.sin(turn)])
-            matrix[:, :2] = matrix[:, :2] @ [[cos, -sin], [sin, cos]] @ np.diag([-1.0 if flip else 1.0, 1.0])
-            matrix[:, 2] = middle - matrix[:, :2] @ (size / 2 + shift)
-        linear, origin = matrices[:, :, :2], matrices[:, :, 2]
-        points = np.stack([to_crop(*pair) for pair in zip(self.points[rows], matrices, strict=True)])
-        points[mirror] = points[mirror][:, mirrored_rows()]
-        shift = (2 * (origin + linear @ np.full(2, size / 2)) / side) - 1
-        grid = affine_grid(
-            torch.as_tensor(np.concatenate([linear * size / side, shift[..., None]], axis=2), dtype=torch.float32),
-            [len(rows), 3, size, size],
-            align_corners=False,
-        )
-        pixels = torch.as_tensor(self.images[rows]).permute(0, 3, 1, 2).float() / 255
-        images = (grid_sample(pixels, grid, "bilinear", "border", align_corners=False) - MEAN) / STD
+        side, size, count = self.images.shape[1], DenseNetwork.SIZE, len(rows)
+        at = torch.as_tensor(rows, device=self.device)
+        turn, scale, shift, mirror = np.zeros(count), np.zeros(count), np.zeros((count, 2)), np.zeros(count, bool)
         if rng is not None:
-            images = covered(recolored(images, rng), rng)
-        return images, torch.as_tensor(points / size, dtype=torch.float32)
+            turn, scale = rng.normal(0, _TURN, count), rng.normal(0, _SCALE, count)
+            shift, mirror = rng.normal(0, _SHIFT, (count, 2)), rng.random(count) < 0.5
+        length = np.exp(scale) / _ZOOM
+        cos, sin, flip = length * np.cos(turn), length * np.sin(turn), np.where(mirror, -1.0, 1.0)
+        change = self._tensor(np.stack([cos * flip, -sin, sin * flip, cos], axis=1).reshape(-1, 2, 2))
+        matrices = self.matrices[at]
+        linear = matrices[:, :, :2] @ change
+        middle = matrices[:, :, :2].sum(dim=2) * size / 2 + matrices[:, :, 2]
+        middle = middle - (linear @ self._tensor(shift * size)[..., None])[..., 0]  # of the crop, in pixels
+        points = (self.points[at] - middle[:, None]) @ torch.linalg.inv(linear).mT / size + 0.5
+        flipped = torch.as_tensor(mirror, device=self.device)
+        points = torch.where(flipped[:, None, None], points[:, mirrored_rows()], points)
+        theta = torch.cat([linear * size / side, (2 * middle / side - 1)[..., None]], dim=2)
+        grid = affine_grid(theta, [count, 3, size, size], align_corners=False)
+        pixels = self.images[at].permute(0, 3, 1, 2).float() / 255
+        images = (grid_sample(pixels, grid, "bilinear", "border", align_corners=False) - MEAN) / STD
+        return (images if rng is None else covered(recolored(images, rng), rng)), points
+
+    def _tensor(self, values: FloatArray) -> Tensor:
+        return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
 
+def _shard(path: Path) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
+    """Pictures, their points, and where their aligned crops lie."""
+    with np.load(path) as data:
+        images, points = data["image"], data["points"]
+    matrices = np.stack([face_crop(one[:68], DenseNetwork.SIZE) for one in points])
+    return images, points, matrices.astype(np.float32)
+
+
+@cache
 def mirrored_rows() -> list[int]:
     """For each landmark that of the other side."""
     places = asset().points[[*asset().dense, *pupils()]]
@@ -80,7 +107,8 @@ def mirrored_rows() -> list[int]:
 
 def expected_error_loss(network: DenseNetwork, images: Tensor, points: Tensor) -> Tensor:
     """How likely points are where the network expects them: distances have Laplace distributions in the plane."""
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    kind = images.device.type
+    with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):  # many processors have no bfloat16
         found, doubt = network(images)
     known = ((points > 0) & (points < 1)).all(dim=2)
     error = ((found - points) * network.SIZE).norm(dim=2)[known]
@@ -107,15 +135,16 @@ def scores(network: DenseNetwork, heads: Heads) -> dict[str, float]:
 def batches(heads: Heads, rng: np.random.Generator) -> Iterator[tuple[Tensor, Tensor]]:
     """Varied pictures in random order, without end."""
     while True:
+        heads.grow()
         order = rng.permutation(len(heads.images))
-        for start in range(0, len(order) - _BATCH + 1, _BATCH):
+        for start in range(0, max(len(order) - _BATCH, 0) + 1, _BATCH):
             yield heads.batch(order[start : start + _BATCH], rng)
 
 
 def train(heads: Heads, steps: int, seed: int, keep: Callable[[DenseNetwork, int], None]) -> DenseNetwork:
     """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
     torch.manual_seed(seed)
-    network = DenseNetwork(heads.points.shape[1]).to(memory_format=torch.channels_last)
+    network = DenseNetwork(heads.points.shape[1]).to(heads.device, memory_format=torch.channels_last)
     drawn = batches(heads, np.random.default_rng(seed))
     return descend(network, lambda batch: expected_error_loss(network, *batch), drawn, steps, keep)
 
@@ -124,19 +153,20 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Train the network of many landmarks on renders of random heads.")
     parser.add_argument("data", type=Path, help="folder of shards that dense_heads.py wrote")
-    parser.add_argument("--shards", type=int, default=24, help="how many of them; the first is held out")
-    add_training(parser, steps=8000, batch=f"{_BATCH} pictures")
+    parser.add_argument("--shards", type=int, default=150, help="how many of them; the first is held out")
+    parser.add_argument("--device", default="cuda", help="of torch (default cuda)")
+    add_training(parser, steps=20000, batch=f"{_BATCH} pictures")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    held_out = Heads(options.data, range(1))
+    held_out = Heads(options.data, range(1), options.device)
 
     def keep(network: DenseNetwork, step: int) -> None:
         found = scores(network.eval(), held_out)
         print(step, found, flush=True)
-        write_bytes(options.out, dense_onnx(network, metadata(options, found)))
+        write_bytes(options.out, dense_onnx(copy.deepcopy(network).cpu(), metadata(options, found)))
         network.train()
 
-    heads = Heads(options.data, range(1, options.shards))
+    heads = Heads(options.data, range(1, options.shards), options.device)
     keep(train(heads, options.steps, options.seed, keep), options.steps)
 
 
@@ -154,7 +184,7 @@ def metadata(options: argparse.Namespace, found: dict[str, float]) -> dict[str, 
         "crop": "face",
         "trained_on": "synthetic heads: renders of people drawn from facepipe's head (of ICT-FaceKit, MIT); no photos",
         "training": f"{command} --steps {options.steps} --seed {options.seed}",
-        "data": f"python training/dense_heads.py DATA --count {300 * options.shards} --seed 4",
+        "data": f"python training/dense_heads.py DATA --count {SHARD * options.shards} --seed 4",
         "seed": options.seed,
         "held_out": found,
     }
