@@ -142,8 +142,8 @@ class LandmarkFit:
         self.rig = LandmarkRig.from_subject(subject, dense=dense) if rig is None else rig
         every = [np.ones(len(each)) for each in self.targets] if confidences is None else confidences
         trusts = [np.maximum(each, _LEAST_CONFIDENCE) for each in every]
-        self.sigma = [  # (l, 1) pixels; all together the landmarks of a photo count as 68, whatever the confidences
-            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(trust.sum() / COUNT / trust)[:, None]
+        self.sigma = [  # (l, 1) pixels; landmarks count the same in all, whatever the confidences
+            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(_shared(trust) * trust.mean() / trust)[:, None]
             for each, trust in zip(self.targets, trusts, strict=True)
         ]
 
@@ -279,6 +279,11 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
     ahead, behind = own + _STEP * np.eye(len(own)), own - _STEP * np.eye(len(own))
     ahead[:, :bounded], behind[:, :bounded] = np.minimum(ahead[:, :bounded], 1), np.maximum(behind[:, :bounded], 0)
     return ahead, behind
+
+
+def _shared(trust: FloatArray) -> float:
+    """By how much landmarks that lie closer than the 68 do tell less each: they are off alike."""
+    return float(np.sqrt(len(trust) / COUNT))
 
 
 def _cost(residuals: FloatArray) -> float:
