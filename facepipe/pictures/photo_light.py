@@ -15,6 +15,7 @@ _SKY_RESOLUTION = 256  # map pixels
 _LAMP_RESOLUTION = 448
 _SOFT = 3  # map pixels of a lamp's shadow's edge: photos' lamps are no points
 _FILM = 0.1  # roughness: on a cornea's film the wide highlight that skin has would be a veil
+_RETURNED = 0.9  # of the light that a surface sends to what hides the sky from it
 _FACING = 0.04  # share of light that skin mirrors where it falls straight on
 
 
@@ -90,6 +91,7 @@ class PhotoLights:
         # The first is what a material's map of occlusion left of it; the fit had the shape's own shadows alone.
         hidden = samples.carried[:, 1:] / np.maximum(samples.carried[:, :1], 1e-3) - 1
         diffuse = light.ambient(samples.normals, hidden) * samples.inside[:, None]
+        diffuse /= 1 - returned(hidden) * samples.base
         matt = light.lamp(samples.normals) * samples.inside[:, None]
         rough = (samples.roughness > _FILM).astype(np.float64)
         glint = light.mirrored(samples.normals, samples.towards_eye, rough)
@@ -112,6 +114,16 @@ def hidden_harmonics(sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatAr
     """
     cosine = np.maximum(normals @ sky.directions.T, 0.0) * (1 - sky.seen)
     return np.asarray(-(4 / len(sky.directions)) * cosine @ harmonics(sky.directions @ axes.T))
+
+
+def returned(hidden: FloatArray) -> FloatArray:
+    """(n, 1) share of the light that points send out that comes back from what hides the sky from them.
+
+    In a crease whose walls have albedo a, light is 1 / (1 - a share) times what arrives: the series of bounces.
+
+    :param hidden: (n, 9) as `hidden_harmonics` gives
+    """
+    return np.asarray(_RETURNED * np.clip(-hidden[:, :1] / np.sqrt(1 / (4 * np.pi)), 0.0, 1.0))
 
 
 def _towards(key: KeyLamp) -> FloatArray:

@@ -10,6 +10,8 @@ from baked_face import camera_at, light, person, view_of, with_cards
 
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, PhotoView
+from facepipe.pictures.lighting import Samples
+from facepipe.pictures.photo_light import PhotoLights
 from facepipe.pictures.photo_render import photo_render
 from facepipe.rig import build
 
@@ -84,3 +86,28 @@ def test_a_stage_whose_z_is_up_looks_the_same(parts: FaceParts, view: PhotoView)
     up = replace(view, transform=turn @ view.transform)
     image = photo_render(replace(parts, up_axis="Z"), up, transformed(points, turn))
     assert np.abs(image - photo_render(parts, view, points)).mean() < 1e-3
+
+
+def test_walls_of_a_crease_send_light_back(view: PhotoView) -> None:
+    """Half of an even sky is hidden by walls as light as the surface: the sum of all bounces."""
+    albedo, count = np.array([0.0, 0.4, 0.9]), 3
+    even = np.zeros((9, 3))
+    even[0] = 1.0
+    none, hidden = np.zeros(count), np.zeros((count, 9))
+    hidden[:, 0] = -0.5 * 0.282095
+    ahead = np.tile([0.0, 0.0, 1.0], (count, 1))
+    samples = Samples(
+        normals=ahead,
+        towards_eye=ahead,
+        up=np.array([0.0, 1.0, 0.0]),
+        base=np.tile(albedo[:, None], (1, 3)),
+        roughness=np.ones(count),
+        carried=np.column_stack([np.ones(count), 1 + hidden]),
+        mirror=np.zeros((count, 3)),
+        coat=none,
+        coat_roughness=none,
+        inside=np.ones(count),
+    )
+    lit = PhotoLights(view=replace(view, key=None, light=even)).light(samples)
+    bounces = sum((0.9 * 0.5 * albedo) ** number for number in range(60))
+    np.testing.assert_allclose(lit.diffuse[:, 0], 0.5 * 0.282095 * bounces, rtol=1e-5)

@@ -11,7 +11,7 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.parts import PhotoView
-from facepipe.pictures.photo_light import PhotoLight
+from facepipe.pictures.photo_light import PhotoLight, returned
 from facepipe.processors.photo_texture.seen_skin import SeenSkin, seen_skin, step, to_camera, to_pixels
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
@@ -120,7 +120,8 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8))
     trust = trust * step(white @ GREY / bright, *_DIM) * (1 - step(shown.max(axis=1), *_BLOWN) * 0.9)
     floor = np.maximum(white, _DIM[0] * bright)
-    ratio = np.log(np.maximum(linear - glint, DARKEST) / floor) - np.log(template[place])
+    matt = np.maximum(linear - glint, DARKEST) / floor
+    ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(template[place])
     return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
 
 
