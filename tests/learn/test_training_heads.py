@@ -165,12 +165,11 @@ def test_training_of_many_landmarks_lowers_the_loss_on_pictures_of_their_crops(t
     heads.write_shard(dense_heads.person(np.random.default_rng(6), poses=1, views=4), tmp_path / "dense_000.npz")
     known = train_dense.Heads(tmp_path, range(9), "cpu")
     images, points = known.batch(np.arange(4), None)
-    assert images.shape == (6, 3, 192, 192)
+    assert images.shape == (4, 3, 192, 192)
     assert np.abs(points[:, :68].mean(dim=0).numpy() - ((TEMPLATE - 0.5) * 1.2 + 0.5)).mean() < 0.1
     _, mirrored = known.batch(np.tile(np.arange(4), 6), np.random.default_rng(0))  # about half of them
     assert (mirrored[:, 36, 0] < mirrored[:, 45, 0]).all()
-    for number in range(1, 2):  # files that come later
-        copyfile(tmp_path / "dense_000.npz", tmp_path / f"dense_{number:03d}.npz")
+    copyfile(tmp_path / "dense_000.npz", tmp_path / "dense_001.npz")  # a file that comes later
     known.grow()
     known.grow()
     assert len(known.images) == 8
