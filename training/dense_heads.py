@@ -1,4 +1,4 @@
-"""Renders random heads, large, with many points: ``python training/dense_heads.py OUT --count 4500 --seed 4``.
+"""Renders random heads, large, with many points: ``python training/dense_heads.py OUT --count 76800 --seed 4``.
 
 As `heads.py`, but heads alone, nearly in the aligned crop. Arrays of a shard (n = 320, S = 224):
 
@@ -86,7 +86,7 @@ def pupils() -> list[int]:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Render random heads, large, with many points.")
-    add_shards(parser, count=4500, shard=SHARD, seed=4)
+    add_shards(parser, count=76800, shard=SHARD, seed=4)
     parser.add_argument("--processes", type=int, default=2, help="shards at a time (default 2)")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

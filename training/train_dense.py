@@ -1,4 +1,4 @@
-"""Trains the network of many landmarks: ``python training/train_dense.py DATA -o OUT.onnx --shards 24 --seed 0``.
+"""Trains the network of many landmarks: ``python training/train_dense.py DATA -o OUT.onnx --shards 240 --seed 0``.
 
 DATA is what `dense_heads.py` wrote: renders of synthetic heads, no photo. The first shard, with persons of its own, is
 held out; its scores go into the file's metadata.
@@ -153,7 +153,7 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description="Train the network of many landmarks on renders of random heads.")
     parser.add_argument("data", type=Path, help="folder of shards that dense_heads.py wrote")
-    parser.add_argument("--shards", type=int, default=150, help="how many of them; the first is held out")
+    parser.add_argument("--shards", type=int, default=240, help="how many of them; the first is held out")
     parser.add_argument("--device", default="cuda", help="of torch (default cuda)")
     add_training(parser, steps=20000, batch=f"{_BATCH} pictures")
     options = parser.parse_args()

@@ -143,7 +143,7 @@ class LandmarkFit:
         every = [np.ones(len(each)) for each in self.targets] if confidences is None else confidences
         trusts = [np.maximum(each, _LEAST_CONFIDENCE) for each in every]
         self.sigma = [  # (l, 1) pixels; landmarks count the same in all, whatever the confidences
-            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(_shared(trust) * trust.mean() / trust)[:, None]
+            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(_alike(len(each)) * trust.mean() / trust)[:, None]
             for each, trust in zip(self.targets, trusts, strict=True)
         ]
 
@@ -281,9 +281,9 @@ def _steps(own: FloatArray, bounded: int) -> tuple[FloatArray, FloatArray]:
     return ahead, behind
 
 
-def _shared(trust: FloatArray) -> float:
-    """By how much landmarks that lie closer than the 68 do tell less each: they are off alike."""
-    return float(np.sqrt(len(trust) / COUNT))
+def _alike(count: int) -> float:
+    """By how much less each of so many landmarks tells than each of the 68: close ones err alike."""
+    return float(np.sqrt(count / COUNT))
 
 
 def _cost(residuals: FloatArray) -> float:
