@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.ndimage import maximum_filter
 from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
@@ -14,14 +15,14 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
 from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop
 from facepipe.learn.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks, turned_crop
-from facepipe.learn.networks.files import DenseLandmarkSession, LandmarkSession, dense_landmark_model, landmark_model
+from facepipe.learn.networks.files import DenseLandmarkSession, LandmarkSession, own_dense_session, own_landmark_session
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
-_STRIDE = 0.28  # of a crop's side
 _MOST_PIXELS = 700  # of the shorter side of the photo as it is searched
 _FEWEST_PIXELS = 40  # a side of the smallest crop
 _MOST = 64  # crops that are refined
 _ROUNDS = 4
+_PEAK = 0.1  # presence in a map that is worth a crop
 _MAYBE, _SURE = 0.4, 0.9  # presence of crops that are refined, and of those that are faces
 _UNSTEADY = 0.018  # of a crop's side: how far landmarks may differ by how a face is cropped, RMS
 _UNLIKE = 0.1  # of a crop's side: RMS distance from the template
@@ -61,7 +62,7 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     :raises InputError: another shape, NaN or infinity; a file that is no such network
     """
     pixels = _checked(image)
-    network = LandmarkSession(model or landmark_model())
+    network = LandmarkSession(model) if model else own_landmark_session()
     for quarters in range(4):
         faces = _faces(network, pixels, quarters, closer=model is None)
         if faces:
@@ -69,17 +70,18 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
     return []
 
 
-def follow_face(image: FloatArray, landmarks: FloatArray) -> FoundFace | None:
+def follow_face(image: FloatArray, landmarks: FloatArray, *, closer: bool = True) -> FoundFace | None:
     """The face that had `landmarks` (68, 2) in a picture a moment before; None where it is not near there any more.
 
-    As `find_landmarks`, but in an eighth of its time: the picture is not searched.
+    As `find_landmarks`, but the picture is not searched.
 
     :param image: (h, w, 3) sRGB 0..1
     :param landmarks: in pixels of `image`
+    :param closer: have the second look, which takes most of the time
     :raises InputError: as `find_landmarks`
     """
     quarters = quarters_to_upright(landmarks)
-    found = _faces(LandmarkSession(landmark_model()), _checked(image), quarters, closer=True, near=landmarks)
+    found = _faces(own_landmark_session(), _checked(image), quarters, closer=closer, near=landmarks)
     return found[0] if found else None
 
 
@@ -105,7 +107,7 @@ def _faces(
         near = quarter_turned(near, quarters, (pixels.shape[1], pixels.shape[0]))
     faces = _upright_faces(network, turned, near)
     if faces and closer:
-        second = DenseLandmarkSession(dense_landmark_model())
+        second = own_dense_session()
         faces = [_looked_closer(second, torch.as_tensor(turned), face) for face in faces]
     return [_turned_back(face, quarters, (turned.shape[1], turned.shape[0])) for face in faces]
 
@@ -160,43 +162,35 @@ def _resized(photo: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
 
 def _candidates(network: LandmarkSession, photo: torch.Tensor) -> FloatArray:
     """(k, 68, 2) landmarks of the crops that may show a face, the surest first."""
-    height, width = photo.shape[:2]
-    side = _LARGEST * min(height, width)
-    landmarks: list[FloatArray] = []
-    presence: list[FloatArray] = []
-    while side >= max(_SMALLEST * min(height, width), _FEWEST_PIXELS) or not landmarks:
-        places, present = _scanned(network, photo, side)
-        landmarks.append(places)
-        presence.append(present)
-        side /= _RATIO
-    sure = np.concatenate(presence)
-    order = np.argsort(-sure, kind="stable")[:_MOST]
-    return np.concatenate(landmarks)[order[sure[order] > _MAYBE]]
+    shortest = min(photo.shape[:2])
+    side = _LARGEST * shortest
+    peaks = [_peaks(network, photo, side)]
+    while (side := side / _RATIO) >= max(_SMALLEST * shortest, _FEWEST_PIXELS):
+        peaks.append(_peaks(network, photo, side))
+    crops, to_photo, logits = (np.concatenate(column) for column in zip(*peaks, strict=True))
+    surest = np.argsort(-logits, kind="stable")[:_MOST]
+    places, _ = network(crops[surest])
+    return np.asarray(places * to_photo[surest, None, 1] + to_photo[surest, None, 0])
 
 
-def _scanned(network: LandmarkSession, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray]:
-    """Landmarks in pixels of the photo, and presence, of crops of one size all over it and a little beyond."""
-    size = network.size
+def _peaks(network: LandmarkSession, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Crops of one size (k, 3, S, S), in the photo and a little beyond, that are likelier faces than those beside them.
+
+    :return: also the photo's x, y (k, 2, 2) of their corners and of a pixel's sides; (k,) presence before its sigmoid
+    """
+    size, cell = network.size, network.cell
     height, width = (max(round(length * size / side), 1) for length in photo.shape[:2])
-    level = _resized(photo, (height, width))
     margin = size // 3
-    level = functional.pad(level, [margin] * 4, mode="replicate")
-    level = functional.pad(
-        level, [0, max(size - level.shape[3], 0), 0, max(size - level.shape[2], 0)], mode="replicate"
-    )
-    rows, columns = (_starts(length, size) for length in level.shape[2:])
-    corners = [(row, column) for row in rows for column in columns]
-    crops = np.stack([level[0, :, row : row + size, column : column + size].numpy() for row, column in corners])
-    places, presence = network(crops)
-    origin = np.array([(column, row) for row, column in corners]) - margin
+    below, right = (-(-max(length + 2 * margin, size) // cell) * cell - length - margin for length in (height, width))
+    level = functional.pad(_resized(photo, (height, width)), [margin, right, margin, below], mode="replicate")
+    pixels = level[0].numpy()
+    found = network.presence_map(pixels)
+    peak = (found > np.log(_PEAK / (1 - _PEAK))) & (found == maximum_filter(found, 3))
+    corners = np.argwhere(peak) * cell
+    crops = [pixels[:, row : row + size, column : column + size] for row, column in corners]
     scale = np.array([photo.shape[1] / width, photo.shape[0] / height])
-    return (places + origin[:, None]) * scale, presence
-
-
-def _starts(length: int, size: int) -> list[int]:
-    """Where crops begin on one axis, evenly, the last one at the end."""
-    count = int(np.ceil((length - size) / (_STRIDE * size))) + 1
-    return [round(start) for start in np.linspace(0, length - size, count)]
+    to_photo = np.stack([(corners[:, ::-1] - margin) * scale, np.broadcast_to(scale, corners.shape)], axis=1)
+    return np.reshape(crops, (-1, 3, size, size)), to_photo, found[peak]
 
 
 def _settled(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> list[FloatArray]:

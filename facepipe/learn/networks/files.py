@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,15 @@ def _own(name: str) -> Path:
     return Path(str(files("facepipe.learn.networks") / name))
 
 
+def _session(data: bytes) -> Any:
+    import onnxruntime as ort
+
+    settings = ort.SessionOptions()
+    settings.intra_op_num_threads = 1
+    settings.log_severity_level = 4
+    return ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
+
+
 class _CropSession:
     """An ONNX file that places landmarks in crops of faces."""
 
@@ -66,15 +76,10 @@ class _CropSession:
         :param source: a file, or its bytes
         :raises InputError: no file, no ONNX model, one with data in other files, or one of another kind
         """
-        import onnxruntime as ort
-
         where = "landmark network" if isinstance(source, bytes) else source
         data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
-        settings = ort.SessionOptions()
-        settings.intra_op_num_threads = 1
-        settings.log_severity_level = 4
         try:
-            self._session = ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
+            self._session = _session(data)
         except Exception as error:  # onnxruntime's own classes share no other base
             raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
         outputs = {output.name for output in self._session.get_outputs()}
@@ -83,30 +88,41 @@ class _CropSession:
             known = described["kind"] == self.kind and set(self.outputs) <= outputs
             self.size = int(described["size"])
             self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
-            self._describe(described)
-        except (KeyError, TypeError, ValueError):
+            self._describe(described, data)
+        except (LookupError, TypeError, ValueError):
             known = False
         if not known:
             what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
             raise InputError(where, what)
 
-    def _describe(self, described: Mapping[str, Any]) -> None:
-        """Read what else there is to know; KeyError, TypeError or ValueError where it is missing."""
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        """Read what else there is to know; LookupError, TypeError or ValueError where it is missing."""
 
     def _run(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Both outputs of sRGB crops (b, 3, S, S) in 0..1."""
         rows = []
         for start in range(0, len(crops), _BATCH):
-            batch = (np.asarray(crops[start : start + _BATCH], np.float32) - self._mean) / self._std
-            rows.append(self._session.run(list(self.outputs), {"image": batch}))
+            rows.append(self._session.run(list(self.outputs), {"image": self._scaled(crops[start : start + _BATCH])}))
         places, others = (np.concatenate(column).astype(np.float64) for column in zip(*rows, strict=True))
         return places * self.size, others
+
+    def _scaled(self, pixels: FloatArray) -> FloatArray:
+        return (np.asarray(pixels, np.float32) - self._mean) / self._std
 
 
 class LandmarkSession(_CropSession):
     """An ONNX file of the kind ``landmarks``."""
 
     kind, outputs = "landmarks", ("landmarks", "presence")
+    cell: int  # pixels between the windows of a map
+
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        from onnx import load_from_string
+
+        from facepipe.learn.networks.presence_map import presence_map
+
+        graph, self.cell = presence_map(load_from_string(data))
+        self._map = _session(graph)
 
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, 68, 2) in pixels of the crops and presence (b,) of sRGB crops (b, 3, S, S) in 0..1."""
@@ -114,6 +130,14 @@ class LandmarkSession(_CropSession):
             return np.zeros((0, 68, 2)), np.zeros(0)
         landmarks, presence = self._run(crops)
         return landmarks, presence[:, 0]
+
+    def presence_map(self, level: FloatArray) -> FloatArray:
+        """(r, c) presence in an sRGB picture's (3, h, w) windows as large as a crop, a cell apart, before its sigmoid.
+
+        :param level: sides that are multiples of a cell, and a crop's at least
+        """
+        found: FloatArray = self._map.run(None, {"image": self._scaled(level)[None]})[0][0, 0]
+        return found
 
 
 class DenseLandmarkSession(_CropSession):
@@ -123,7 +147,7 @@ class DenseLandmarkSession(_CropSession):
     zoom: float  # of its crops beyond `face_crop`
     mirrored: list[int]  # for each landmark that of the other side
 
-    def _describe(self, described: Mapping[str, Any]) -> None:
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
         self.zoom = float(described["zoom"])
         self.mirrored = [int(row) for row in described["mirrored"]]
 
@@ -131,3 +155,15 @@ class DenseLandmarkSession(_CropSession):
         """Landmarks (b, n, 2) and the errors to expect of them (b, n), both in pixels of crops (b, 3, S, S)."""
         landmarks, errors = self._run(crops)
         return landmarks, errors * self.size
+
+
+@cache
+def own_landmark_session() -> LandmarkSession:
+    """The network of `landmark_model`, loaded once."""
+    return LandmarkSession(landmark_model())
+
+
+@cache
+def own_dense_session() -> DenseLandmarkSession:
+    """The network of `dense_landmark_model`, loaded once."""
+    return DenseLandmarkSession(dense_landmark_model())

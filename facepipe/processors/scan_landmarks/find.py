@@ -85,9 +85,9 @@ class FindScanLandmarks:
         :raises FitError: no face on it
         :raises InputError: no surface, or no torch
         """
-        from facepipe.learn.networks.files import LandmarkSession, landmark_model
+        from facepipe.learn.networks.files import own_landmark_session
 
-        network = LandmarkSession(landmark_model())
+        network = own_landmark_session()
         cleaned = CleanScan()(scan).scan
         look = _look(cleaned)
         search = _Search(look=look, cloud=cleaned.is_cloud, draw=self.draw, network=network, size=network.size)

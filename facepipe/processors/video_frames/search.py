@@ -90,7 +90,7 @@ def _look(group: list[Frame], before: FoundFace | None) -> tuple[FoundFace | Non
         if sharp > sharpest:
             best, sharpest = (frame, other), sharp
     frame, picture = best
-    nearer = face if frame is middle else follow_face(picture, face.landmarks)
+    nearer = follow_face(picture, face.landmarks)
     return face, None if nearer is None else look_at(picture, nearer, frame.number, frame.time)
 
 
@@ -100,7 +100,7 @@ def _pixels(frame: Frame) -> FloatArray:
 
 def _found(picture: FloatArray, before: FoundFace | None) -> FoundFace | None:
     """The face that was seen before, else the largest."""
-    followed = None if before is None else follow_face(picture, before.landmarks)
+    followed = None if before is None else follow_face(picture, before.landmarks, closer=False)
     if followed is not None:
         return followed
     return max(find_landmarks(picture), key=lambda face: float(np.prod(np.ptp(face.landmarks, axis=0))), default=None)
