@@ -33,6 +33,21 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return WorkStealingScheduling(config, log) if config.getvalue("dist") == "load" else None
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """For runs that ask whether other libraries will do, not whether our code is right."""
+    parser.addoption("--first-cases", action="store_true", help="of a test that has several cases, run the first alone")
+
+
+@pytest.hookimpl(trylast=True)  # of what markers left
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave the other cases out."""
+    if config.getoption("first_cases"):
+        first: dict[str, pytest.Item] = {}
+        others = [item for item in items if first.setdefault(item.nodeid.partition("[")[0], item) is not item]
+        config.hook.pytest_deselected(items=others)
+        items[:] = first.values()
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
     """Modules and tests stay to the end: garbage is looked for among what tests make."""
