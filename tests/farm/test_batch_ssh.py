@@ -22,7 +22,7 @@ def command(home: Path, folder: Path, *words: str) -> tuple[int, str, str]:
     line = [sys.executable, "-m", "facepipe", "batch", "--each", "heads/*.usda", "-o", "{name}.glb", *words]
     line += ["--thumbnails", "0", "--", "export", "{face}"]
     environment = {**os.environ, "HOME": str(home)}
-    done = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, timeout=1200)
     return done.returncode, done.stdout, done.stderr
 
 

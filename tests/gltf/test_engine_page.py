@@ -66,7 +66,7 @@ def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> N
     (tmp_path / "node_modules").symlink_to(HERE / "node_modules")
     words = ["--import", str(HERE / "files_fetch.mjs"), str(HERE / "page_run.mjs"), engine, "out.bin"]
     command = [node, *words, json.dumps(SLIDERS)]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr[-2000:]
     found = np.fromfile(tmp_path / "out.bin", "<f4").reshape(2, -1, 3)
     expected = [face.evaluate({"mouthSmileLeft": 0.7}, coefficients=turned(face)), face.evaluate(sliders=SLIDERS)]
@@ -84,7 +84,7 @@ def test_the_script_runs_as_it_stands(made: Path, tmp_path: Path) -> None:
     project = godot_project(tmp_path / "project", {"head.glb": glb.read_bytes()})
     (project / "face.gd").write_text(named_blocks("gdscript")["face.gd"])
     done = subprocess.run(
-        [godot_server(), "--path", str(project), "-s", "page.gd"], capture_output=True, text=True, timeout=120
+        [godot_server(), "--path", str(project), "-s", "page.gd"], capture_output=True, text=True, timeout=600
     )
     assert done.returncode == 0, done.stderr[-2000:]
     assert "SCRIPT ERROR" not in done.stderr

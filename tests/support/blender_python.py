@@ -28,7 +28,7 @@ def run_blender(script: str, *arguments: Any) -> subprocess.CompletedProcess[str
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1200,
     )
 
 

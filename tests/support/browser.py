@@ -22,7 +22,7 @@ HERE = Path(__file__).parent / "js"
 PLAYWRIGHT = build.HERE / "node_modules" / "playwright-core" / "index.mjs"
 WEBGPU = build.HERE / "node_modules" / "onnxruntime-web" / "dist"
 _NAMES = ("chromium", "chromium-browser", "google-chrome")
-_PATIENCE = 300  # seconds
+_PATIENCE = 900  # seconds
 
 Step = dict[str, Any]
 

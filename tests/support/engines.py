@@ -26,7 +26,7 @@ from gltf_reader import Gltf, read, trs_matrix
 from node import run_node
 
 HERE = Path(__file__).parent
-_PATIENCE = 120  # seconds
+_PATIENCE = 600  # seconds
 
 
 class Pose(NamedTuple):

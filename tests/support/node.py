@@ -16,7 +16,7 @@ import pytest
 
 HERE = Path(__file__).parent / "js"
 _INSTALLED = HERE / "node_modules" / ".package-lock.json"
-_PATIENCE = 300  # seconds
+_PATIENCE = 900  # seconds
 
 
 @functools.cache

@@ -14,9 +14,10 @@ from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.processors.neural_rig.inverse_frames import Frames, ShapeData, SkinnedData
 from facepipe.processors.neural_rig.options import InvertNeuralRigOptions
-from facepipe.rig.neural_rig import NeuralRig, from_default, values_of, with_orthonormal_shapes
+from facepipe.rig.neural_rig import NeuralRig, from_default, share_limits, values_of, with_orthonormal_shapes
 
 _RIDGE = 1e-12  # of the trace: what has no answer has a small one
+_DECIMALS = 9  # of shares of ranges: steps end long before, and what comes after is of the order of sums
 _ANYWHERE = 1.0 / np.sqrt(12.0)  # standard deviation of a control that may be anywhere in its range
 
 
@@ -67,6 +68,7 @@ class InvertNeuralRig:
                 x, steps = self._adam(rig, points, first, done)
             else:
                 x, steps = Frames(rig=rig, data=data, options=self.options).settled(len(points), first, blocks, done)
+            x = np.clip(np.round(x, _DECIMALS), *share_limits(rig.controls))
             seconds = time.perf_counter() - begun
             values = values_of(rig.controls, x)
             return InvertedMotion(values=values, report=self._report(rig, data, points, x, steps, seconds))
