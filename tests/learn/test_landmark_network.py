@@ -68,6 +68,18 @@ def test_landmarks_of_a_head_that_training_never_saw(seed: int, yaw: float) -> N
     assert inner_error(found, marks) < WORST_OF_RENDERS
 
 
+def test_the_map_of_a_picture_as_large_as_a_crop_is_its_presence() -> None:
+    """And a larger picture's has a window each 16 pixels; that on the face is the surest."""
+    session = LandmarkSession(landmark_model())
+    crop = np.moveaxis(rendered(101, size=96, share=0.6, yaw=0.0)[0], -1, 0)
+    _, presence = session(crop[None])
+    np.testing.assert_allclose(1 / (1 + np.exp(-session.presence_map(crop))), presence[:, None], atol=1e-5)
+    larger = np.pad(crop, ((0, 0), (32, 64), (48, 0)), mode="edge")
+    found = session.presence_map(larger)
+    assert found.shape == (7, 4)
+    assert np.unravel_index(found.argmax(), found.shape) == (2, 3)
+
+
 def test_two_faces_are_found_as_two() -> None:
     left, of_left = rendered(103, size=200, share=0.45, yaw=0.0)
     right, of_right = rendered(104, size=200, share=0.4, yaw=-0.2)
@@ -228,3 +240,13 @@ def test_networks_of_another_kind_are_refused(tmp_path: Path) -> None:
         onnx.save(model, path)
         with pytest.raises(InputError, match=r"expected 'facepipe\.features' of kind landmarks"):
             find_landmarks(np.zeros((32, 32, 3)), path)
+
+
+def test_a_network_whose_presence_has_no_map_is_refused(tmp_path: Path) -> None:
+    import onnx
+
+    model = onnx.load(landmark_model())
+    next(node for node in model.graph.node if "presence" in node.output).op_type = "HardSigmoid"
+    onnx.save(model, tmp_path / "other.onnx")
+    with pytest.raises(InputError, match="no landmark network"):
+        LandmarkSession(tmp_path / "other.onnx")
