@@ -32,6 +32,7 @@ from torch.nn.functional import smooth_l1_loss
 from train_features import BATCH, HELD_OUT, batches, say
 
 from facepipe.core.atomic import write_bytes
+from facepipe.learn.one_thread import short_floats
 
 RATE = 6e-4
 WEIGHTS = {"semantics": 1.0, "light": 0.3, "marks": 0.3, "shape": 0.5, "attributes": 1.0}
@@ -102,7 +103,7 @@ def losses(
     """Term -> loss of the heads `rows`, each in two lights."""
     shown = scene(heads, rows, random)
     lit = torch.cat([relight(shown, random) for _ in range(2)])
-    with torch.autocast("cpu", torch.bfloat16):
+    with short_floats():
         found, merged = network.decoded(normalised(lit).contiguous(memory_format=torch.channels_last))
         logits, heat = network.semantics(network.merges[0](merged[0])), network.heat(merged[1])
     marks = heat.float().flatten(2).softmax(2) @ network.cells

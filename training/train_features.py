@@ -33,6 +33,7 @@ from script_arguments import add_training
 from torch import Tensor, nn
 
 from facepipe.core.atomic import write_bytes
+from facepipe.learn.one_thread import short_floats
 
 HELD_OUT = 0.08  # share of the heads
 BATCH = 16  # heads, each seen twice
@@ -113,7 +114,7 @@ class Losses(nn.Module):
         shown = scene(self._heads, rows, random)
         lit = torch.cat([relight(shown, random) for _ in range(2)])
         values = normalised(lit).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
+        with short_floats():
             raw = network.raw(values)
         twice = np.concatenate([rows, rows])
         of_persons = twice[self._changing[twice].numpy()]

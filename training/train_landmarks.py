@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from facepipe.core.atomic import write_bytes
+from facepipe.learn.one_thread import short_floats
 
 _BATCH = 32
 _SPREAD = 2.0  # square cells that the heat of a landmark shall cover
@@ -29,7 +30,7 @@ _SPREAD_SHARE, _PRESENCE_SHARE = 0.05, 1.0
 
 def joint_loss(network: LandmarkNetwork, batch: landmark_data.Batch) -> Tensor:
     """Distance of landmarks in pixels, spread of the heat, and presence."""
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    with short_floats():
         landmarks, presence, heat = network(batch.images)
     weight = batch.known / batch.known.sum().clamp(min=1)
     error = smooth_l1_loss(landmarks * SIZE, batch.landmarks * SIZE, reduction="none").sum(dim=2)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from facepipe.learn.features.crops import TEMPLATE
 from facepipe.learn.networks.graph_writer import Block
+from facepipe.learn.one_thread import short_floats
 from facepipe.learn.photo.pose import NUMBERS
 
 SIZE = 128  # pixels a side of the crop
@@ -72,7 +73,7 @@ class StartNetwork(nn.Module):  # type: ignore[misc]
 
     def _picture(self, images: Tensor) -> Tensor:
         """(b, 256) what the crops show; in training by short floats, twice as fast."""
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.training):
+        with short_floats(self.training):
             values = self.blocks(torch.relu(self.stem_norm(self.stem(images))))
             values = torch.relu(self.squeeze(values))
         return torch.relu(self.seen(values.float().flatten(1)))
