@@ -5,10 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
 from hypothesis import HealthCheck, settings
@@ -20,6 +22,8 @@ from facepipe.stage import save_parts
 
 threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+
+BEGUN = time.monotonic()
 
 settings.register_profile("busy machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy machine")
@@ -34,8 +38,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """For runs that ask whether other libraries will do, not whether our code is right."""
+    """For runs that ask whether other libraries or machines will do, not whether our code is right."""
     parser.addoption("--first-cases", action="store_true", help="of a test that has several cases, run the first alone")
+    parser.addoption("--minutes", type=float, default=np.inf, help="after so many, skip what has not begun")
 
 
 @pytest.hookimpl(trylast=True)  # of what markers left
@@ -46,6 +51,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         others = [item for item in items if first.setdefault(item.nodeid.partition("[")[0], item) is not item]
         config.hook.pytest_deselected(items=others)
         items[:] = first.values()
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """In time, or not at all."""
+    if time.monotonic() - BEGUN > 60 * item.config.getoption("minutes"):
+        pytest.skip("no time was left")
 
 
 @pytest.hookimpl(trylast=True)
