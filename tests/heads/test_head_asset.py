@@ -98,7 +98,7 @@ def test_the_head_is_small_without_its_pictures() -> None:
 
 @pytest.mark.slow
 def test_the_script_makes_the_same_files(tmp_path: Path) -> None:
-    """But for a few numbers, which processors round differently."""
+    """But for a few numbers in archives, which processors round differently."""
     shared("ict_facekit/ict_facekit.npz"), shared("makehuman/makehuman_head.npz")
     script = REPOSITORY / "samples" / "head" / "build.py"
     subprocess.run([sys.executable, script, "--data", SHARED, "-o", tmp_path], check=True, capture_output=True)
@@ -108,7 +108,7 @@ def test_the_script_makes_the_same_files(tmp_path: Path) -> None:
         assert made.keys() == shipped.keys()
         for name, values in made.items():
             assert (values.dtype, values.shape) == (shipped[name].dtype, shipped[name].shape), (path.name, name)
-            assert (values != shipped[name]).mean() < 0.01, (path.name, name)
+            assert (values != shipped[name]).mean() <= (0.01 if path.suffix == ".npz" else 0), (path.name, name)
 
 
 def contents(path: Path) -> dict[str, Any]:

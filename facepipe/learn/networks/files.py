@@ -122,7 +122,10 @@ class LandmarkSession(_CropSession):
         from facepipe.learn.networks.presence_map import presence_map
 
         graph, self.cell = presence_map(load_from_string(data))
-        self._map = _session(graph)
+        try:
+            self._map = _session(graph)
+        except Exception as error:  # of onnxruntime
+            raise ValueError("its map can't be read") from error
 
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, 68, 2) in pixels of the crops and presence (b,) of sRGB crops (b, 3, S, S) in 0..1."""

@@ -7,6 +7,7 @@ them, where crops end, so a window's presence is not exactly that of its crop.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 _OPERATORS = ("Sigmoid", "Gemm", "Flatten", "GlobalAveragePool")  # from presence back to the features
@@ -28,25 +29,28 @@ def presence_map(model: Any) -> tuple[bytes, int]:
             raise ValueError(f"{name} is not of {operator}")
         steps.append(made[name])
         name = steps[-1].input[0]
-    layer = steps[1]
+    _, weight, bias = steps[1].input
     shapes = {one.name: one for one in shape_inference.infer_shapes(model).graph.value_info}
     window = shapes[name].type.tensor_type.shape.dim[2].dim_value
     size = model.graph.input[0].type.tensor_type.shape.dim[2].dim_value
-    if window < 1 or size % window or not any(one.name == layer.input[1] for one in model.graph.initializer):
+    if window < 1 or size % window:
         raise ValueError(f"features of {window} rows, of a crop of {size}")
-    graph = ModelProto()
-    graph.CopyFrom(model)
+    result = ModelProto()
+    result.CopyFrom(model)
+    graph = result.graph
+    kernel = next((one for one in graph.initializer if one.name == weight), None)
+    if kernel is None:
+        raise ValueError(f"{weight} is no constant")
+    kernel.dims[:] = [1, math.prod(kernel.dims), 1, 1]
     nodes = _before(model.graph, name)
     nodes.append(helper.make_node("AveragePool", [name], ["mean"], kernel_shape=[window, window]))
-    nodes.append(helper.make_node("Unsqueeze", [layer.input[1], "axes"], ["weight"]))
-    nodes.append(helper.make_node("Conv", ["mean", "weight", layer.input[2]], ["map"]))
-    del graph.graph.node[:], graph.graph.output[:]
-    graph.graph.node.extend(nodes)
-    graph.graph.initializer.append(helper.make_tensor("axes", TensorProto.INT64, [2], [2, 3]))
-    graph.graph.output.append(helper.make_tensor_value_info("map", TensorProto.FLOAT, None))
-    for axis, length in zip(graph.graph.input[0].type.tensor_type.shape.dim[2:], ("height", "width"), strict=True):
+    nodes.append(helper.make_node("Conv", ["mean", weight, bias], ["map"]))
+    del graph.node[:], graph.output[:]
+    graph.node.extend(nodes)
+    graph.output.append(helper.make_tensor_value_info("map", TensorProto.FLOAT, None))
+    for axis, length in zip(graph.input[0].type.tensor_type.shape.dim[2:], ("height", "width"), strict=True):
         axis.dim_param = length
-    return graph.SerializeToString(), size // window
+    return result.SerializeToString(), size // window
 
 
 def _before(graph: Any, name: str) -> list[Any]:
