@@ -14,7 +14,8 @@ skin and with the expression that the person has in the photo. Lines:
   camera          the render in the photo's camera and light, without hair, on grey, to the photo
   camera, masked  the same where both are the same grey off the face that the render shows: hair, ears, neck, what is
                   behind
-  front, yaw      the neutral in studio light, with the hair of the average head, from the front and the sides
+  front, yaw      the neutral in studio light, from the front and the sides; with the photo's skin its hair has the
+                  style of the built-in head that is nearest to the photo's, else that of the average head
   other photo     the front to other photos of the same person (the mean of them)
   margin          by how much another photo is nearer to the front than to that of anyone else (the least)
   look-alikes     the same of the photo itself: above 0 the person is known among the three most alike. Anyone else are

@@ -19,6 +19,7 @@ from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.heads import make
+from facepipe.heads.surfaces import cards, kind_of
 from facepipe.parts import FaceParts, PhotoView
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
@@ -69,7 +70,7 @@ def made(portrait: Portrait, head: Path, folder: Path, size: int) -> Made:
     neutral, mean = facepipe.open(fit).evaluate(pose="set"), facepipe.open(head).evaluate()
     shown: dict[tuple[str, str], Path] = {}
     for look, stage in zip(LOOKS, (baked, fit, baked, fit), strict=True):
-        person = _Person(facepipe.open(stage), neutral, mean if look in (MEAN_TEXTURED, MEAN) else None)
+        person = _Person(facepipe.open(stage), mean if look in (MEAN_TEXTURED, MEAN) else None)
         for line, picture in person.pictures(pixels):
             path = folder / f"{portrait.name}.{look}.{line}.png".replace(", ", "-").replace(" ", "-")
             picture.save(path)
@@ -93,18 +94,18 @@ def together(portraits: Sequence[Portrait], head: Path, folder: Path, size: int)
 class _Person:
     """A face on a stage, or instead of it the average head with its skin and expression.
 
-    :param neutral: (n, 3) points of the person
-    :param mean: (n, 3) of the average head, where that is shown
+    :param mean: (m, 3) points of the average head, where that is shown
     """
 
-    def __init__(self, face: Face, neutral: FloatArray, mean: FloatArray | None) -> None:
+    def __init__(self, face: Face, mean: FloatArray | None) -> None:
         self.parts, self.view = face.parts(), face.photos[0]
         assert self.view.animation is not None
         transforms, weights = face.sample(self.view.animation)
         self.posed = face.evaluate(weights, joint_transforms=transforms)
-        self.neutral = neutral
+        self.neutral = neutral = face.evaluate(pose="set")
         if mean is not None:
-            self.neutral = fit_similarity(mean[:NARROW], neutral[:NARROW]).apply(mean)
+            placed = fit_similarity(mean[:NARROW], neutral[:NARROW]).apply(mean)
+            self.neutral = _with_hair(self.parts, placed)
             self.posed = self.neutral + self.posed - neutral
 
     def pictures(self, photo: FloatArray) -> Iterator[tuple[str, Image.Image]]:
@@ -118,6 +119,15 @@ class _Person:
         yield PHOTO, _masked(photo, mask)
         options = [PictureOptions(size=SIZE, samples=_SAMPLES, view=(np.radians(yaw), 0.0)) for yaw in YAWS.values()]
         yield from zip(YAWS, pictures(self.parts, self.neutral, options), strict=True)
+
+
+def _with_hair(parts: FaceParts, points: FloatArray) -> FloatArray:
+    """(n, 3) points (m, 3) of another head, with the hair of a face, the last of its meshes, in place of its own."""
+    head, *_, hair = parts.meshes
+    style = kind_of(hair, head, 1.0)
+    assert style is not None
+    held, first = cards(style), sum(len(mesh.points) for mesh in parts.meshes[:-1])
+    return np.concatenate([points[:first], held.carry(points[: len(head.points)]) + held.offsets])
 
 
 def _bald(parts: FaceParts) -> FaceParts:

@@ -85,10 +85,31 @@ class Card:
         self._depth["to_map"].write(key.T.astype("f4").tobytes())
         model.occluders.render()
         self._fine.use()
-        self._fine.clear(0, 0, 0, 0, depth=1.0)
         self._context.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
         self._set_view(model.scene, camera, lights, key)
         self._map.use(5)
+        mean = self._drawn(model, plain=False)
+        linear = mean[..., :3] + (1 - mean[..., 3:]) * background
+        return np.asarray(to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5, np.uint8)
+
+    def shares(self, model: Model, values: FloatArray) -> FloatArray:
+        """(S, S, 3) what the last picture shows of values (n, 3) at points, 0 where nothing of the face is.
+
+        What lights the model is lost: its next picture begins with `draw`.
+        """
+        model.carry(values)
+        self._shadow.use()
+        model.occluders.render()  # Mesa sees a program's changed numbers where another program has run in between
+        self._fine.use()
+        return self._drawn(model, plain=True)[..., :3]
+
+    def _drawn(self, model: Model, *, plain: bool) -> FloatArray:
+        """(S, S, 4) means of samples, times their opacity.
+
+        :param plain: what points carry, as it is
+        """
+        self._surface["plain"].write(np.asarray(plain, "i4").tobytes())
+        self._fine.clear(0, 0, 0, 0, depth=1.0)
         for piece in model.pieces:
             self._set_material(model, piece)
             clear = piece.kind == _CLEAR
@@ -96,15 +117,9 @@ class Card:
             self._fine.depth_mask = not clear
             model.surfaces.render(vertices=piece.count, first=piece.first)
         self._fine.depth_mask = True
-        return self._resolved(background)
-
-    def _resolved(self, background: FloatArray) -> npt.NDArray[np.uint8]:
-        """Means of samples over what is behind, as sRGB."""
         self._samples.build_mipmaps(max_level=1)
         samples = np.frombuffer(self._samples.read(level=1), np.float16)
-        mean = samples.reshape(self.size, self.size, 4)[::-1].astype(np.float32)
-        linear = mean[..., :3] + (1 - mean[..., 3:]) * background
-        return np.asarray(to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5, np.uint8)
+        return samples.reshape(self.size, self.size, 4)[::-1].astype(np.float32)
 
     def _set_view(self, scene: Scene, camera: Camera, lights: Portrait, key: FloatArray) -> None:
         depth = camera.project(scene.points)[:, 3]
@@ -199,8 +214,12 @@ class Model:
         normals = self.scene.normals.astype(np.float32)
         sides = [lights.carried(self._sky, one, camera.axes) for one in (normals, -normals)]
         room = ((0, 0), (0, _MOST_BOXES - sides[0].shape[1]))
-        values = np.concatenate([np.pad(side, room) for side in sides], axis=1)
-        self._carried.write(values[self._points].astype("f4").tobytes())
+        self.carry(np.concatenate([np.pad(side, room) for side in sides], axis=1))
+
+    def carry(self, values: FloatArray) -> None:
+        """Values at points: (n, 6) of fronts and backs, or (n, 3) of both."""
+        both = np.tile(values, 6 // values.shape[1])
+        self._carried.write(both[self._points].astype("f4").tobytes())
 
     def texture(self, texture: Texture, *, color: bool) -> moderngl.Texture:
         """The texture on the card."""

@@ -47,7 +47,7 @@ def person(rng: np.random.Generator, *, poses: int = _POSES, views: int = _VIEWS
     for _ in range(poses):
         scene = build_scene(subject.face, subject.pose(rng, _SQUINTS), SIZE, model and model.scene.textures)
         if model is None:
-            model = _card().load(scene)
+            model = shared_card().load(scene)
         else:
             model.pose(scene)
         rows += [_picture(model, who, rng) for _ in range(views // poses)]
@@ -62,7 +62,7 @@ def _picture(model: Model, who: head_sources.Person, rng: np.random.Generator) -
     points = model.scene.points
     camera, landmarks = scenes.random_camera(points[: asset().parts["Head"].points.stop], place, SIZE, rng)
     behind = from_srgb(pictures.background(SIZE, rng)).astype(np.float32)
-    image = _card().draw(model, camera, scenes.random_light(who.look, rng), behind) / 255
+    image = shared_card().draw(model, camera, scenes.random_light(who.look, rng), behind) / 255
     image = pictures.occlude(image, np.zeros((SIZE, SIZE), np.uint8), landmarks, rng)
     screen = camera.project(points[[*asset().dense, *pupils()]])
     dense = screen[:, :2] / np.maximum(screen[:, 3:], 1.0)
@@ -73,7 +73,8 @@ def _picture(model: Model, who: head_sources.Person, rng: np.random.Generator) -
 
 
 @cache
-def _card() -> Card:
+def shared_card() -> Card:
+    """The one of this process."""
     return Card(SIZE)
 
 

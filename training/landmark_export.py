@@ -1,4 +1,4 @@
-"""The landmark networks as ONNX files, written node by node: no paths of the machine, an opset that engines read."""
+"""The networks of landmarks and masks as ONNX files, written node by node: no paths, an opset that engines read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
-from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, Pyramid
+from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, MaskNetwork, Pyramid
 from onnx import TensorProto
 from torch import nn
 
@@ -47,6 +47,15 @@ def dense_onnx(network: DenseNetwork, metadata: Mapping[str, object]) -> bytes:
     return write.to_bytes("dense_landmarks", {"image": (3, size, size)}, ends, _properties(metadata))
 
 
+def mask_onnx(network: MaskNetwork, metadata: Mapping[str, object]) -> bytes:
+    """The same of what a picture shows: shares of each class."""
+    write = _HalfWriter()
+    up, _ = _pyramid(write, network)
+    write.add("Softmax", write.conv("classes", up, network.classes), name="shares", axis=1)
+    size, ends = network.SIZE, {"shares": (len(network.CLASSES), network.CELLS, network.CELLS)}
+    return write.to_bytes("face_mask", {"image": (3, size, size)}, ends, _properties(metadata))
+
+
 class _HalfWriter(GraphWriter):
     """Stores large tensors in float16, of which a session makes float32 once: half of the file."""
 
@@ -65,7 +74,7 @@ def _properties(metadata: Mapping[str, object]) -> dict[str, str]:
 def _pyramid(write: GraphWriter, network: Pyramid) -> tuple[str, str]:
     """What `Pyramid.pyramid` gives."""
     at = write.add("Relu", write.conv("stem", "image", network.stem, network.stem_norm))
-    levels = []
+    levels = [at] if network.finest else []
     for i, stage in enumerate(network.stages):
         at = _stage(write, f"stage{i}", at, stage)
         levels.append(at)

@@ -1,5 +1,6 @@
-"""The residual networks behind ``landmarks.onnx`` and ``dense_landmarks.onnx``: heatmaps whose centres of mass are the
-landmarks.
+"""The residual networks behind ``landmarks.onnx``, ``dense_landmarks.onnx`` and ``face_mask.onnx``.
+
+Landmarks are the centres of mass of heatmaps.
 
 He et al., "Deep Residual Learning for Image Recognition", CVPR 2016 (blocks); Lin et al., "Feature Pyramid Networks for
 Object Detection", CVPR 2017 (the way back up); Nibali et al., "Numerical Coordinate Regression with Convolutional
@@ -25,22 +26,25 @@ MEAN, STD = 0.45, 0.25  # of sRGB 0..1
 class Pyramid(nn.Module):
     """From pictures down to 1/2, 1/4 and so on of their resolution, and back up to 1/4."""
 
-    def __init__(self, widths: Sequence[int], up: int) -> None:
+    def __init__(self, widths: Sequence[int], up: int, *, finest: bool = False) -> None:
         """
         :param widths: channels at 1/2, 1/4 ... of the resolution
         :param up: channels on the way back up
+        :param finest: up to 1/2
         """
         super().__init__()
+        self.finest = finest
+        back = widths if finest else widths[1:]
         self.stem = nn.Conv2d(3, widths[0], 5, 2, 2, bias=False)
         self.stem_norm = nn.BatchNorm2d(widths[0])
         self.stages = nn.ModuleList(nn.Sequential(Block(a, b, 2), Block(b, b)) for a, b in pairwise(widths))
-        self.laterals = nn.ModuleList(nn.Conv2d(width, up, 1) for width in widths[1:])
-        self.ups = nn.ModuleList(Block(up, up) for _ in widths[2:])
+        self.laterals = nn.ModuleList(nn.Conv2d(width, up, 1) for width in back)
+        self.ups = nn.ModuleList(Block(up, up) for _ in back[1:])
 
     def pyramid(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """(b, up, h / 4, w / 4), and what is deepest."""
+        """(b, up, h / 4, w / 4), or of half the size, and what is deepest."""
         values = torch.relu(self.stem_norm(self.stem(images)))
-        levels = []
+        levels = [values] if self.finest else []
         for stage in self.stages:
             values = stage(values)
             levels.append(values)
@@ -85,6 +89,21 @@ class DenseNetwork(Pyramid):
         share = self.heat(up).flatten(2).float().softmax(dim=2)
         there = share @ up.flatten(2).float().mT  # what the network sees at each
         return share @ self.cells, self.doubt(there)[..., 0] + self.usual
+
+
+class MaskNetwork(Pyramid):
+    """What pictures of heads (b, 3, 192, 192) show."""
+
+    SIZE, CELLS = 192, 96
+    CLASSES = ("face", "hair", "other")
+
+    def __init__(self) -> None:
+        super().__init__((24, 48, 80, 112, 144), 32, finest=True)
+        self.classes = nn.Conv2d(32, len(self.CLASSES), 1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """(b, 3, 96, 96) logarithms of the shares of each class, but for their sum."""
+        return self.classes(self.pyramid(images)[0]).float()
 
 
 def cell_centers(cells: int) -> Tensor:

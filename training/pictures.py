@@ -94,21 +94,32 @@ def blobs(size: int, rng: np.random.Generator) -> FloatArray:
 def occlude(
     image: FloatArray, labels: npt.NDArray[np.integer], marks: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """The picture (sRGB) with glasses, hands or things in front of the face; labels are changed in place."""
+    """The picture (sRGB) with glasses or things in front of the face; labels are changed in place below things."""
     kind = rng.random()
     if kind < 0.12:
-        return _glasses(image, marks, rng)
+        return _glasses(image, marks, rng)[0]
     if kind < 0.22:
-        return _thing(image, labels, marks, rng)
+        image, cover = _thing(image, marks, rng)
+        labels[cover > 0.5] = 0
     return image
 
 
-def _glasses(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> FloatArray:
+def often_occluded(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """The picture (sRGB) with glasses, hands and things in front of the face, and (S, S) 0..1 where they are."""
+    cover = np.zeros(image.shape[:2])
+    for share, kind in ((0.25, _glasses), (0.2, _hand), (0.2, _thing)):
+        if rng.random() < share:
+            image, more = kind(image, marks, rng)
+            cover = np.maximum(cover, more)
+    return image, cover
+
+
+def _glasses(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     size = len(image)
     eyes = marks[36:42].mean(axis=0), marks[42:48].mean(axis=0)
     across = np.linalg.norm(eyes[1] - eyes[0])
     if not 8 < across < size:
-        return image
+        return image, np.zeros((size, size))
     canvas = Image.new("L", (4 * size, 4 * size), 0)
     tint = Image.new("L", (4 * size, 4 * size), 0)
     draw, dark = ImageDraw.Draw(canvas), ImageDraw.Draw(tint)
@@ -135,12 +146,42 @@ def _glasses(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> 
     )
     shaded = rng.uniform(0.6, 0.95) if rng.random() < 0.15 else rng.uniform(0, 0.12)
     image = image * (1 - lens * shaded) + lens * shaded * rng.uniform(0, 0.2)
-    return image * (1 - frame) + frame * rng.uniform(0, 0.5, 3)
+    return image * (1 - frame) + frame * rng.uniform(0, 0.5, 3), np.maximum(frame, lens * (shaded > 0.5))[..., 0]
 
 
-def _thing(
-    image: FloatArray, labels: npt.NDArray[np.integer], marks: FloatArray, rng: np.random.Generator
-) -> FloatArray:
+def _hand(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Fingers beside each other, and a palm that they come from, in the colour of the face's middle."""
+    size = len(image)
+    across = np.linalg.norm(marks[45] - marks[36])
+    middle = np.clip(marks[27:36].mean(axis=0).astype(int), 3, size - 4)
+    skin = image[middle[1] - 3 : middle[1] + 4, middle[0] - 3 : middle[0] + 4].mean(axis=(0, 1)) * rng.uniform(0.6, 1.2)
+    radius, way = across * rng.uniform(0.08, 0.12), rng.normal(0, 1.0)
+    along = np.array([np.sin(way), np.cos(way)])  # from tips to the palm, mostly downwards
+    beside = np.array([along[1], -along[0]])
+    tip = marks[rng.integers(len(marks))] + rng.normal(0, 0.2 * across, 2)
+    places = np.stack(np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5), axis=-1)
+    cover, light = np.zeros((size, size)), np.zeros((size, size))
+    fingers = int(rng.integers(1, 6))
+    for i in range(fingers):
+        start = tip + beside * radius * 2 * i * rng.uniform(0.9, 1.1) - along * across * rng.uniform(-0.15, 0.15)
+        bent = rng.normal(0, 0.08)
+        end = start + (along + bent * beside) * across * rng.uniform(0.7, 1.0)
+        share = np.clip(((places - start) @ (end - start)) / ((end - start) ** 2).sum(), 0, 1)[..., None]
+        off = np.linalg.norm(places - start - share * (end - start), axis=-1) / radius
+        inside = np.clip((1 - off) * radius, 0, 1)
+        light = np.where(inside > cover, 1 - 0.45 * np.clip(off, 0, 1) ** 2, light)
+        cover = np.maximum(cover, inside)
+    palm = tip + along * across * 1.15 + beside * radius * (fingers - 1)
+    radii = across * np.array([0.5, 0.45])
+    off = np.linalg.norm((places - palm) @ np.stack([along, beside], axis=1) / radii, axis=-1)
+    inside = np.clip((1 - off) * radius, 0, 1)
+    light = np.where(inside > cover, 1 - 0.2 * np.clip(off, 0, 1) ** 2, light)
+    cover = np.maximum(cover, inside)
+    lit = light + 0.15 * rng.normal() * ((places - palm) @ beside) / across
+    return image + cover[..., None] * (np.clip(skin * lit[..., None], 0, 1) - image), cover
+
+
+def _thing(image: FloatArray, marks: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     size = len(image)
     center = marks[rng.integers(17)] + rng.normal(0, 0.06 * size, 2)
     way = rng.uniform(0, np.pi)
@@ -149,9 +190,8 @@ def _thing(
     b = (y - center[1]) * np.cos(way) - (x - center[0]) * np.sin(way)
     radius = np.hypot(a / (size * rng.uniform(0.08, 0.25)), b / (size * rng.uniform(0.04, 0.12)))
     share = np.clip((1 - radius) * 8, 0, 1)[..., None]
-    labels[share[..., 0] > 0.5] = 0
     color = np.array([0.8, 0.6, 0.5]) * rng.uniform(0.3, 1.1) if rng.random() < 0.5 else rng.uniform(0, 1, 3)
-    return image * (1 - share) + np.clip(color * (1 - 0.3 * radius[..., None] ** 2), 0, 1) * share
+    return image * (1 - share) + np.clip(color * (1 - 0.3 * radius[..., None] ** 2), 0, 1) * share, share[..., 0]
 
 
 def photographed(image: FloatArray, rng: np.random.Generator) -> npt.NDArray[np.uint8]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import copy
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from landmark_export import dense_onnx
 from landmark_network import MEAN, STD, DenseNetwork
 from scipy.spatial import cKDTree
 from script_arguments import add_training
+from shards import Shards, batches
 from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
@@ -37,30 +38,16 @@ _TURN, _SCALE, _SHIFT = 0.06, 0.06, 0.025  # deviations of crops: radians, logar
 FloatArray = npt.NDArray[np.floating]
 
 
-class Heads:
-    """Pictures and their points, on the device of a training; files that come later are read by `grow`."""
+class Heads(Shards):
+    """Pictures and their points, on the device of a training."""
 
     def __init__(self, folder: Path, numbers: Container[int], device: str) -> None:
-        self._folder, self._numbers, self._read = folder, numbers, set[Path]()
-        self.device = device
-        self.images = torch.zeros((0, 0, 0, 3), dtype=torch.uint8, device=device)  # (n, S, S, 3)
-        self.points = torch.zeros((0, 0, 2), device=device)  # (n, p, 2) pixels
-        self.matrices = torch.zeros((0, 2, 3), device=device)  # (n, 2, 3) from aligned crops
-        self.grow()
+        super().__init__(folder, "dense", numbers, device, _shard)
 
-    def grow(self) -> None:
-        """Read the files that are new."""
-        paths = [one for one in sorted(self._folder.glob("dense_*.npz")) if int(one.stem[6:]) in self._numbers]
-        parts = [_shard(path) for path in paths if path not in self._read]
-        self._read.update(paths)
-        if parts:
-            images, points, matrices = (
-                torch.as_tensor(np.concatenate(column), device=self.device) for column in zip(*parts, strict=True)
-            )
-            if len(self.images):
-                images = torch.cat([self.images, images])
-                points, matrices = torch.cat([self.points, points]), torch.cat([self.matrices, matrices])
-            self.images, self.points, self.matrices = images, points, matrices
+    @property
+    def points(self) -> Tensor:
+        """(n, p, 2) pixels."""
+        return self.columns[1]
 
     def batch(self, rows: npt.NDArray[np.integer], rng: np.random.Generator | None) -> tuple[Tensor, Tensor]:
         """Normalised crops (b, 3, 192, 192) and their points (b, p, 2) in 0..1; varied where there is a generator."""
@@ -72,11 +59,11 @@ class Heads:
             shift, mirror = rng.normal(0, _SHIFT, (count, 2)), rng.random(count) < 0.5
         length = np.exp(scale) / _ZOOM
         cos, sin, flip = length * np.cos(turn), length * np.sin(turn), np.where(mirror, -1.0, 1.0)
-        change = self._tensor(np.stack([cos * flip, -sin, sin * flip, cos], axis=1).reshape(-1, 2, 2))
-        matrices = self.matrices[at]
+        change = self.tensor(np.stack([cos * flip, -sin, sin * flip, cos], axis=1).reshape(-1, 2, 2))
+        matrices = self.columns[2][at]  # (b, 2, 3) from aligned crops
         linear = matrices[:, :, :2] @ change
         middle = matrices[:, :, :2].sum(dim=2) * size / 2 + matrices[:, :, 2]
-        middle = middle - (linear @ self._tensor(shift * size)[..., None])[..., 0]  # of the crop, in pixels
+        middle = middle - (linear @ self.tensor(shift * size)[..., None])[..., 0]  # of the crop, in pixels
         points = (self.points[at] - middle[:, None]) @ torch.linalg.inv(linear).mT / size + 0.5
         flipped = torch.as_tensor(mirror, device=self.device)
         points = torch.where(flipped[:, None, None], points[:, mirrored_rows()], points)
@@ -85,9 +72,6 @@ class Heads:
         pixels = self.images[at].permute(0, 3, 1, 2).float() / 255
         images = (grid_sample(pixels, grid, "bilinear", "border", align_corners=False) - MEAN) / STD
         return (images if rng is None else covered(recolored(images, rng), rng)), points
-
-    def _tensor(self, values: FloatArray) -> Tensor:
-        return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
 
 def _shard(path: Path) -> tuple[npt.NDArray[np.uint8], FloatArray, FloatArray]:
@@ -132,20 +116,11 @@ def scores(network: DenseNetwork, heads: Heads) -> dict[str, float]:
     return {**result, "expected": round(doubt.mean().item(), 4), "pictures": len(heads.images)}
 
 
-def batches(heads: Heads, rng: np.random.Generator) -> Iterator[tuple[Tensor, Tensor]]:
-    """Varied pictures in random order, without end."""
-    while True:
-        heads.grow()
-        order = rng.permutation(len(heads.images))
-        for start in range(0, max(len(order) - _BATCH, 0) + 1, _BATCH):
-            yield heads.batch(order[start : start + _BATCH], rng)
-
-
 def train(heads: Heads, steps: int, seed: int, keep: Callable[[DenseNetwork, int], None]) -> DenseNetwork:
     """A network after so many steps of Adam, its rate rising and falling once; `keep` gets it on the way."""
     torch.manual_seed(seed)
     network = DenseNetwork(heads.points.shape[1]).to(heads.device, memory_format=torch.channels_last)
-    drawn = batches(heads, np.random.default_rng(seed))
+    drawn = batches(heads, _BATCH, np.random.default_rng(seed))
     return descend(network, lambda batch: expected_error_loss(network, *batch), drawn, steps, keep)
 
 

@@ -96,9 +96,9 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
     materials = []
     for name, picture, color, roughness, factor in rows:
         scale = (factor, factor, factor, 1.0)
-        diffuse = TextureInput(texture=_picture(picture), scale=scale) if textured else color
+        diffuse = TextureInput(texture=picture_of(picture), scale=scale) if textured else color
         materials.append(Material(name=name, diffuse_color=diffuse, roughness=roughness))
-    clear = TextureInput(texture=_picture("sclera.png"), channels="a") if textured else 0.05
+    clear = TextureInput(texture=picture_of("sclera.png"), channels="a") if textured else 0.05
     materials[-1] = replace(materials[-1], opacity=clear, ior=1.376)
     return materials
 
@@ -112,7 +112,7 @@ def _hairs(look: Look) -> list[Material]:
 
 
 def _hair(name: str, picture: str, color: FloatArray) -> Material:
-    image, (red, green, blue) = _picture(picture), np.minimum(color / _GREY, 1.0).tolist()
+    image, (red, green, blue) = picture_of(picture), np.minimum(color / _GREY, 1.0).tolist()
     return Material(
         name=name,
         diffuse_color=TextureInput(texture=image, scale=(red, green, blue, 1.0)),
@@ -122,7 +122,8 @@ def _hair(name: str, picture: str, color: FloatArray) -> Material:
     )
 
 
-def _picture(name: str) -> Texture:
+def picture_of(name: str) -> Texture:
+    """A picture of the package by its name."""
     return Texture(name=name, data=(files("facepipe.heads") / "data" / name).read_bytes())
 
 
@@ -179,16 +180,35 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     )
 
 
-def laid_again(mesh: Mesh, before: Mesh, head: Mesh) -> Mesh | None:
-    """A mesh of cards on another head; None where it is none, or does not lie on the head as it was `before`."""
+def kind_of(mesh: Mesh, head: Mesh, within: float = _AS_LAID) -> str | None:
+    """The set of cards that a mesh is, as it lies on a head; None where it is none, or was moved.
+
+    :param within: cm that points may be off
+    """
     for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
         held = cards(kind)
         if len(mesh.points) == len(held.uv):
-            off = np.abs(held.carry(before.points) + held.offsets - mesh.points)
-            if off.max() < _AS_LAID:
-                region = next(name for name, mask in mesh.regions.items() if np.any(mask))
-                return card_mesh(mesh.name, held, head, region)
+            off = np.abs(held.carry(head.points) + held.offsets - mesh.points)
+            if off.max() < within:
+                return kind
     return None
+
+
+def laid_again(mesh: Mesh, before: Mesh, head: Mesh) -> Mesh | None:
+    """A mesh of cards on another head; None where it is none, or does not lie on the head as it was `before`."""
+    kind = kind_of(mesh, before)
+    return None if kind is None else other_cards(mesh, kind, head)
+
+
+def other_cards(mesh: Mesh, kind: str, head: Mesh) -> Mesh:
+    """Cards of a kind on a head in place of a mesh of cards."""
+    region = next(name for name, mask in mesh.regions.items() if np.any(mask))
+    return replace(card_mesh(mesh.name, cards(kind), head, region), material=mesh.material)
+
+
+def card_triangles(held: Cards) -> IntArray:
+    """(t, 3) of a set of cards."""
+    return point_triangles(*_faces(held.grid))
 
 
 def _normals(held: Cards, skin: FloatArray, triangles: IntArray) -> FloatArray:

@@ -13,10 +13,10 @@ from pxr import Sdf, Usd, UsdSkel
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.parts import BoneLimits, FaceParts, Recipe, Skeleton, Slider
+from facepipe.parts import BoneLimits, FaceParts, Mesh, Recipe, Skeleton, Slider
 from facepipe.stage.animations import author_animation_changes
 from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
-from facepipe.stage.author_mesh import author_mesh_changes, author_point_values, check_mesh_change
+from facepipe.stage.author_mesh import author_mesh_changes, author_other_mesh, author_point_values, check_mesh_change
 from facepipe.stage.differences import require_same, same
 from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
@@ -67,6 +67,22 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     lines += _author_slider_changes(face.prim, old.sliders, parts.sliders)
     lines += author_network_change(face.prim, old.slider_network, parts.slider_network)
     return (*lines, *_author_text_changes(face.prim, old, parts))
+
+
+def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
+    """Author another mesh over the one of its name, within `Face.deriving`: other points, faces and shapes too.
+
+    What `face` has read stays as it was.
+
+    :raises InputError: no mesh of that name, or one with another transform, material or texture coordinates by name
+    """
+    require_finite(mesh, face.where)
+    old, prim = next(one for one in face.meshes if one.name == mesh.name), face.mesh_prim(mesh.name)
+    (skeleton,) = _paths(face, UsdSkel.Skeleton)
+    shared = _shared_targets(face, [face.mesh_prim(one.name).GetPath() for one in face.meshes])
+    at = face.stage.GetPrimAtPath
+    author_other_mesh(prim, old, mesh, at(skeleton), face.skeleton.joints, shared)
+    _hide_extents(at(path) for path in (face.prim.GetPath(), skeleton))
 
 
 def _check(face: Face, old: FaceParts, new: FaceParts) -> None:

@@ -93,19 +93,24 @@ def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
 
 
 def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
-    api = UsdGeom.PrimvarsAPI(prim)
     if mesh.normals is not None:
         author_normals(prim, mesh.normals)
-    for uv in mesh.uv_sets:
-        check_property_name(prim.GetPath(), "UV set", uv.name)
-        kind = UsdGeom.Tokens.vertex if uv.indices is None else UsdGeom.Tokens.faceVarying
-        primvar = api.CreatePrimvar(uv.name, Sdf.ValueTypeNames.TexCoord2fArray, kind)
-        primvar.Set(to_vec2f(uv.values))
-        if uv.indices is not None:
-            primvar.SetIndices(to_ints(uv.indices))
+    _author_uv_sets(prim, mesh)
     if mesh.colors is not None:
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
     author_regions(prim.GetPrim(), mesh)
+
+
+def _author_uv_sets(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
+    for uv in mesh.uv_sets:
+        check_property_name(prim.GetPath(), "UV set", uv.name)
+        kind = UsdGeom.Tokens.vertex if uv.indices is None else UsdGeom.Tokens.faceVarying
+        primvar = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(uv.name, Sdf.ValueTypeNames.TexCoord2fArray, kind)
+        primvar.Set(to_vec2f(uv.values))
+        if uv.indices is not None:
+            primvar.SetIndices(to_ints(uv.indices))
+        elif primvar.IsIndexed():
+            primvar.BlockIndices()
 
 
 def author_normals(prim: UsdGeom.Mesh, normals: FloatArray) -> None:
@@ -216,6 +221,29 @@ def author_mesh_changes(
     lines += _author_landmarks(prim, old, new)
     lines += author_blendshape_changes(prim, old.blendshapes, new.blendshapes, shared)
     return tuple(f"{new.name}: {line}" for line in lines)
+
+
+_KEPT = ("name", "transform", "colors", "point_subsets", "material", "material_faces", "double_sided", "landmarks")
+
+
+def author_other_mesh(
+    prim: Usd.Prim, old: Mesh, new: Mesh, skeleton: Usd.Prim, joints: tuple[str, ...], shared: Collection[Sdf.Path]
+) -> None:
+    """Author another mesh over one as read from its prim: other points, faces, texture coordinates, skin and shapes.
+
+    As `author_mesh_changes`, which is for meshes of the same points.
+
+    :raises InputError: a difference in a field that stays as it is, or texture coordinates of other names
+    """
+    where = prim.GetPath()
+    require_same(where, old, new, _KEPT)
+    if [one.name for one in old.uv_sets] != [one.name for one in new.uv_sets]:
+        raise InputError(f"{where} -> uv_sets", "others, expected texture coordinates of the same names")
+    mesh = UsdGeom.Mesh(editable(prim))
+    put(mesh.CreateFaceVertexCountsAttr(), to_ints(new.face_vertex_counts))
+    put(mesh.CreateFaceVertexIndicesAttr(), to_ints(new.face_vertex_indices))
+    _author_uv_sets(mesh, new)
+    author_mesh_changes(mesh.GetPrim(), old, new, skeleton, joints, shared)
 
 
 def _author_normals(mesh: UsdGeom.Mesh, new: Mesh) -> None:

@@ -355,3 +355,19 @@ def test_portraits_of_another_renderer(number: int, monkeypatch: pytest.MonkeyPa
     assert whole.landmark_px < 1.0
     assert whole.geometry_mm < 1.25 * alone.geometry_mm
     assert max(whole.geometry_mm, alone.geometry_mm) < alone.default_mm
+
+
+def test_what_a_mask_hides_of_a_photo_does_not_count() -> None:
+    """A black bar over a part of the face: the fit is that of a photo with another bar there."""
+    (image,), (marks,) = portrait().images, portrait().landmarks
+    rows, options = slice(int(marks[27, 1]), int(marks[33, 1])), PhotoFitOptions(iterations=4, size=64)
+    fits = []
+    for color in (0.0, 0.9):
+        covered = image.copy()
+        covered[rows] = color
+        shown = np.ones(image.shape[:2])
+        shown[rows] = 0
+        fits.append(fit_photos(sample(), [covered], [marks], options, extractors={}, mask=lambda *_, m=shown: m))
+    without = fit_photos(sample(), [covered], [marks], options, extractors={})
+    assert fits[0].sliders == pytest.approx(fits[1].sliders, abs=1e-6)
+    assert fits[0].sliders != pytest.approx(without.sliders, abs=1e-4)

@@ -36,7 +36,7 @@ def relit(
     points: torch.Tensor, camera: Camera, photo: WorkingPhoto, shadows: Shadows | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Light (9, 3) and tints of the photo of a face."""
-    surface = SeenSurface.from_camera(model(), points, camera, photo.size)
+    surface = SeenSurface.from_camera(model(), points, camera, photo.face)
     shape = basis(surface.normals)
     if shadows is not None:
         shape = shape + surface.at_pixels(shadows.transfer)

@@ -94,7 +94,7 @@ def put_fitted(parts: FaceParts, shown: FaceParts, folder: Path, size: int = SIZ
     for name, yaw in yaws.items():
         camera = camera_at(points[: len(parts.meshes[0].points)], yaw, size)
         options = PictureOptions(size=size, samples=2, camera=camera, studio=studio, background=BACKGROUND)
-        image: Image.Image = picture(shown, points, options)
+        image: Image.Image = picture(shown, build(shown).evaluate(), options)
         image.save(folder / f"{name}.png")
         views.append(view_of(camera, name, size))
     poses = tuple(Animation(name=name, shapes=("jawOpen",), shape_weights=np.zeros((1, 1))) for name in yaws)

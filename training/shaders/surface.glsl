@@ -5,7 +5,7 @@ in vec2 at;
 uniform sampler2D diffuse_color_map, roughness_map, occlusion_map, opacity_map, normal_map, key_map;
 uniform vec3 diffuse_color_scale, normal_scale, roughness, occlusion, opacity;  // of numbers: scale, bias, channel
 uniform float threshold, mirror, exposure;
-uniform int kind, double_sided, bumpy, loose, box_count;
+uniform int kind, double_sided, bumpy, loose, box_count, plain;
 uniform mat3 axes;
 uniform mat4 to_map;
 uniform vec3 up, sky, ground;
@@ -104,6 +104,10 @@ void main() {
     } else if (loose == 1) {
         presence = max(open, (1.0 - matt) * min(open / 0.02, 1.0));
         if (presence < 0.002) discard;
+    }
+    if (plain == 1) {
+        color = vec4(carried_ahead * open, open);
+        return;
     }
     bool front = gl_FrontFacing;
     vec3 towards_eye = normalize(-place);

@@ -7,13 +7,16 @@ render of it are read at the same places.
 
 from __future__ import annotations
 
-import numpy as np
-import torch
-from torch import Tensor
-from torch.nn import functional
+from typing import TYPE_CHECKING
 
-from facepipe.core.arrays import FloatArray
+import numpy as np
+from scipy.ndimage import affine_transform
+
+from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.core.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 ARCFACE_SIZE = 112  # pixels a side that the five points are given for
 
@@ -88,6 +91,9 @@ def sample_crop(image: Tensor, matrix: FloatArray, size: int) -> Tensor:
 
     :param matrix: (2, 3) from crop pixels to image pixels
     """
+    import torch
+    from torch.nn import functional
+
     pixels = image.permute(2, 0, 1)[None]
     factor = max(1, round(float(np.hypot(*matrix[:, 0]))))
     if factor > 1:
@@ -99,6 +105,34 @@ def sample_crop(image: Tensor, matrix: FloatArray, size: int) -> Tensor:
     return functional.grid_sample(
         pixels, torch.as_tensor(grid[None], dtype=image.dtype, device=image.device), "bilinear", "border", False
     )
+
+
+def plain_crop(image: Float32Array, matrix: FloatArray, size: int) -> Float32Array:
+    """(size, size, 3) the same without torch and gradients."""
+    factor = max(1, round(float(np.hypot(*matrix[:, 0]))))
+    height, width, _ = image.shape
+    rows, columns = (np.arange(0, side, factor) for side in (height, width))
+    sums = np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1)
+    counts = np.outer(np.minimum(height - rows, factor), np.minimum(width - columns, factor))
+    pixels = (sums / counts[..., None]).astype(np.float32)
+    linear = matrix[::-1, 1::-1] / factor  # rows and columns are y and x
+    offset = (matrix[::-1, :2] @ (0.5, 0.5) + matrix[::-1, 2]) / factor - 0.5
+    channels = [
+        affine_transform(pixels[..., channel], linear, offset, (size, size), order=1, mode="nearest")
+        for channel in range(3)
+    ]
+    return np.stack(channels, axis=-1)
+
+
+def turned_crop(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
+    """The crop turned and scaled about its centre.
+
+    :param matrix: (2, 3) from crop pixels to image pixels
+    """
+    change = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    centre = np.full(2, size / 2)
+    linear = matrix[:, :2] @ change
+    return np.column_stack([linear, matrix[:, :2] @ centre + matrix[:, 2] - linear @ centre])
 
 
 def from_crop(points: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import torch
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import face_crop, from_crop, sample_crop
+from facepipe.learn.features.crops import face_crop, from_crop, sample_crop, turned_crop
 from facepipe.learn.networks.files import DenseLandmarkSession
 
 COUNT, PUPILS = 68, 2
@@ -44,14 +44,3 @@ def dense_landmarks(
     spread = ((looks - points) ** 2).sum(axis=2).mean(axis=0)
     scales = np.array([np.hypot(*matrix[:, 0]) for matrix in matrices * 2])
     return points, np.sqrt(((errors * scales[:, None]) ** 2).mean(axis=0) + spread)
-
-
-def turned_crop(matrix: FloatArray, turn: float, scale: float, size: int) -> FloatArray:
-    """The crop turned and scaled about its centre.
-
-    :param matrix: (2, 3) from crop pixels to image pixels
-    """
-    change = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    centre = np.full(2, size / 2)
-    linear = matrix[:, :2] @ change
-    return np.column_stack([linear, matrix[:, :2] @ centre + matrix[:, 2] - linear @ centre])

@@ -1,4 +1,4 @@
-"""The shipped networks: where they are, the feature network as extractors, the landmark network in onnxruntime."""
+"""The shipped networks: where they are, the feature network as extractors, the others in onnxruntime."""
 
 from __future__ import annotations
 
@@ -47,6 +47,11 @@ def dense_landmark_model() -> Path:
     return _own("dense_landmarks.onnx")
 
 
+def mask_model() -> Path:
+    """The file that tells face and hair from all else in a crop around a face."""
+    return _own("face_mask.onnx")
+
+
 def feature_model() -> Path:
     """The file that sees content, identity and attributes in a crop of a face."""
     return _own("face_features.onnx")
@@ -66,8 +71,9 @@ def _session(data: bytes) -> Any:
 
 
 class _CropSession:
-    """An ONNX file that places landmarks in crops of faces."""
+    """An ONNX file that looks at crops of faces."""
 
+    what = "landmark network"
     kind: str
     outputs: tuple[str, ...]
 
@@ -76,12 +82,12 @@ class _CropSession:
         :param source: a file, or its bytes
         :raises InputError: no file, no ONNX model, one with data in other files, or one of another kind
         """
-        where = "landmark network" if isinstance(source, bytes) else source
+        where = self.what if isinstance(source, bytes) else source
         data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
         try:
             self._session = _session(data)
         except Exception as error:  # onnxruntime's own classes share no other base
-            raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
+            raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX {self.what}") from None
         outputs = {output.name for output in self._session.get_outputs()}
         try:
             described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
@@ -92,19 +98,18 @@ class _CropSession:
         except (LookupError, TypeError, ValueError):
             known = False
         if not known:
-            what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
+            what = f"no {self.what}, expected '{_KEY}' of kind {self.kind} and its outputs {', '.join(self.outputs)}"
             raise InputError(where, what)
 
     def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
         """Read what else there is to know; LookupError, TypeError or ValueError where it is missing."""
 
-    def _run(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Both outputs of sRGB crops (b, 3, S, S) in 0..1."""
+    def _run(self, crops: FloatArray) -> tuple[FloatArray, ...]:
+        """The outputs of sRGB crops (b, 3, S, S) in 0..1."""
         rows = []
         for start in range(0, len(crops), _BATCH):
             rows.append(self._session.run(list(self.outputs), {"image": self._scaled(crops[start : start + _BATCH])}))
-        places, others = (np.concatenate(column).astype(np.float64) for column in zip(*rows, strict=True))
-        return places * self.size, others
+        return tuple(np.concatenate(column).astype(np.float64) for column in zip(*rows, strict=True))
 
     def _scaled(self, pixels: FloatArray) -> FloatArray:
         return (np.asarray(pixels, np.float32) - self._mean) / self._std
@@ -132,7 +137,7 @@ class LandmarkSession(_CropSession):
         if not len(crops):
             return np.zeros((0, 68, 2)), np.zeros(0)
         landmarks, presence = self._run(crops)
-        return landmarks, presence[:, 0]
+        return landmarks * self.size, presence[:, 0]
 
     def presence_map(self, level: FloatArray) -> FloatArray:
         """(r, c) presence in an sRGB picture's (3, h, w) windows as large as a crop, a cell apart, before its sigmoid.
@@ -157,7 +162,23 @@ class DenseLandmarkSession(_CropSession):
     def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Landmarks (b, n, 2) and the errors to expect of them (b, n), both in pixels of crops (b, 3, S, S)."""
         landmarks, errors = self._run(crops)
-        return landmarks, errors * self.size
+        return landmarks * self.size, errors * self.size
+
+
+class FaceMaskSession(_CropSession):
+    """An ONNX file of the kind ``face-mask``."""
+
+    what, kind, outputs = "mask network", "face-mask", ("shares",)
+    _CLASSES = ("face", "hair", "other")
+
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        if tuple(described["classes"]) != self._CLASSES:
+            raise ValueError("other classes")
+
+    def __call__(self, crops: FloatArray) -> FloatArray:
+        """(b, 3, s, s) shares of face, hair and all else in cells of sRGB crops (b, 3, S, S) in 0..1."""
+        (shares,) = self._run(crops)
+        return shares
 
 
 @cache
@@ -170,3 +191,9 @@ def own_landmark_session() -> LandmarkSession:
 def own_dense_session() -> DenseLandmarkSession:
     """The network of `dense_landmark_model`, loaded once."""
     return DenseLandmarkSession(dense_landmark_model())
+
+
+@cache
+def own_mask_session() -> FaceMaskSession:
+    """The network of `mask_model`, loaded once."""
+    return FaceMaskSession(mask_model())

@@ -29,6 +29,8 @@ from facepipe.learn.photo.working_photo import WorkingPhoto
 from facepipe.parts import FaceParts
 from facepipe.photo_options import PhotoFitOptions
 
+Mask = Callable[[FloatArray, FloatArray], FloatArray]
+
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
 
 
@@ -96,6 +98,7 @@ def fit_photos(
     extractors: Mapping[Kind, Extractor] | None = None,
     start: State | None = None,
     slider_sigma: float | None = None,
+    mask: Mask | None = None,
     done: Callable[[int], None] | None = None,
 ) -> PhotoFit:
     """The person, and the expression, camera and light of each photo.
@@ -114,6 +117,7 @@ def fit_photos(
     :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);
         None: the fewer sliders are off their defaults, the likelier
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
+    :param mask: tells which pixels of a photo with these landmarks are face, as shares (h, w); None: all
     :param done: called with 1 after each step
     :raises InputError: no photo, arrays or a start that don't fit, networks of other kinds, a face without the 68
         landmarks or without sliders
@@ -124,7 +128,7 @@ def fit_photos(
     upright = UprightPhotos.from_photos(photos, landmarks)
     with one_thread():
         priors = priors_of(options, slider_sigma)
-        fit = _fit(parts, upright, confidences, options, priors, expressions, extractors, start, done)
+        fit = _fit(parts, upright, confidences, options, priors, expressions, extractors, start, mask, done)
     return replace(fit, views=upright.turned_back(fit.views))
 
 
@@ -137,6 +141,7 @@ def _fit(
     expressions: Sequence[str] | None,
     extractors: Mapping[Kind, Extractor] | None,
     start: State | None,
+    mask: Mask | None,
     done: Callable[[int], None] | None,
 ) -> PhotoFit:
     subject = Subject.of(parts, expressions)
@@ -147,7 +152,7 @@ def _fit(
     networks = _extractors(extractors, options) if options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [
-        WorkingPhoto.from_photo(photo, marks[:COUNT], options.size)
+        WorkingPhoto.from_photo(photo, marks[:COUNT], options.size, mask and mask(photo, marks[:COUNT]))
         for photo, marks in zip(upright.photos, upright.landmarks, strict=True)
     ]
     loss = JointLoss(model, fit, working, networks, options)

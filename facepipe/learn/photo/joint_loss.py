@@ -214,8 +214,8 @@ class JointLoss:
         """Trust the pixels of each photo as far as the face explains them at its start."""
         with torch.no_grad():
             for view, photo in enumerate(self.photos):
-                image = self.image(at, view)
-                self.spreads[view] = spread_of(to_srgb(image[..., :3]), photo.pixels, image[..., 3])
+                picture, coverage = self._picture(at, view)
+                self.spreads[view] = spread_of(picture, photo.pixels, coverage)
 
     def sliders(self, shares: Tensor) -> Tensor:
         """(s,) values of all sliders from the free ones' shares (f,)."""
@@ -251,11 +251,16 @@ class JointLoss:
         terms = {"landmarks": self._landmarks(at, sliders, view)} if self.options.landmarks else {}
         if not any(getattr(self.options, name) for name in IMAGE):
             return terms
-        image = self.image(at, view)
-        picture = to_srgb(image[..., :3])
+        picture, coverage = self._picture(at, view)
         if self.options.color:
-            terms["color"] = color_loss(picture, self.photos[view].pixels, image[..., 3], self.spreads[view])
+            terms["color"] = color_loss(picture, self.photos[view].pixels, coverage, self.spreads[view])
         return {**terms, **self._features(picture, view)}
+
+    def _picture(self, at: Unknowns, view: int) -> tuple[Tensor, Tensor]:
+        """(h, w, 3) sRGB, behind what covers the face in the photo, and (h, w) where it shows."""
+        photo, image = self.photos[view], self.image(at, view)
+        picture = photo.pixels + photo.face[..., None] * (to_srgb(image[..., :3]) - photo.pixels)
+        return picture, image[..., 3] * photo.face
 
     def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
         """Equation [0138] in standard deviations, robust: Huber's norm, summed; contour points slide."""

@@ -204,7 +204,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
         camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
         points, count = model.rig(sliders, weights), len(model.colors.names)
-        surface = SeenSurface.from_camera(model, points, camera, photo.size)
+        surface = SeenSurface.from_camera(model, points, camera, photo.face)
         seen = photo.linear.reshape(-1, 3)[surface.raster.pixels]
         transfer, key = shadows_of_harmonics(model, points, camera), photo.linear.new_tensor(DARK)
         shape = basis(surface.normals) + surface.at_pixels(transfer)
@@ -226,7 +226,7 @@ class _View:
     def __init__(self, loss: JointLoss, at: Unknowns, view: int) -> None:
         photo, look = loss.photos[view], loss.look(at, view)
         points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
-        self.surface = SeenSurface.from_camera(loss.model, points, look.camera, photo.size)
+        self.surface = SeenSurface.from_camera(loss.model, points, look.camera, photo.face)
         self.shadow = None if look.shadow is None else self.surface.at_pixels(look.shadow)
         self.arriving = None if look.key is None else self.surface.at_pixels(look.key.arriving)
         self.photo, self.spread, self.options = photo, loss.spreads[view], loss.options

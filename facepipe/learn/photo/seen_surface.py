@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -11,6 +11,8 @@ from torch.nn.functional import normalize
 from facepipe.learn.camera import Camera, rotation_matrices
 from facepipe.learn.face_model import FaceModel
 from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise
+
+_SHOWN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,14 +28,17 @@ class SeenSurface:
     materials: Tensor  # (p,) numbers into the names of the face's colours
 
     @classmethod
-    def from_camera(cls, model: FaceModel, points: Tensor, camera: Camera, size: tuple[int, int]) -> SeenSurface:
+    def from_camera(cls, model: FaceModel, points: Tensor, camera: Camera, face: Tensor) -> SeenSurface:
         """:param points: (n, 3) world points
-        :param size: height and width of the picture that the camera is for
+        :param face: (h, w) share of face in each pixel of the picture that the camera is for: where it is little,
+            something else covers the surface
         """
         with torch.no_grad():
             local, triangles = camera.to_camera(points), model.outline.triangles
             screen = camera.to_pixels(local)
-            raster = rasterise(screen, triangles, *size)
+            raster = rasterise(screen, triangles, *face.shape)
+            shown = face.reshape(-1)[raster.pixels] > _SHOWN
+            raster = replace(raster, pixels=raster.pixels[shown], triangles=raster.triangles[shown])
             weights = barycentrics(screen, triangles, raster)
             normals = model.normals(points) @ rotation_matrices(camera.rotation).mT
             normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)

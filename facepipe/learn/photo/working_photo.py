@@ -21,15 +21,20 @@ class WorkingPhoto:
 
     pixels: Tensor  # (h, w, 3) sRGB 0..1
     linear: Tensor  # (h, w, 3)
+    face: Tensor  # (h, w) share that is face, 0..1
     left: int  # of the window, photo pixels
     top: int
     step: int
 
     @classmethod
-    def from_photo(cls, photo: FloatArray, landmarks: FloatArray, size: int) -> WorkingPhoto:
+    def from_photo(
+        cls, photo: FloatArray, landmarks: FloatArray, size: int, face: FloatArray | None = None
+    ) -> WorkingPhoto:
         """The head around `landmarks` (68, 2) in a photo (h, w, 3) sRGB 0..1, at most about `size` pixels a side.
 
         Windows are cut at the photo's borders and never enlarged.
+
+        :param face: (h, w) share of the photo's pixels that is face; None: all
         """
         height, width = photo.shape[:2]
         low, high = landmarks.min(axis=0), landmarks.max(axis=0)
@@ -39,10 +44,15 @@ class WorkingPhoto:
         half = side / 2
         left, right = _window(middle[0] - half, middle[0] + half, width, step)
         top, bottom = _window(middle[1] - half, middle[1] + half, height, step)
-        window = np.asarray(photo[top:bottom, left:right], dtype=np.float32)
         rows, columns = (bottom - top) // step, (right - left) // step
-        pixels = torch.as_tensor(window.reshape(rows, step, columns, step, 3).mean(axis=(1, 3)))
-        return cls(pixels=pixels, linear=to_linear(pixels), left=left, top=top, step=step)
+
+        def averaged(values: FloatArray) -> Tensor:
+            window = np.asarray(values[top:bottom, left:right], dtype=np.float32)
+            return torch.as_tensor(window.reshape(rows, step, columns, step, -1).mean(axis=(1, 3)))
+
+        pixels = averaged(photo)
+        shown = torch.ones(pixels.shape[:2]) if face is None else averaged(face)[..., 0]
+        return cls(pixels=pixels, linear=to_linear(pixels), face=shown, left=left, top=top, step=step)
 
     @property
     def size(self) -> tuple[int, int]:

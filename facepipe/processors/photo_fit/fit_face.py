@@ -118,12 +118,21 @@ def fit_face(
                 extractors=inputs.extractors,
                 start=start,
                 slider_sigma=slider_sigma,
+                mask=_face,
                 done=lambda _: bar.update(),
             )
         pairs = zip(fit.views, inputs.landmarks, strict=True)
         return replace(fit, views=tuple(replace(view, pupils=marks.pupils) for view, marks in pairs))
     except FacepipeError as error:
         raise error.under(action.face) from None
+
+
+def _face(photo: FloatArray, landmarks: FloatArray) -> FloatArray:
+    """(h, w) share of a photo's pixels that is face."""
+    from facepipe.learn.networks.face_mask import face_mask
+    from facepipe.learn.networks.files import own_mask_session
+
+    return face_mask(own_mask_session(), photo, landmarks).face
 
 
 def _known(parts: FaceParts, landmarks: Sequence[Landmarks68]) -> list[tuple[FloatArray, FloatArray]]:

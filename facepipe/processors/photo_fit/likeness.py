@@ -26,6 +26,7 @@ _SIDE = 512  # pixels of a photo's longer side that are looked through
 _SLACK = 0.03  # of the eyes' distance: a point so far behind what is nearest still shows
 _SKY_RESOLUTION = 256  # map pixels
 _OPEN = 0.15  # share of the sky: insides of mouth, nostrils and eye sockets see less
+_FACE = 0.5  # share of a pixel
 _AT_LIMIT = 0.005  # of a slider's range
 
 
@@ -52,10 +53,12 @@ def sliders_at_limit(sliders: Sequence[Slider], report: PhotoFitReport) -> tuple
 
 
 def unseen_regions(fitted: Fitted) -> dict[str, float]:
-    """Region -> share of its outside that no photo shows: turned away, behind other parts of the face, or cut off.
+    """Region -> share of its outside that no photo shows: turned away, cut off, or behind hair, glasses or hands.
 
-    Hair, glasses and hands in the photos are not known.
+    What hides it may be another part of the face too.
     """
+    from facepipe.learn.networks.face_mask import face_mask
+    from facepipe.learn.networks.files import own_mask_session
     from facepipe.learn.photo.view_image import project
     from facepipe.processors.photo_fit.report_folder import fitted_points
 
@@ -73,7 +76,10 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
         share = min(1.0, _SIDE / max(width, height))
         screen = project(view.camera, fitted_points(rig, parts, fitted.fit, view)) * [share, share, 1.0]
         slack = _SLACK * eye_distance(view.targets) * float(np.median(screen[span, 2])) / view.camera.focal
-        shown |= _in_front(screen, triangles, (round(width * share), round(height * share)), slack)[span]
+        front = _in_front(screen, triangles, (round(width * share), round(height * share)), slack)[span]
+        mask = face_mask(own_mask_session(), photo.pixels, view.targets).face
+        column, row = np.clip(screen[span, :2] / share, 0, (width - 1, height - 1)).astype(np.int64).T
+        shown |= front & (mask[row, column] > _FACE)
     normals = point_normals(neutral, triangles)
     sky = visible_sky(neutral, normals, triangles, np.zeros(len(neutral), bool), _SKY_RESOLUTION).share(normals)
     own = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -14,23 +14,26 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.vectors import transformed
+from facepipe.heads.people import STYLES
+from facepipe.heads.surfaces import kind_of, other_cards
 from facepipe.kinds import Watch
 from facepipe.parts import PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.eyes import eye_colors, eye_whites, recolored
-from facepipe.processors.photo_texture.hair import hair_cards, scale_of
+from facepipe.processors.photo_texture.hair import HairCards, hair_cards, painted_scalp, scale_of
+from facepipe.processors.photo_texture.hair_style import nearest_style
 from facepipe.processors.photo_texture.observed import expose
 from facepipe.processors.photo_texture.report import BakePhotoReport
-from facepipe.processors.photo_texture.seen_skin import to_camera
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.stage import Face
-from facepipe.stage.author_changes import author_changes
+from facepipe.stage.author_changes import author_changes, author_mesh_in_place
 from facepipe.stage.materials import author_color_scale, author_opacity
 
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
 _SHOWN = 0.3  # mean confidence at brows
+_MOVED = 1.0  # cm that hair which went with a fit's neutral may lie beside where it was laid
 _REACH = 0.25  # of the eyes' distance: cards of brows lie so near to them
 
 
@@ -51,9 +54,10 @@ def author_textures(
             points = _points(face, view)
             exposure = expose(skin, view, _pixels(view, path).pixels, points)
             exposures.append(replace(exposure, eye_whites=eye_whites(parts, exposure)))
-            posed.append(to_camera(view, points))
+            posed.append(points[skin.span])
             bar.update()
-        baked = Baker(skin)(exposures, None if cards is None else cards.among(neutral, posed))
+        baker = Baker(skin)
+        baked = baker(exposures, None if cards is None else neutral[cards.span])
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
     author_changes(face, replace(parts, photos=relit, recipe=recipe))
@@ -67,10 +71,29 @@ def author_textures(
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
         files[name] = eyes.materials
     hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
-    if cards is not None and baked.hair is not None:
+    if cards is None or baked.hair is None:
+        return replace(_report(photos, baked, files), hidden=hidden)
+    (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)
+    author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(cards.material, baked.hair))
+    scalp = painted_scalp(skin, baker.template, neutral[cards.span])
+    style = _author_style(face, skin, cards, lambda now: nearest_style(skin, exposures, posed, scalp, now))
+    if style is not None and not STYLES[style][1]:
+        hidden = (*hidden, cards.material.name)
+    return replace(_report(photos, baked, files), hidden=hidden, hair_style=style)
+
+
+def _author_style(face: Face, skin: SkinSurface, cards: HairCards, nearest: Callable[[str], str]) -> str | None:
+    """Give hair of the built-in head the style nearest to that of now, within `Face.deriving`; None for other hair."""
+    now = kind_of(cards.mesh, skin.mesh, _MOVED)
+    if now not in STYLES:
+        return None
+    style = nearest(now)
+    if not STYLES[style][1]:
         (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)
-        author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(cards.material, baked.hair))
-    return replace(_report(photos, baked, files), hidden=hidden)
+        author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    elif style != now:
+        author_mesh_in_place(face, other_cards(cards.mesh, style, skin.mesh))
+    return style
 
 
 def _pixels(view: PhotoView, path: Path) -> Photo:

@@ -16,7 +16,6 @@ from facepipe.geometry.texture_fill import spread
 from facepipe.processors.photo_texture.evened import (
     Relief,
     balance,
-    bare,
     inner,
     is_skin,
     missed_light,
@@ -25,7 +24,7 @@ from facepipe.processors.photo_texture.evened import (
     relief,
     renewed,
 )
-from facepipe.processors.photo_texture.hair import Hair, hair_color, scalp, scalp_color
+from facepipe.processors.photo_texture.hair import hair_color, painted_scalp, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, template_texels
 
@@ -79,19 +78,19 @@ class Baker:
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
 
-    def __call__(self, photos: Sequence[Exposure], hair: Hair | None = None) -> Baked:
+    def __call__(self, photos: Sequence[Exposure], roots: FloatArray | None = None) -> Baked:
         """Textures from photos, one or more.
 
-        :param hair: whose colour is looked for, and whose scalp is to have it
+        :param roots: (k, 3) points of cards of hair, the neutral person, whose scalp is to have the colour of hair
         """
         layers = self._ranked(self._alike([self._layer(photo) for photo in photos]))
-        skin_color, color, paint = self._skin_color(layers), None, None
-        if hair is not None:
-            color = hair_color(self.skin, hair, photos, [layer.scale for layer in layers], skin_color)
-        if hair is not None and color is not None:
-            layers = [self._bare(layer, color, skin_color) for layer in layers]
-            painted = scalp(self.skin, self.template, hair.neutral)[:, None]
-            paint = painted, painted * (np.log(scalp_color(color, skin_color)) - self.template)
+        color, paint = None, None
+        if roots is not None:
+            color = hair_color(photos, [layer.scale for layer in layers])
+        if roots is not None and color is not None:
+            painted = painted_scalp(self.skin, self.template, roots)[:, None]
+            below = scalp_color(color, self._skin_color(layers))
+            paint = painted, painted * (np.log(below) - self.template)
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(
@@ -103,13 +102,6 @@ class Baker:
             trust=seen,
             hair=color,
         )
-
-    def _bare(self, layer: _Layer, hair: FloatArray, color: FloatArray) -> _Layer:
-        """Without hair on the forehead."""
-        mask = bare(self.skin, self.template + layer.colors, layer.trust, hair, color)
-        none = np.zeros_like(layer.colors)
-        observed = tuple(self.evened(number, one, none, mask) for number, one in enumerate(layer.observed))
-        return replace(layer, observed=observed, trust=layer.trust * mask)
 
     def _skin_color(self, layers: Sequence[_Layer]) -> FloatArray:
         """(3,) linear, the median of the face in the first photo."""

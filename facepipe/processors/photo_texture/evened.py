@@ -37,7 +37,6 @@ _STRANGE = (2.8, 30.0, 30.0)  # deviations beyond which a colour is no skin: bes
 _EDGE = (0.02, 0.07)  # off what is no skin: where confidence begins, where it is full
 _WIDER = 1.5  # by how much more beside the face
 _GRAIN = 0.03  # what is smaller is judged with what is around it
-_HAIRY, _LEAST_CONTRAST = 0.4, 0.1  # of the way from skin to hair: what is no skin; of both, squared
 _OUTLIER = 0.2  # of a logarithm
 _RIDGE = 0.02
 _FAINT = 0.3  # confidence that doesn't join patches of skin
@@ -122,20 +121,6 @@ def _limits(skin: SkinSurface) -> FloatArray:
     outside, face, brow = _STRANGE
     limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
     return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - above))
-
-
-def bare(skin: SkinSurface, shown: FloatArray, trust: FloatArray, hair: FloatArray, color: FloatArray) -> FloatArray:
-    """(n,) 0..1, 0 on the forehead where colours come near those of hair.
-
-    :param shown: (n, 3) logarithms of linear colours
-    :param hair: (3,) linear, of hair
-    :param color: (3,) linear, of skin
-    """
-    towards = np.log(hair) - np.log(color)
-    share = (shown - np.log(color)) @ towards / max(float(towards @ towards), _LEAST_CONTRAST)
-    share = skin.smooth(share[:, None], trust, _GRAIN)[:, 0]
-    above, _ = _forehead(skin)
-    return _off(skin, (trust > 0) & (share > _HAIRY) & (above > 0.5))
 
 
 def _off(skin: SkinSurface, strange: BoolArray) -> FloatArray:

@@ -64,7 +64,7 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
 
     :param points: (n, 3) world points of all meshes as they are in the photo
     """
-    seen = seen_skin(skin, view, points)
+    seen = seen_skin(skin, view, pixels, points)
     everything = to_camera(view, points)
     normals = point_normals(everything, skin.opaque)
     whole = PhotoLight.on_points(view, everything, normals, skin.opaque)
@@ -143,6 +143,8 @@ def _spacing(at: IntArray, pixels: FloatArray) -> float:
 
 def sampled(pixels: Float32Array, places: FloatArray, spacing: float) -> Float32Array:
     """(m, 3) of a photo (h, w, 3) at places (m, 2), cubic, blurred where texels are wider than its pixels."""
+    if not len(places):
+        return np.zeros((0, 3), np.float32)
     low = np.maximum(np.floor(places.min(axis=0)).astype(int) - 8, 0)
     high = np.ceil(places.max(axis=0)).astype(int) + 8
     part = pixels[low[1] : high[1], low[0] : high[0]]

@@ -20,8 +20,9 @@ class BakePhotoReport(Report):
     textures: Mapping[str, tuple[str, ...]]  # file -> the materials that show it
     photos: Mapping[str, float]  # file name -> share of the face that it shows
     seen: float  # share of the face that some photo shows
-    hidden: tuple[str, ...] = ()  # materials of brow cards that are transparent now
+    hidden: tuple[str, ...] = ()  # materials of cards that are transparent now
     hair: tuple[float, float, float] | None = None  # linear colour, where photos show it
+    hair_style: str | None = None  # of the built-in head, the nearest to the photos'
     similarities: Mapping[str, float | None] = field(default_factory=dict)  # file name -> of photo and render, cosine
     seconds: float = 0.0
     sheet: BakeSheet = not_in_json()  # where a report or a similarity is asked for

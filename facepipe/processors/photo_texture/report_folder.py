@@ -56,15 +56,15 @@ def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeShee
 
     :param photos: of the face before, whose cameras and poses it has
     """
-    parts = face.parts_so_far()
+    parts, textured = face.parts_so_far(), Face(face.stage, face.prim)
     views = {view.name: view for view in parts.photos}
     first, marks = _landmarks(parts)
     shown = []
     for before, path in photos:
         view = views[before.name]
         assert view.animation is not None
-        transforms, weights = face.sample(view.animation)
-        points = face.evaluate(weights, joint_transforms=transforms)
+        transforms, weights = textured.sample(view.animation)
+        points = textured.evaluate(weights, joint_transforms=transforms)
         screen, _ = to_pixels(view, to_camera(view, points))
         shown.append(
             ShownPhoto(
@@ -75,7 +75,7 @@ def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeShee
                 landmarks=screen[first + marks],
             )
         )
-    return BakeSheet(parts=parts, neutral=face.evaluate(pose="set"), photos=tuple(shown))
+    return BakeSheet(parts=parts, neutral=textured.evaluate(pose="set"), photos=tuple(shown))
 
 
 def _landmarks(parts: FaceParts) -> tuple[int, FloatArray]:

@@ -9,6 +9,8 @@ from scipy.ndimage import distance_transform_edt
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray
 from facepipe.geometry.rasterise import rasterise, screen_triangles
+from facepipe.learn.networks.face_mask import FaceMask, face_mask
+from facepipe.learn.networks.files import own_mask_session
 from facepipe.parts import PhotoView
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
@@ -19,6 +21,7 @@ _CREASE = (0.005, 0.03)  # the same where the face hides a part of itself: wings
 _OPENING = (0.004, 0.02)  # the same off eyes, teeth and the mouth's inside
 _FACING = (0.10, 0.40)  # cosine to the viewer
 _FRAME = 4.0  # pixels off the photo's border
+_FACE = (0.3, 0.7)  # share of a pixel that is face, by the network of masks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +34,7 @@ class SeenSkin:
     outline: Float32Array  # (h, w) pixels to where there is no face
     crease: Float32Array  # (h, w) pixels to the nearest edge before another part of the face
     opening: Float32Array  # (h, w) pixels to the nearest surface that is no skin
+    mask: FaceMask  # what the photo shows there
 
     def confidence(self, pixels: FloatArray, depth: FloatArray, facing: FloatArray) -> FloatArray:
         """(m,) of 0..1 in what the photo shows at pixels (m, 2) of skin at a depth (m,).
@@ -42,7 +46,7 @@ class SeenSkin:
         seen = depth <= self.depth[row, column] + _SLACK * self.eye_distance
         border = np.minimum(pixels, np.array([width, height]) - pixels).min(axis=1)
         eyes = self.eye_distance * self.view.focal / np.maximum(depth, 1e-9)  # in pixels
-        trust = seen * step(border / _FRAME, 0, 1) * step(facing, *_FACING)
+        trust = seen * step(border / _FRAME, 0, 1) * step(facing, *_FACING) * step(self.mask.face[row, column], *_FACE)
         for distance, limits in ((self.outline, _OUTLINE), (self.crease, _CREASE), (self.opening, _OPENING)):
             trust = trust * step(distance[row, column] / eyes, *limits)
         return np.asarray(trust)
@@ -66,13 +70,15 @@ def to_pixels(view: PhotoView, local: FloatArray) -> tuple[FloatArray, FloatArra
     return np.asarray(view.center + view.focal * local[:, :2] * [1.0, -1.0] / depth[:, None]), np.asarray(-local[:, 2])
 
 
-def seen_skin(skin: SkinSurface, view: PhotoView, points: FloatArray) -> SeenSkin:
+def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: FloatArray) -> SeenSkin:
     """The skin of a face in a photo.
 
+    :param pixels: (h, w, 3) sRGB 0..1
     :param points: (n, 3) world points of all meshes as they are in the photo
     """
     local = to_camera(view, points)
     depth = -local[:, 2]
+    landmarks, _ = to_pixels(view, local[skin.span][skin.landmarks])
     flat = view.focal * local[:, :2] * [1.0, -1.0] + np.array(view.center) * depth[:, None]
     screen = np.column_stack([flat, np.ones(len(points)), depth])
     raster = rasterise(screen_triangles(screen, skin.opaque), view.width, view.height)
@@ -88,6 +94,7 @@ def seen_skin(skin: SkinSurface, view: PhotoView, points: FloatArray) -> SeenSki
         outline=_distance(~covered),
         crease=_distance(_outlines(far, _JUMP * eyes)),
         opening=_distance(opening),
+        mask=face_mask(own_mask_session(), pixels, landmarks),
     )
 
 

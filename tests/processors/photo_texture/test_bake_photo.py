@@ -13,13 +13,14 @@ import pytest
 from baked_face import SKIN, person, put_fitted, wearing, with_cards
 from command_line import Capsys, content, done, exit_code, failed
 from feature_graphs import coarse_picture, save
-from PIL import Image
+from PIL import Image, ImageDraw
 from scipy.spatial import cKDTree
 from textures import picture
 
 import facepipe
 from facepipe.geometry.colors import from_srgb
-from facepipe.parts import FaceParts, Material, TextureInput
+from facepipe.heads.surfaces import other_cards
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.processors.photo_texture.observed import sampled
 from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
 from facepipe.rig import build
@@ -264,6 +265,46 @@ def test_eyes_without_pictures_stay_as_they_are(tmp_path: Path) -> None:
     put_fitted(parts, parts, tmp_path, size=240, front=0.0)
     report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
     assert sorted(name for names in report.textures.values() for name in names) == sorted(SKIN)
+
+
+def test_hair_has_the_style_that_is_nearest_to_that_of_the_photo(tmp_path: Path, capsys: Capsys) -> None:
+    """A face with cropped hair, whose photo shows the same person with long hair."""
+    cropped = with_cards(person(LIGHT_SKIN, 64), "Hair")
+    head, hair = cropped.meshes[0], cropped.meshes[-1]
+    shown = replace(cropped, meshes=(*cropped.meshes[:-1], other_cards(hair, "long", head)))
+    put_fitted(cropped, shown, tmp_path, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    made = facepipe.open(tmp_path / "out.usda")
+    assert report.hair_style == "long"
+    assert_alike(made.meshes[-1], shown.meshes[-1])
+    assert not [one for one in facepipe.validate(tmp_path / "out.usda") if one.severity == "error"]
+    done(capsys, "export", tmp_path / "out.usda", "-o", tmp_path / "out.glb")
+    read = next(mesh for mesh in facepipe.read(tmp_path / "out.glb").meshes if mesh.name == "Hair")
+    assert len(read.face_vertex_counts) == len(shown.meshes[-1].face_vertex_counts)
+
+
+def assert_alike(found: Mesh, expected: Mesh) -> None:
+    """Faces, texture coordinates, skin and shapes of two meshes."""
+    np.testing.assert_allclose(found.points, expected.points, atol=1e-4)
+    np.testing.assert_array_equal(found.face_vertex_indices, expected.face_vertex_indices)
+    np.testing.assert_allclose(found.uv_sets[0].values, expected.uv_sets[0].values, atol=1e-6)
+    assert found.skin is not None
+    assert expected.skin is not None
+    np.testing.assert_allclose(found.skin.joint_weights, expected.skin.joint_weights, atol=1e-6)
+    assert [shape.name for shape in found.blendshapes] == [shape.name for shape in expected.blendshapes]
+
+
+def test_what_is_before_the_face_is_not_on_it(tmp_path: Path) -> None:
+    """A green thing before a cheek and the nose."""
+    parts = person(LIGHT_SKIN, 128)
+    put_fitted(parts, parts, tmp_path, front=0.0)
+    photo = Image.open(tmp_path / "front.png").convert("RGB")
+    width, height = photo.size
+    ImageDraw.Draw(photo).ellipse((0.44 * width, 0.38 * height, 0.56 * width, 0.48 * height), fill=(60, 150, 70))
+    photo.save(tmp_path / "front.png")
+    facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    for texture in skin(facepipe.open(tmp_path / "out.usda").parts()):
+        assert (texture[..., 1] - texture[..., 0] < 0.02).all()
 
 
 @pytest.mark.slow

@@ -134,7 +134,7 @@ class PictureLoss:
         with torch.no_grad():
             points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
             camera = single(photo.camera(loss.fit.spaces[0].camera(at.poses[0])))
-            surface = SeenSurface.from_camera(self.model, points, camera, photo.size)
+            surface = SeenSurface.from_camera(self.model, points, camera, photo.face)
             shape, key = basis(surface.normals), at.key[0]
             if lamp is not None:
                 arriving = shadows_of_lamp(self.model, points, camera, lamp)

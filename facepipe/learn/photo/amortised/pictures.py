@@ -85,7 +85,8 @@ class Picture:
     def working(self) -> WorkingPhoto:
         """As the joint loss compares it."""
         pixels = torch.as_tensor(self.pixels, dtype=torch.float32) / 255
-        return WorkingPhoto(pixels=pixels, linear=to_linear(pixels), left=self.left, top=self.top, step=self.step)
+        place = {"left": self.left, "top": self.top, "step": self.step}
+        return WorkingPhoto(pixels=pixels, linear=to_linear(pixels), face=torch.ones(pixels.shape[:2]), **place)
 
     def crop(self, landmarks: FloatArray) -> Crop:
         """The crop by landmarks (68, 2) in pixels of the photo.
