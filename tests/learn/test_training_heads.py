@@ -14,23 +14,26 @@ import features_heads
 import head_sources
 import heads
 import landmark_data
+import mask_heads
 import moderngl
 import numpy as np
 import photo_scores
+import pictures as pictures_of
 import pytest
 import scenes
 import train_dense
 import train_features
 import train_landmarks
+import train_mask
 from card import Card
-from landmark_export import to_onnx
+from landmark_export import mask_onnx, to_onnx
 from with_torch import torch
 
 from facepipe.geometry.colors import to_srgb
 from facepipe.heads.asset import asset
 from facepipe.learn.features.crops import TEMPLATE, to_crop
 from facepipe.learn.features.description import CLASSES
-from facepipe.learn.networks.files import LandmarkSession
+from facepipe.learn.networks.files import FaceMaskSession, LandmarkSession
 from facepipe.pictures.draw import draw
 from facepipe.pictures.scene import build_scene
 from facepipe.pictures.shade import Shader
@@ -180,6 +183,45 @@ def test_training_of_many_landmarks_lowers_the_loss_on_pictures_of_their_crops(t
         with torch.no_grad():
             left[count] = train_dense.expected_error_loss(network.train(), images, points).item()
     assert left[12] < 0.8 * left[1]
+
+
+@pytest.mark.slow
+def test_training_of_masks_lowers_the_loss_on_heads_with_hair_and_things_in_front(tmp_path: Path) -> None:
+    needs_opengl()
+    rows = mask_heads.person(np.random.default_rng(3))[:8]
+    heads.write_shard(rows, tmp_path / "mask_000.npz")
+    known = train_mask.Heads(tmp_path, range(9), "cpu")
+    images, shares = known.batch(np.arange(len(rows)), None)
+    assert images.shape == (len(rows), 3, 192, 192)
+    assert np.abs(shares.sum(dim=1).numpy() - 1).max() < 0.01
+    face, hair, other = shares.mean(dim=(0, 2, 3)).tolist()
+    assert min(face, other) > 0.1
+    assert hair > 0.02
+    left = {}
+    for count in (1, 12):
+        network = train_mask.train(known, count, 0, lambda *_: None)
+        with torch.no_grad():
+            left[count] = train_mask.cross_entropy(network.train(), images, shares).item()
+    assert left[12] < 0.8 * left[1]
+    described = {"kind": "face-mask", "size": 192, "classes": ["face", "hair", "other"]}
+    session = FaceMaskSession(mask_onnx(network, described | {"mean": [0.45] * 3, "std": [0.25] * 3}))
+    crops = (images * 0.25 + 0.45).numpy()
+    with torch.no_grad():
+        expected = network.eval()(images).softmax(dim=1).numpy()
+    np.testing.assert_allclose(session(crops), expected, atol=0.01)
+
+
+def test_a_hand_or_glasses_cover_what_they_are_drawn_over() -> None:
+    rng, marks = np.random.default_rng(1), TEMPLATE * 160
+    covers = []
+    for _ in range(20):
+        image = rng.uniform(0.2, 0.8, (160, 160, 3))
+        shown, cover = pictures_of.often_occluded(image, marks, rng)
+        assert 0 <= cover.min() <= cover.max() <= 1
+        assert (shown >= 0.49 * image)[cover == 0].all()  # lenses may be tinted
+        assert (np.abs(shown - image).mean(axis=2) > 0.01)[cover == 1].mean() > 0.9 or not (cover == 1).any()
+        covers.append(cover)
+    assert 0.2 < np.mean([cover.max() > 0.9 for cover in covers]) < 0.9
 
 
 def test_a_photo_is_scored_in_views_that_show_the_whole_face() -> None:

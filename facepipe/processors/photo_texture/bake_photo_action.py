@@ -8,7 +8,7 @@ photo shows is taken from the other side of the face, else from the texture that
 OUT is an override layer over STAGE, with PNGs beside it for the materials of the skin. The light of the photos on it is
 that which the colours were found with, as bright and as white as photos are exposed. Cards of brows are made
 transparent where the photos' brows are on the skin. Cards of hair, and the scalp below them, get the colour of the hair
-that the photos show.
+that the photos show, and hair of the built-in head gets the style that comes nearest to it.
 
 --report makes a folder: report.html with each photo beside the textured face in its camera and light, the neutral in
 studio light from three sides and the textures; report.json; and these renders. With an --identity-model the report says
