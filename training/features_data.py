@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import face_crop, to_crop
+from facepipe.geometry.face_crops import face_crop, to_crop
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

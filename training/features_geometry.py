@@ -19,7 +19,7 @@ import numpy as np
 import scenes
 from features_heads import neutral_landmarks
 
-from facepipe.learn.features.crops import face_crop, to_crop
+from facepipe.geometry.face_crops import face_crop, to_crop
 
 VIEWS = 2
 _SHARE_SLIDERS = 0.5

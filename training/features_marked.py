@@ -15,7 +15,7 @@ from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from facepipe.learn.features.crops import TEMPLATE
+from facepipe.geometry.face_crops import TEMPLATE
 
 SHAPE_MODES = 64
 _CELLS = LABEL_SIZE // 2  # a side of the heat maps

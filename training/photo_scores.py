@@ -17,8 +17,9 @@ import numpy.typing as npt
 import torch
 from scipy.ndimage import gaussian_filter
 
+from facepipe.geometry.face_crops import from_crop
 from facepipe.geometry.landmarks import MIRRORED
-from facepipe.learn.features.crops import from_crop, sample_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.learn.networks import find_landmarks, landmark_model
 from facepipe.processors.photo_fit import read_landmarks, read_photo
 

@@ -11,9 +11,9 @@ from labels import pixel_classes
 from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.colors import from_srgb
+from facepipe.geometry.face_crops import TEMPLATE
 from facepipe.heads.asset import asset
 from facepipe.heads.people import Look
-from facepipe.learn.features.crops import TEMPLATE
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.draw import draw
 from facepipe.pictures.portrait import Portrait, Softbox

@@ -27,9 +27,9 @@ from torch import Tensor
 from torch.nn.functional import affine_grid, grid_sample
 
 from facepipe.core.atomic import write_bytes
+from facepipe.geometry.face_crops import face_crop
 from facepipe.geometry.landmarks import MIRRORED
 from facepipe.heads.asset import asset
-from facepipe.learn.features.crops import face_crop
 
 _BATCH = 128
 _ZOOM = 1.2  # beyond the aligned crop: no pixel for what is beside a face

@@ -13,12 +13,11 @@ from baked_face import camera_at
 from with_torch import torch
 
 from facepipe import heads
-from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import TEMPLATE, face_crop, plain_crop, sample_crop, turned_crop
-from facepipe.learn.networks.face_mask import FaceMask, face_mask
-from facepipe.learn.networks.files import FaceMaskSession, landmark_model, own_mask_session
+from facepipe.geometry.face_crops import TEMPLATE, face_crop, plain_crop, turned_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Light, Studio
+from facepipe.processors.photo_fit import FaceMask, face_mask
 from facepipe.rig import build
 
 SIZE, LONG_HAIR = 320, 4  # pixels, and a seed
@@ -42,7 +41,7 @@ def photo() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @cache
 def mask() -> FaceMask:
     image, marks, _ = photo()
-    return face_mask(own_mask_session(), image, marks)
+    return face_mask(image, marks)
 
 
 def inside(marks: np.ndarray) -> tuple[slice, slice]:
@@ -80,7 +79,7 @@ def test_what_is_before_a_face_is_no_face(color: tuple[float, float, float]) -> 
     for eye in (marks[36:42].mean(axis=0), marks[42:48].mean(axis=0)):
         hidden |= np.hypot((x - eye[0]) / 0.27, (y - eye[1]) / 0.22) < wide
     covered[hidden] = color
-    found = face_mask(own_mask_session(), covered, marks).face
+    found = face_mask(covered, marks).face
     assert found[hidden].mean() < 0.25
     assert mask().face[hidden].mean() > 0.95
 
@@ -88,8 +87,16 @@ def test_what_is_before_a_face_is_no_face(color: tuple[float, float, float]) -> 
 def test_a_photo_turned_by_a_quarter_has_the_same_mask() -> None:
     image, marks, _ = photo()
     turned = np.ascontiguousarray(np.rot90(image))
-    found = face_mask(own_mask_session(), turned, np.stack([marks[:, 1], SIZE - marks[:, 0]], axis=1))
+    found = face_mask(turned, np.stack([marks[:, 1], SIZE - marks[:, 0]], axis=1))
     np.testing.assert_allclose(np.rot90(found.face, -1), mask().face, atol=0.02)
+
+
+def test_faces_unlike_any_that_the_network_knows_are_face_throughout() -> None:
+    _, marks, _ = photo()
+    drawn = np.full((SIZE, SIZE, 3), 0.9, np.float32)
+    found = face_mask(drawn, marks)
+    assert found.face.min() == 1
+    assert found.hair.max() == 0
 
 
 def test_crops_without_torch_are_those_of_torch() -> None:
@@ -98,10 +105,3 @@ def test_crops_without_torch_are_those_of_torch() -> None:
         matrix = turned_crop(face_crop(TEMPLATE * side + 5.0, 40), 0.2, 1.1, 40)
         expected = sample_crop(torch.as_tensor(image), matrix, 40)[0].permute(1, 2, 0).numpy()
         np.testing.assert_allclose(plain_crop(image, matrix, 40), expected, atol=2e-3)
-
-
-def test_files_of_other_networks_are_refused() -> None:
-    with pytest.raises(InputError, match=r"no mask network, expected 'facepipe\.features' of kind face-mask"):
-        FaceMaskSession(landmark_model())
-    with pytest.raises(InputError, match=r"can't be read: .*, expected an ONNX mask network"):
-        FaceMaskSession(b"no graph")

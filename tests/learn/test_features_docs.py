@@ -14,7 +14,7 @@ from places import REPOSITORY
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import ARCFACE_TEMPLATE, TEMPLATE
+from facepipe.geometry.face_crops import ARCFACE_TEMPLATE, TEMPLATE
 from facepipe.learn.features.description import (
     CELEBAMASK,
     CLASSES,

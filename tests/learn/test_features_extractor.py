@@ -15,7 +15,7 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.core.trust import Trust, trusting
-from facepipe.learn.features.crops import TEMPLATE, arcface_crop, face_crop
+from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
 from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix
 from facepipe.learn.features.extractor import load_extractor
 

@@ -11,7 +11,7 @@ from feature_graphs import coarse_picture, save
 from scipy.ndimage import gaussian_filter
 
 from facepipe.geometry.colors import from_srgb
-from facepipe.learn.features.crops import TEMPLATE
+from facepipe.geometry.face_crops import TEMPLATE
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.features.likeness import similarity
 

@@ -16,8 +16,8 @@ from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.geometry.face_crops import from_crop
 from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.features.crops import from_crop
 from facepipe.learn.light import ambient
 from facepipe.learn.photo.amortised.graph import start_graph, start_metadata
 from facepipe.learn.photo.amortised.guess import Guess, load_start

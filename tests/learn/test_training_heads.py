@@ -30,13 +30,14 @@ from landmark_export import mask_onnx, to_onnx
 from with_torch import torch
 
 from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.face_crops import TEMPLATE, to_crop
 from facepipe.heads.asset import asset
-from facepipe.learn.features.crops import TEMPLATE, to_crop
 from facepipe.learn.features.description import CLASSES
-from facepipe.learn.networks.files import FaceMaskSession, LandmarkSession
+from facepipe.learn.networks.files import LandmarkSession
 from facepipe.pictures.draw import draw
 from facepipe.pictures.scene import build_scene
 from facepipe.pictures.shade import Shader
+from facepipe.processors.photo_fit.masks import MaskNetwork
 
 PARTS = {"leftBrow": slice(22, 27), "rightBrow": slice(17, 22), "nose": slice(27, 36), "lowerLip": slice(54, 60)}
 
@@ -204,7 +205,7 @@ def test_training_of_masks_lowers_the_loss_on_heads_with_hair_and_things_in_fron
             left[count] = train_mask.cross_entropy(network.train(), images, shares).item()
     assert left[12] < 0.8 * left[1]
     described = {"kind": "face-mask", "size": 192, "classes": ["face", "hair", "other"]}
-    session = FaceMaskSession(mask_onnx(network, described | {"mean": [0.45] * 3, "std": [0.25] * 3}))
+    session = MaskNetwork(mask_onnx(network, described | {"mean": [0.45] * 3, "std": [0.25] * 3}))
     crops = (images * 0.25 + 0.45).numpy()
     with torch.no_grad():
         expected = network.eval()(images).softmax(dim=1).numpy()

@@ -7,7 +7,8 @@ import torch
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.learn.features.crops import face_crop, from_crop, sample_crop, turned_crop
+from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.learn.networks.files import DenseLandmarkSession
 
 COUNT, PUPILS = 68, 2

@@ -12,8 +12,9 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.face_crops import TEMPLATE, face_crop, from_crop, turned_crop
 from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
-from facepipe.learn.features.crops import TEMPLATE, face_crop, from_crop, sample_crop, turned_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.learn.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks
 from facepipe.learn.networks.files import DenseLandmarkSession, LandmarkSession, own_dense_session, own_landmark_session
 

@@ -47,11 +47,6 @@ def dense_landmark_model() -> Path:
     return _own("dense_landmarks.onnx")
 
 
-def mask_model() -> Path:
-    """The file that tells face and hair from all else in a crop around a face."""
-    return _own("face_mask.onnx")
-
-
 def feature_model() -> Path:
     """The file that sees content, identity and attributes in a crop of a face."""
     return _own("face_features.onnx")
@@ -73,7 +68,6 @@ def _session(data: bytes) -> Any:
 class _CropSession:
     """An ONNX file that looks at crops of faces."""
 
-    what = "landmark network"
     kind: str
     outputs: tuple[str, ...]
 
@@ -82,12 +76,12 @@ class _CropSession:
         :param source: a file, or its bytes
         :raises InputError: no file, no ONNX model, one with data in other files, or one of another kind
         """
-        where = self.what if isinstance(source, bytes) else source
+        where = "landmark network" if isinstance(source, bytes) else source
         data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
         try:
             self._session = _session(data)
         except Exception as error:  # onnxruntime's own classes share no other base
-            raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX {self.what}") from None
+            raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
         outputs = {output.name for output in self._session.get_outputs()}
         try:
             described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
@@ -98,7 +92,7 @@ class _CropSession:
         except (LookupError, TypeError, ValueError):
             known = False
         if not known:
-            what = f"no {self.what}, expected '{_KEY}' of kind {self.kind} and its outputs {', '.join(self.outputs)}"
+            what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
             raise InputError(where, what)
 
     def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
@@ -165,22 +159,6 @@ class DenseLandmarkSession(_CropSession):
         return landmarks * self.size, errors * self.size
 
 
-class FaceMaskSession(_CropSession):
-    """An ONNX file of the kind ``face-mask``."""
-
-    what, kind, outputs = "mask network", "face-mask", ("shares",)
-    _CLASSES = ("face", "hair", "other")
-
-    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
-        if tuple(described["classes"]) != self._CLASSES:
-            raise ValueError("other classes")
-
-    def __call__(self, crops: FloatArray) -> FloatArray:
-        """(b, 3, s, s) shares of face, hair and all else in cells of sRGB crops (b, 3, S, S) in 0..1."""
-        (shares,) = self._run(crops)
-        return shares
-
-
 @cache
 def own_landmark_session() -> LandmarkSession:
     """The network of `landmark_model`, loaded once."""
@@ -191,9 +169,3 @@ def own_landmark_session() -> LandmarkSession:
 def own_dense_session() -> DenseLandmarkSession:
     """The network of `dense_landmark_model`, loaded once."""
     return DenseLandmarkSession(dense_landmark_model())
-
-
-@cache
-def own_mask_session() -> FaceMaskSession:
-    """The network of `mask_model`, loaded once."""
-    return FaceMaskSession(mask_model())

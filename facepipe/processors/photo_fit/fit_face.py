@@ -15,6 +15,7 @@ from facepipe.kinds import Watch
 from facepipe.parts import FaceParts
 from facepipe.photo_options import MODELS
 from facepipe.processors.photo_fit.landmark_file import read_landmarks
+from facepipe.processors.photo_fit.masks import face_mask
 from facepipe.processors.photo_fit.person_model import REACH
 from facepipe.processors.photo_fit.photo_file import Photo, read_photo
 from facepipe.processors.photo_fit.photo_landmarks import Landmarks68, mediapipe_landmarks, own_landmarks
@@ -129,10 +130,7 @@ def fit_face(
 
 def _face(photo: FloatArray, landmarks: FloatArray) -> FloatArray:
     """(h, w) share of a photo's pixels that is face."""
-    from facepipe.learn.networks.face_mask import face_mask
-    from facepipe.learn.networks.files import own_mask_session
-
-    return face_mask(own_mask_session(), photo, landmarks).face
+    return face_mask(np.asarray(photo, np.float32), landmarks).face
 
 
 def _known(parts: FaceParts, landmarks: Sequence[Landmarks68]) -> list[tuple[FloatArray, FloatArray]]:

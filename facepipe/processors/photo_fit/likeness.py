@@ -14,6 +14,7 @@ from facepipe.geometry.polygons import point_areas, point_normals, point_triangl
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.parts import FaceParts, Mesh, Slider
 from facepipe.pictures.occlusion import visible_sky
+from facepipe.processors.photo_fit.masks import face_mask
 from facepipe.processors.photo_fit.person_model import SCHEME
 from facepipe.rig import build
 
@@ -57,8 +58,6 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
 
     What hides it may be another part of the face too.
     """
-    from facepipe.learn.networks.face_mask import face_mask
-    from facepipe.learn.networks.files import own_mask_session
     from facepipe.learn.photo.view_image import project
     from facepipe.processors.photo_fit.report_folder import fitted_points
 
@@ -77,7 +76,7 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
         screen = project(view.camera, fitted_points(rig, parts, fitted.fit, view)) * [share, share, 1.0]
         slack = _SLACK * eye_distance(view.targets) * float(np.median(screen[span, 2])) / view.camera.focal
         front = _in_front(screen, triangles, (round(width * share), round(height * share)), slack)[span]
-        mask = face_mask(own_mask_session(), photo.pixels, view.targets).face
+        mask = face_mask(photo.pixels, view.targets).face
         column, row = np.clip(screen[span, :2] / share, 0, (width - 1, height - 1)).astype(np.int64).T
         shown |= front & (mask[row, column] > _FACE)
     normals = point_normals(neutral, triangles)

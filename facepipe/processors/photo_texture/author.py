@@ -32,6 +32,7 @@ from facepipe.stage.materials import author_color_scale, author_opacity
 
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
+_LITTLE = 0.1  # share of the face
 _SHOWN = 0.3  # mean confidence at brows
 _MOVED = 1.0  # cm that hair which went with a fit's neutral may lie beside where it was laid
 _REACH = 0.25  # of the eyes' distance: cards of brows lie so near to them
@@ -160,7 +161,8 @@ def _report(
     photos: Sequence[tuple[PhotoView, Path]], baked: Baked, files: Mapping[str, tuple[str, ...]]
 ) -> BakePhotoReport:
     shares = {path.name: share for (_, path), share in zip(photos, baked.shares, strict=True)}
-    report = BakePhotoReport(textures=files, photos=shares, seen=baked.seen)
+    little = tuple(f"{name}: shows {share:.0%} of the face" for name, share in shares.items() if share < _LITTLE)
+    report = BakePhotoReport(textures=files, photos=shares, seen=baked.seen, warnings=little)
     if baked.hair is None:
         return report
     red, green, blue = baked.hair.round(4).tolist()

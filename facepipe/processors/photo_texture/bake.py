@@ -83,7 +83,7 @@ class Baker:
 
         :param roots: (k, 3) points of cards of hair, the neutral person, whose scalp is to have the colour of hair
         """
-        layers = self._ranked(self._alike([self._layer(photo) for photo in photos]))
+        layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
         color, paint = None, None
         if roots is not None:
             color = hair_color(photos, [layer.scale for layer in layers])
@@ -162,11 +162,15 @@ class Baker:
         weight = first.trust * layer.trust * self.skin.areas
         return np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
 
-    def _ranked(self, layers: Sequence[_Layer]) -> list[_Layer]:
-        """Layers of which the one that shows the face best is preferred."""
+    def _ranked(self, photos: Sequence[Exposure], layers: Sequence[_Layer]) -> list[_Layer]:
+        """Layers of which the one that shows the face best is preferred: much of it, large, and well lit."""
         face = inner(self.skin) * self.skin.areas
-        best = max(layers, key=lambda layer: float(layer.trust * layer.calm[:, 0] @ face))
-        return [layer if layer is best else replace(layer, calm=_OTHERS * layer.calm) for layer in layers]
+        shown = [float(layer.trust * layer.calm[:, 0] @ face) for layer in layers]
+        best = np.argmax([share * photo.clarity for share, photo in zip(shown, photos, strict=True)])
+        return [
+            layer if number == best else replace(layer, calm=_OTHERS * layer.calm)
+            for number, layer in enumerate(layers)
+        ]
 
     def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]

@@ -9,9 +9,8 @@ from scipy.ndimage import distance_transform_edt
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray
 from facepipe.geometry.rasterise import rasterise, screen_triangles
-from facepipe.learn.networks.face_mask import FaceMask, face_mask
-from facepipe.learn.networks.files import own_mask_session
 from facepipe.parts import PhotoView
+from facepipe.processors.photo_fit import FaceMask, face_mask
 from facepipe.processors.photo_texture.skin_surface import SkinSurface
 
 _JUMP = 0.07  # of the eyes' distance, in depth: an edge
@@ -94,7 +93,7 @@ def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: 
         outline=_distance(~covered),
         crease=_distance(_outlines(far, _JUMP * eyes)),
         opening=_distance(opening),
-        mask=face_mask(own_mask_session(), pixels, landmarks),
+        mask=face_mask(pixels, landmarks),
     )
 
 

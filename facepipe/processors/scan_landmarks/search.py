@@ -217,7 +217,7 @@ def look_again(
 def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int) -> tuple[FloatArray, float]:
     """Landmarks (68, 2) in pixels, and presence: of the middle first, then of crops aligned by what that showed."""
     from facepipe.core.errors import InputError
-    from facepipe.learn.features.crops import face_crop
+    from facepipe.geometry.face_crops import face_crop
 
     picture, _ = draw(look, view)
     matrix = _crop_matrix(np.full(2, _LOOKED_AT / 2), _LOOKED_AT / _MARGIN, 0.0, size)

@@ -10,9 +10,10 @@ from scipy.ndimage import gaussian_laplace
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.face_crops import face_crop
 from facepipe.geometry.landmarks import face_size, turned_view
 from facepipe.heads.asset import asset
-from facepipe.learn.features.crops import face_crop, sample_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.learn.networks import FoundFace
 from facepipe.processors.photo_fit import check_face
 

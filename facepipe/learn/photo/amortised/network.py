@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from facepipe.learn.features.crops import TEMPLATE
+from facepipe.geometry.face_crops import TEMPLATE
 from facepipe.learn.networks.graph_writer import Block
 from facepipe.learn.one_thread import short_floats
 from facepipe.learn.photo.pose import NUMBERS

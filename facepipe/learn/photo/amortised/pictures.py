@@ -14,8 +14,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from facepipe.core.arrays import ByteArray, FloatArray
+from facepipe.geometry.face_crops import face_crop, to_crop
 from facepipe.geometry.landmarks import eye_distance
-from facepipe.learn.features.crops import face_crop, sample_crop, to_crop
+from facepipe.learn.features.crops import sample_crop
 from facepipe.learn.photo.amortised.network import MEAN, SIZE, STD
 from facepipe.learn.photo.amortised.pose import CropSpace
 from facepipe.learn.photo.pose import PoseSpace

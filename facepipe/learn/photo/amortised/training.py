@@ -16,9 +16,9 @@ from torch import Tensor
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
+from facepipe.geometry.face_crops import face_crop, to_crop
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.learn.face_model import FaceModel
-from facepipe.learn.features.crops import face_crop, to_crop
 from facepipe.learn.one_thread import one_thread
 from facepipe.learn.photo.amortised.losses import PictureLoss, Taught, TaughtLoss, outside
 from facepipe.learn.photo.amortised.network import SIZE, Output, StartNetwork
