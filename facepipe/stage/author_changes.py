@@ -77,7 +77,8 @@ def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
     :raises InputError: no mesh of that name, or one with another transform, material or texture coordinates by name
     """
     require_finite(mesh, face.where)
-    old, prim = next(one for one in face.meshes if one.name == mesh.name), face.mesh_prim(mesh.name)
+    prim = face.mesh_prim(mesh.name)
+    old = next(one for one in face.meshes if one.name == mesh.name)
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
     shared = _shared_targets(face, [face.mesh_prim(one.name).GetPath() for one in face.meshes])
     at = face.stage.GetPrimAtPath

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -57,8 +57,12 @@ def author_textures(
             exposures.append(replace(exposure, eye_whites=eye_whites(parts, exposure)))
             posed.append(points[skin.span])
             bar.update()
-        baker = Baker(skin)
-        baked = baker(exposures, None if cards is None else neutral[cards.span])
+        baker, scalp, style = Baker(skin), None, None
+        if cards is not None:
+            scalp = painted_scalp(skin, baker.template, neutral[cards.span])
+            now = kind_of(cards.mesh, skin.mesh, _MOVED)
+            style = nearest_style(skin, exposures, posed, scalp, now) if now in STYLES else None
+        baked = baker(exposures, scalp, bald=style == "bald")
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
     author_changes(face, replace(parts, photos=relit, recipe=recipe))
@@ -72,29 +76,23 @@ def author_textures(
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
         files[name] = eyes.materials
     hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
-    if cards is None or baked.hair is None:
-        return replace(_report(photos, baked, files), hidden=hidden)
-    (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)
-    author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(cards.material, baked.hair))
-    scalp = painted_scalp(skin, baker.template, neutral[cards.span])
-    style = _author_style(face, skin, cards, lambda now: nearest_style(skin, exposures, posed, scalp, now))
-    if style is not None and not STYLES[style][1]:
+    if cards is not None and _author_hair(face, skin, cards, baked.hair, style):
         hidden = (*hidden, cards.material.name)
     return replace(_report(photos, baked, files), hidden=hidden, hair_style=style)
 
 
-def _author_style(face: Face, skin: SkinSurface, cards: HairCards, nearest: Callable[[str], str]) -> str | None:
-    """Give hair of the built-in head the style nearest to that of now, within `Face.deriving`; None for other hair."""
-    now = kind_of(cards.mesh, skin.mesh, _MOVED)
-    if now not in STYLES:
-        return None
-    style = nearest(now)
-    if not STYLES[style][1]:
-        (prim,) = (path for path, material in face.material_names.items() if material == cards.material.name)
-        author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
-    elif style != now:
+def _author_hair(face: Face, skin: SkinSurface, cards: HairCards, color: FloatArray | None, style: str | None) -> bool:
+    """Give hair a linear colour (3,) and a style where they are known, within `Face.deriving`; whether it is hidden."""
+    (path,) = (path for path, material in face.material_names.items() if material == cards.material.name)
+    prim = face.stage.GetPrimAtPath(path)
+    if color is not None:
+        author_color_scale(prim, scale_of(cards.material, color))
+    if style is not None and not STYLES[style][1]:
+        author_opacity(prim, 0.0)
+        return True
+    if style not in (None, kind_of(cards.mesh, skin.mesh, _MOVED)):
         author_mesh_in_place(face, other_cards(cards.mesh, style, skin.mesh))
-    return style
+    return False
 
 
 def _pixels(view: PhotoView, path: Path) -> Photo:

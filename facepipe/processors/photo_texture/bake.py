@@ -24,7 +24,7 @@ from facepipe.processors.photo_texture.evened import (
     relief,
     renewed,
 )
-from facepipe.processors.photo_texture.hair import hair_color, painted_scalp, scalp_color
+from facepipe.processors.photo_texture.hair import hair_color, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, template_texels
 
@@ -78,19 +78,21 @@ class Baker:
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
 
-    def __call__(self, photos: Sequence[Exposure], roots: FloatArray | None = None) -> Baked:
+    def __call__(self, photos: Sequence[Exposure], scalp: FloatArray | None = None, *, bald: bool = False) -> Baked:
         """Textures from photos, one or more.
 
-        :param roots: (k, 3) points of cards of hair, the neutral person, whose scalp is to have the colour of hair
+        :param scalp: (n,) how far points are painted with hair, whose colour photos show
+        :param bald: the scalp has the skin's colour instead
         """
         layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
         color, paint = None, None
-        if roots is not None:
+        if scalp is not None and not bald:
             color = hair_color(photos, [layer.scale for layer in layers])
-        if roots is not None and color is not None:
-            painted = painted_scalp(self.skin, self.template, roots)[:, None]
-            below = scalp_color(color, self._skin_color(layers))
-            paint = painted, painted * (np.log(below) - self.template)
+        if scalp is not None and (bald or color is not None):
+            below = own = self._skin_color(layers)
+            if color is not None:
+                below = scalp_color(color, own)
+            paint = scalp[:, None], scalp[:, None] * (np.log(below) - self.template)
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(

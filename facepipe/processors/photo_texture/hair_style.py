@@ -20,6 +20,7 @@ from facepipe.processors.photo_texture.skin_surface import SkinSurface
 _EYES = 24  # pixels between the eyes, at which hair is compared
 _SCALP = 0.5
 _TEXELS = 32  # a side, of which each covers some strands and the gaps between them
+_SHAVED = 0.8  # of the scalp's pixels, that show face where nothing of hair is
 _LEAST = 0.2  # of all pixels of hair, that the nearest style shares with photos
 
 
@@ -28,23 +29,31 @@ def nearest_style(
 ) -> str:
     """The style whose outlines share most with the hair in photos; that of now where none shares much.
 
-    Outlines do not tell curls: hair stays straight, or curled, as it is.
+    Bald is whose scalp shows as face. Outlines do not tell curls: hair stays straight, or curled, as it is.
 
     :param posed: of each photo (n, 3) world points of the skin
     :param scalp: (n,) how far points of the skin are scalp
     :param now: the style that the face has
     """
-    hair = [_small(photo) for photo in photos]
+    hair, face = ([_small(photo, kind) for photo in photos] for kind in ("hair", "face"))
+
+    def drawn(style: str) -> list[BoolArray]:
+        return [_drawn(skin, *one, scalp > _SCALP, style) for one in zip(photos, posed, strict=True)]
+
+    shaved = drawn("stubble")
+    if _sum(np.minimum, face, shaved) > _SHAVED * sum(map(np.sum, shaved)):
+        return "bald"
     shares = {now: _LEAST}
-    for style, (_, picture) in STYLES.items():
-        if picture in ("", STYLES[now][1]):
-            drawn = [
-                _drawn(skin, photo, points, scalp > _SCALP, style) for photo, points in zip(photos, posed, strict=True)
-            ]
-            pairs = list(zip(hair, drawn, strict=True))
-            both, either = (sum(float(kind(*pair).sum()) for pair in pairs) for kind in (np.minimum, np.maximum))
-            shares[style] = max(shares.get(style, 0.0), both / max(either, 1e-9))
+    for style, (painted, picture) in STYLES.items():
+        if painted and picture in ("", STYLES[now][1]):
+            shown = drawn(style)
+            share = _sum(np.minimum, hair, shown) / max(_sum(np.maximum, hair, shown), 1e-9)
+            shares[style] = max(shares.get(style, 0.0), share)
     return max(shares, key=lambda style: shares[style])
+
+
+def _sum(kind: np.ufunc, one: Sequence[FloatArray], other: Sequence[BoolArray]) -> float:
+    return float(sum(kind(*pair).sum() for pair in zip(one, other, strict=True)))
 
 
 @cache
@@ -63,9 +72,9 @@ def _scale(photo: Exposure) -> float:
     return min(1.0, _EYES * depth / (photo.seen.eye_distance * photo.view.focal))
 
 
-def _small(photo: Exposure) -> FloatArray:
-    """(h, w) hair in a small picture."""
-    whole, scale = photo.seen.mask.hair, _scale(photo)
+def _small(photo: Exposure, kind: str) -> FloatArray:
+    """(h, w) face or hair in a small picture."""
+    whole, scale = getattr(photo.seen.mask, kind), _scale(photo)
     shares = [max(1, round(side * scale)) / side for side in whole.shape]
     return np.asarray(zoom(whole, shares, order=1, mode="nearest", grid_mode=True))
 

@@ -33,4 +33,5 @@ def as_text(out: Path, report: BakePhotoReport) -> str:
     alike = {name: "none" if value is None else f"{value:.3f}" for name, value in report.similarities.items()}
     rows = [("photo", "face that it shows", *(["similarity"] if alike else []))]
     rows += [(name, f"{share:.0%}", *([alike[name]] if alike else [])) for name, share in report.photos.items()]
-    return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}"
+    hair = "" if report.hair_style is None else f"\nhair: {report.hair_style}"
+    return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}{hair}"

@@ -19,7 +19,9 @@ from textures import picture
 
 import facepipe
 from facepipe.geometry.colors import from_srgb
-from facepipe.heads.surfaces import other_cards
+from facepipe.heads.assembly import make_head
+from facepipe.heads.people import Look
+from facepipe.heads.surfaces import dressed, other_cards
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.processors.photo_texture.observed import sampled
 from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
@@ -281,6 +283,21 @@ def test_hair_has_the_style_that_is_nearest_to_that_of_the_photo(tmp_path: Path,
     done(capsys, "export", tmp_path / "out.usda", "-o", tmp_path / "out.glb")
     read = next(mesh for mesh in facepipe.read(tmp_path / "out.glb").meshes if mesh.name == "Hair")
     assert len(read.face_vertex_counts) == len(shown.meshes[-1].face_vertex_counts)
+
+
+def test_a_bald_person_gets_no_hair_and_a_scalp_of_skin(tmp_path: Path) -> None:
+    """A face with cropped hair, whose photo shows the same person without any."""
+    cropped = with_cards(person(LIGHT_SKIN), "Hair")
+    shaved = dressed(make_head(np.zeros(100)), Look(style="bald"), 256)
+    shown = wearing(person(LIGHT_SKIN), shaved)
+    put_fitted(cropped, shown, tmp_path, front=0.0)
+    report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    assert report.hair_style == "bald"
+    assert report.hidden == ("Hair",)
+    made, before = (facepipe.open(tmp_path / f"{name}.usda").parts() for name in ("out", "fitted"))
+    truth = list(skin(shown))
+    off, at_first = (np.abs(list(skin(one))[1] - truth[1]).mean() for one in (made, before))
+    assert off < at_first
 
 
 def assert_alike(found: Mesh, expected: Mesh) -> None:
