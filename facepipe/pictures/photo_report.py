@@ -141,7 +141,7 @@ def _unseen(sheet: PhotoSheet) -> Iterator[Markup]:
     shares = {name: share for name, share in sheet.unseen.items() if share >= HIDDEN}
     if not shares:
         return
-    yield heading("In no photo", "share of the region, turned away, hidden by the face itself or cut off")
+    yield heading("In no photo", "share of the region, turned away, hidden or cut off")
     order = sorted(shares, key=lambda name: (-shares[name], name))
     yield tag(
         "section", table_of_bars([(name, [(bar((0.0, 1.0), 0.0, shares[name]), shares[name])]) for name in order])
