@@ -19,7 +19,7 @@ from facepipe.stage import Face
 HERE = Path(__file__).resolve().parent
 PHOTO = HERE.parent.parent / "shared" / "data" / "photos" / "astronaut.png"
 SIZE = 300  # pixels a side of each picture
-BOX = (155, 5, 290, 140)  # of the head in the photo, pixels
+BOX = (140, 0, 320, 180)  # of the head in the photo, pixels
 VIEWS: tuple[View, ...] = ("front", "three-quarter", "side")
 NECK = 6.0  # cm below the chin that pictures show
 SMILE = {f"{name}{side}": 0.7 for name in ("mouthSmile", "cheekSquint", "mouthUpperUp") for side in ("Left", "Right")}
