@@ -1,7 +1,7 @@
 """Draws docs/photo_face.png: `python docs/photo_face_picture.py`. Needs ../shared/data and the extra `train`.
 
-A portrait of Eileen Collins (NASA, public domain), and the face that `fit-photo` and `bake-photo` make of it, with nothing
-else given.
+A portrait of Eileen Collins (NASA, public domain), and the face that `fit-photo` and `bake-photo` make of it, with
+nothing else given.
 """
 
 from __future__ import annotations

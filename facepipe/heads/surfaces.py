@@ -187,7 +187,7 @@ def kind_of(mesh: Mesh, head: Mesh, within: float = _AS_LAID) -> str | None:
     """
     for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
         held = cards(kind)
-        if len(mesh.points) == len(held.uv):
+        if len(mesh.points) == len(held.uv) and held.corners.max() < len(head.points):
             off = np.abs(held.carry(head.points) + held.offsets - mesh.points)
             if off.max() < within:
                 return kind
@@ -202,7 +202,7 @@ def laid_again(mesh: Mesh, before: Mesh, head: Mesh) -> Mesh | None:
 
 def other_cards(mesh: Mesh, kind: str, head: Mesh) -> Mesh:
     """Cards of a kind on a head in place of a mesh of cards."""
-    region = next(name for name, mask in mesh.regions.items() if np.any(mask))
+    region = next((name for name, mask in mesh.regions.items() if np.any(mask)), "")
     return replace(card_mesh(mesh.name, cards(kind), head, region), material=mesh.material)
 
 

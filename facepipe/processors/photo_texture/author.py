@@ -60,8 +60,8 @@ def author_textures(
         baker, scalp, style = Baker(skin), None, None
         if cards is not None:
             scalp = painted_scalp(skin, baker.template, neutral[cards.span])
-            now = kind_of(cards.mesh, skin.mesh, _MOVED)
-            style = nearest_style(skin, exposures, posed, scalp, now) if now in STYLES else None
+            now = _style_now(face, skin, cards)
+            style = None if now is None else nearest_style(skin, exposures, posed, scalp, now)
         baked = baker(exposures, scalp, bald=style == "bald")
         bar.update()
     relit = _relit(face, [view.name for view, _ in photos], baked)
@@ -90,9 +90,17 @@ def _author_hair(face: Face, skin: SkinSurface, cards: HairCards, color: FloatAr
     if style is not None and not STYLES[style][1]:
         author_opacity(prim, 0.0)
         return True
-    if style not in (None, kind_of(cards.mesh, skin.mesh, _MOVED)):
+    if style not in (None, _style_now(face, skin, cards)):
         author_mesh_in_place(face, other_cards(cards.mesh, style, skin.mesh))
     return False
+
+
+def _style_now(face: Face, skin: SkinSurface, cards: HairCards) -> str | None:
+    """The style of the built-in head that hair has; None for other hair, or where units or axes are others."""
+    if face.up_axis != "Y" or not np.isclose(face.meters_per_unit, 0.01):
+        return None
+    kind = kind_of(cards.mesh, skin.mesh, _MOVED)
+    return kind if kind in STYLES else None
 
 
 def _pixels(view: PhotoView, path: Path) -> Photo:
