@@ -58,6 +58,7 @@ class Card:
         self._depth = context.program(vertex_shader=text["shadow"], fragment_shader="#version 330\nvoid main() {}\n")
         fine = (_FINE * size, _FINE * size)
         self._samples = context.texture(fine, 4, dtype="f2")
+        self._samples.build_mipmaps(max_level=1)  # gets its memory, which must not move once it is drawn to
         self._fine = context.framebuffer([self._samples], context.depth_renderbuffer(fine))
         self._map = context.depth_texture((_SHADOW, _SHADOW))
         self._map.compare_func = ""
@@ -98,8 +99,6 @@ class Card:
         What lights the model is lost: its next picture begins with `draw`.
         """
         model.carry(values)
-        self._shadow.use()
-        model.occluders.render()  # Mesa sees a program's changed numbers where another program has run in between
         self._fine.use()
         return self._drawn(model, plain=True)[..., :3]
 

@@ -259,8 +259,10 @@ class JointLoss:
     def _picture(self, at: Unknowns, view: int) -> tuple[Tensor, Tensor]:
         """(h, w, 3) sRGB, behind what covers the face in the photo, and (h, w) where it shows."""
         photo, image = self.photos[view], self.image(at, view)
-        picture = photo.pixels + photo.face[..., None] * (to_srgb(image[..., :3]) - photo.pixels)
-        return picture, image[..., 3] * photo.face
+        picture, coverage = to_srgb(image[..., :3]), image[..., 3]
+        if bool((photo.face == 1).all()):
+            return picture, coverage
+        return torch.lerp(photo.pixels, picture, photo.face[..., None]), coverage * photo.face
 
     def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
         """Equation [0138] in standard deviations, robust: Huber's norm, summed; contour points slide."""
