@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Iterator
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from torch import Tensor
 FloatArray = npt.NDArray[np.floating]
 
 
-class Shards:
+class Shards(ABC):
     """What files hold, on the device of a training: arrays of as many rows, pictures (n, S, S, 3) first."""
 
     def __init__(
@@ -49,9 +50,9 @@ class Shards:
             old = self.columns or tuple(column[:0] for column in new)
             self.columns = tuple(torch.cat(pair) for pair in zip(old, new, strict=True))
 
+    @abstractmethod
     def batch(self, rows: npt.NDArray[np.integer], rng: np.random.Generator | None) -> tuple[Tensor, Tensor]:
         """Normalised pictures, and what a network shall say of them; varied where there is a generator."""
-        raise NotImplementedError
 
     def tensor(self, values: FloatArray) -> Tensor:
         """float32 on the device."""

@@ -68,8 +68,7 @@ def _dense_triangles(style: str) -> IntArray:
 
 def _scale(photo: Exposure) -> float:
     """Of small pictures."""
-    depth = float(np.median(-photo.points[:, 2]))
-    return min(1.0, _EYES * depth / (photo.seen.eye_distance * photo.view.focal))
+    return min(1.0, _EYES / photo.eye_pixels)
 
 
 def _small(photo: Exposure, kind: str) -> FloatArray:

@@ -54,12 +54,16 @@ class Exposure:
         return np.asarray(np.median(self.white[near], axis=0)) if near.any() else np.ones(3)
 
     @property
+    def eye_pixels(self) -> float:
+        """Pixels of the photo between the eyes."""
+        return self.seen.eye_distance * self.view.focal / float(np.median(-self.points[:, 2]))
+
+    @property
     def clarity(self) -> float:
-        """Pixels between the eyes, times the light on the skin where white would not be white."""
+        """Pixels between the eyes, less where the skin is in little light."""
         lit = self.white[self.trust > 0]
         bright = float(np.median(lit @ GREY)) if len(lit) else 0.0
-        depth = float(np.median(-self.points[:, 2]))
-        return self.seen.eye_distance * self.view.focal / depth * min(1.0, bright)
+        return self.eye_pixels * min(1.0, bright)
 
     @property
     def view(self) -> PhotoView:
