@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from benchmark_modules import BENCHMARKS
 from likeness import judged, left_out, main, neutral_distances, table
+from likeness_bound import distances
 from likeness_pictures import CAMERA, LOOKS, MASKED, MEAN, PHOTO, TEXTURED, UNTEXTURED, YAWS, Made
 from likeness_portraits import Portrait
 
@@ -105,3 +106,13 @@ def test_it_says_what_is_not_there(
     monkeypatch.setattr(sys, "argv", [str(BENCHMARKS / "likeness.py"), *words])
     assert main() == 2
     assert "astronaut.png: no such file" in capsys.readouterr().err
+
+
+def test_a_true_front_is_compared_with_photos_of_the_person_alone() -> None:
+    ann, bob = Path("ann"), Path("bob")
+    drawn = [(ann, {Path("a0"): -25.0, Path("a1"): 4.0}), (bob, {Path("b0"): 0.0, Path("b1"): 12.0})]
+    found = {path: np.array([at]) for path, at in ((ann, 0.0), (Path("a0"), 0.5), (Path("a1"), 0.2), (bob, 3.0))}
+    values = distances(drawn, {**found, Path("b1"): np.array([3.4])})
+    assert values["front"] == pytest.approx([0.5, 0.2, 0.4])
+    assert values["front, nearly"] == pytest.approx([0.2])
+    assert values["photos"] == pytest.approx([0.3])

@@ -26,15 +26,16 @@ from facepipe.processors.photo_texture.evened import (
 )
 from facepipe.processors.photo_texture.hair import hair_color, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
+from facepipe.processors.photo_texture.registered import registered
 from facepipe.processors.photo_texture.skin_surface import SkinSurface, template_texels
 
 # all lengths are shares of the eyes' distance
 _REACH = 0.02  # of the completion: what is smaller is detail
 _FAR = 0.15  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
-_SHARP = 16  # power of preference by which photos are mixed: hardly two in one place, where features would blur
+_SHARP = 4  # power of preference by which photos are mixed: mostly one in one place, where features would blur
 _STRAINED = 0.5  # of preference that goes where a photo's expression folds the skin
-_OTHERS = 0.7  # preference of all photos but the one that shows the face best: features fit together in one photo
+_OTHERS = 0.8  # preference of all photos but the one that shows the face best: features fit together in one photo
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +88,7 @@ class Baker:
         layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
         color, paint = None, None
         if scalp is not None and not bald:
-            color = hair_color(photos, [layer.scale for layer in layers])
+            color = hair_color(photos, [layer.scale for layer in layers], scalp)
         if scalp is not None and (bald or color is not None):
             below = own = self._skin_color(layers)
             if color is not None:
@@ -168,11 +169,22 @@ class Baker:
         """Layers of which the one that shows the face best is preferred: much of it, large, and well lit."""
         face = inner(self.skin) * self.skin.areas
         shown = [float(layer.trust * layer.calm[:, 0] @ face) for layer in layers]
-        best = np.argmax([share * photo.clarity for share, photo in zip(shown, photos, strict=True)])
+        best = int(np.argmax([share * photo.clarity for share, photo in zip(shown, photos, strict=True)]))
         return [
-            layer if number == best else replace(layer, calm=_OTHERS * layer.calm)
+            layer if number == best else self._registered(layers[best], replace(layer, calm=_OTHERS * layer.calm))
             for number, layer in enumerate(layers)
         ]
+
+    def _registered(self, first: _Layer, layer: _Layer) -> _Layer:
+        """A layer whose features lie where the first has them."""
+        observed = []
+        for texture, flat, one, other in zip(
+            self.skin.textures, self.flats, first.observed, layer.observed, strict=True
+        ):
+            texel = float(np.sqrt(self.skin.areas.sum() / len(texture.texels.at)))
+            observed.append(registered(texture.texels, one, other, flat, texel))
+        colors, trust = self.at_points(observed)
+        return replace(layer, observed=tuple(observed), colors=colors, trust=trust)
 
     def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]

@@ -24,6 +24,7 @@ _CLEAR = 0.7  # share of a pixel that is hair, or face, by the network of masks
 _LEAST = 0.05  # of the pixels of a face, that are hair
 _LIT = 0.7  # quantile: strands that are darker lie in the shade of others
 _SEEN = 0.5  # confidence in skin whose light counts
+_TOWARDS = 0.2  # cosine to the viewer of scalp whose light counts
 _DARKEST, _BRIGHTEST = 0.01, 0.7  # linear
 
 
@@ -58,23 +59,32 @@ def hair_cards(
     return None
 
 
-def hair_color(photos: Sequence[Exposure], scales: Sequence[FloatArray]) -> FloatArray | None:
-    """(3,) linear colour of hair as photos show it in the light of the face; None where that is little.
+def hair_color(photos: Sequence[Exposure], scales: Sequence[FloatArray], scalp: FloatArray) -> FloatArray | None:
+    """(3,) linear colour of hair as photos show it in the light that falls there; None where that is little.
 
     :param scales: (3,) of each photo's light
+    :param scalp: (n,) how far points are painted with hair
     """
-    colors = [_hair(photo) / scale for photo, scale in zip(photos, scales, strict=True)]
+    colors = [_hair(photo, scalp) / scale for photo, scale in zip(photos, scales, strict=True)]
     known = [shown for shown in colors if len(shown)]
     return np.clip(np.quantile(np.concatenate(known), _LIT, axis=0), _DARKEST, _BRIGHTEST) if known else None
 
 
-def _hair(photo: Exposure) -> FloatArray:
-    """(m, 3) linear colours over the light that the face has in the mean; none where a face has hardly any hair."""
+def _hair(photo: Exposure, scalp: FloatArray) -> FloatArray:
+    """(m, 3) linear colours over light; none where a face has hardly any hair.
+
+    Light is that of the face, or of the scalp where that is brighter: most lamps hang above, and the scalp of the face
+    is in the shade of cards whose style the person may not have.
+    """
     mask, lit = photo.seen.mask, photo.trust > _SEEN
     clear = mask.hair > _CLEAR
     if not lit.any() or clear.sum() < _LEAST * (mask.face > _CLEAR).sum():
         return np.zeros((0, 3))
-    return np.asarray(from_srgb(photo.pixels[clear].astype(np.float64)) / np.median(photo.white[lit], axis=0))
+    light = np.median(photo.white[lit], axis=0)
+    above = (scalp > _SEEN) & (photo.facing > _TOWARDS)
+    if above.any():
+        light = light * max(1.0, float(np.median(photo.white[above] @ GREY)) / float(light @ GREY))
+    return np.asarray(from_srgb(photo.pixels[clear].astype(np.float64)) / light)
 
 
 def scale_of(material: Material, color: FloatArray) -> tuple[float, float, float, float]:
