@@ -1,17 +1,19 @@
 """How like their photos portraits are that have nothing wrong: what no fit can be expected to pass.
 
 People are those of `photo_geometry.py`, drawn from the head in the box with a residual, skin and hair, each with three
-photos with expressions, lenses and lights. The front is of the very person: the true neutral with the true skin and
-hair in studio light, as `likeness.py` draws it of those that are fitted. It and photos are judged by dlib as there:
+photos with expressions, lenses and lights. They are drawn as `likeness.py` draws those that are fitted, but as they
+are: the true neutral with the true skin and hair in studio light. Pictures are judged by dlib as there:
 
     python benchmarks/likeness_bound.py --dlib dlib-env/bin/python [--people 16] [--seed 0] [--size 640]
         [--json out.json]
 
 Figures are distances of face descriptors: mean, tenth and ninetieth percentile, worst. Rows:
 
-  front            the front to a photo, from whatever side
-  front, nearly    the same of the photos within 10 degrees of the front
-  photos           two photos of one person
+  front, front (nearly)   the front to a photo; to one within 10 degrees of the front
+  yaw                     the neutral from 30 degrees to either side to a photo
+  photos                  two photos of one person
+  untextured              a photo to the same of the same shape with the average head's skin, eyes and colour of hair
+  mean head               a photo to the same of the average head in its own skin, with the expression
 """
 
 from __future__ import annotations
@@ -20,21 +22,27 @@ import argparse
 import json
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from arguments import positive
 from children import ChildError, run_child
 from geometry_people import person, portraits
-from likeness_pictures import SIZE
+from likeness_pictures import SIZE, YAWS, average, unskinned
 from PIL import Image
 from tables import aligned
 
-from facepipe.pictures import PictureOptions, picture
+from facepipe.core.arrays import FloatArray
+from facepipe.pictures import PictureOptions
+from facepipe.pictures.face_picture import pictures
 
 _NEARLY = 10.0  # degrees
-ROWS = ("front", "front, nearly", "photos")
+
+Pair = tuple[str, Path, Path]  # row, and the two pictures
 
 
 def main() -> int:
@@ -48,55 +56,66 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as passing:
         folder = Path(passing)
-        drawn = [_drawn(number, arguments, folder) for number in range(arguments.people)]
-        files = [file for front, photos in drawn for file in (front, *photos)]
+        pairs = [
+            pair
+            for number in range(arguments.people)
+            for pair in _pairs(number, arguments.seed, arguments.size, folder)
+        ]
+        files = list(dict.fromkeys(file for _, *both in pairs for file in both))
         try:
             seen = run_child(arguments.dlib, Path(__file__).with_name("dlib_faces.py"), *files, folder / "seen.json")
         except (ChildError, OSError) as error:
             print(error, file=sys.stderr)
             return 2
     found = {file: np.array(row) for file, row in zip(files, seen["descriptors"], strict=True) if row is not None}
-    values = distances(drawn, found)
-    print(
-        "\n".join(aligned([("row", "pairs", "mean", "p10", "p90", "worst"), *(_cells(*row) for row in values.items())]))
-    )
+    values = distances(pairs, found)
+    rows = [(row, *_cells(figures)) for row, figures in values.items()]
+    print("\n".join(aligned([("row", "pairs", "mean", "p10", "p90", "worst"), *rows])))
     print(f"no face found: {len(files) - len(found)} of {len(files)} pictures")
     if arguments.json:
         arguments.json.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
     return 0
 
 
-def _drawn(number: int, arguments: argparse.Namespace, folder: Path) -> tuple[Path, dict[Path, float]]:
-    """A person's front, and the yaw of each photo, degrees."""
-    who, photos = person(number, arguments.seed), {}
-    front = folder / f"{number}.front.png"
-    Image.fromarray(np.asarray(picture(who.parts, None, PictureOptions(size=SIZE, samples=2)))).save(front)
-    for each, photo in enumerate(portraits(who, number, arguments.seed, arguments.size)):
-        file = folder / f"{number}.{each}.png"
-        Image.fromarray(photo.image).save(file)
-        photos[file] = photo.yaw
-    return front, photos
+def _pairs(number: int, seed: int, size: int, folder: Path) -> Iterator[Pair]:
+    """Pictures of a person, drawn."""
+    who = person(number, seed)
+    options = [PictureOptions(size=SIZE, samples=2, view=(np.radians(yaw), 0.0)) for yaw in YAWS.values()]
+    drawn = {}
+    for line, image in zip(YAWS, pictures(who.parts, None, options), strict=True):
+        drawn[line] = folder / f"{number}.{line}.png"
+        image.save(drawn[line])
+    photos = []
+    for each, photo in enumerate(portraits(who, number, seed, size)):
+        photos.append(_saved(photo.image, folder / f"{number}.{each}.png"))
+        for line, picture in drawn.items():
+            yield "front" if line == "front" else "yaw", picture, photos[-1]
+        if abs(photo.yaw) <= _NEARLY:
+            yield "front (nearly)", drawn["front"], photos[-1]
+    yield from (("photos", one, other) for one, other in combinations(photos, 2))
+    for row, parts in (("untextured", unskinned(who.parts, size)), ("mean head", average(size))):
+        same = replace(who, parts=parts)
+        for each, photo in enumerate(portraits(same, number, seed, size)):
+            yield row, _saved(photo.image, folder / f"{number}.{each}.{row}.png"), photos[each]
 
 
-def distances(drawn: list[tuple[Path, dict[Path, float]]], found: dict[Path, np.ndarray]) -> dict[str, list[float]]:
-    """Of the pairs of each row of which both pictures show a face."""
-    values: dict[str, list[float]] = {row: [] for row in ROWS}
-    for front, photos in drawn:
-        known = [photo for photo in photos if photo in found]
-        for photo in known if front in found else []:
-            apart = float(np.linalg.norm(found[front] - found[photo]))
-            values["front"].append(apart)
-            if abs(photos[photo]) <= _NEARLY:
-                values["front, nearly"].append(apart)
-        values["photos"] += [float(np.linalg.norm(found[one] - found[other])) for one, other in combinations(known, 2)]
+def _saved(image: npt.NDArray[np.uint8], file: Path) -> Path:
+    Image.fromarray(image).save(file)
+    return file
+
+
+def distances(pairs: Iterable[Pair], found: Mapping[Path, FloatArray]) -> dict[str, list[float]]:
+    """By row, of the pairs of which both pictures show a face."""
+    values: dict[str, list[float]] = {}
+    for row, one, other in pairs:
+        if one in found and other in found:
+            values.setdefault(row, []).append(float(np.linalg.norm(found[one] - found[other])))
     return values
 
 
-def _cells(row: str, values: list[float]) -> tuple[str, ...]:
-    if not values:
-        return (row, "0", "", "", "", "")
+def _cells(values: Sequence[float]) -> tuple[str, ...]:
     figures = (np.mean(values), *np.quantile(values, [0.1, 0.9]), np.max(values))
-    return (row, str(len(values)), *(f"{figure:.3f}" for figure in figures))
+    return str(len(values)), *(f"{figure:.3f}" for figure in figures)
 
 
 if __name__ == "__main__":

@@ -108,11 +108,8 @@ def test_it_says_what_is_not_there(
     assert "astronaut.png: no such file" in capsys.readouterr().err
 
 
-def test_a_true_front_is_compared_with_photos_of_the_person_alone() -> None:
-    ann, bob = Path("ann"), Path("bob")
-    drawn = [(ann, {Path("a0"): -25.0, Path("a1"): 4.0}), (bob, {Path("b0"): 0.0, Path("b1"): 12.0})]
-    found = {path: np.array([at]) for path, at in ((ann, 0.0), (Path("a0"), 0.5), (Path("a1"), 0.2), (bob, 3.0))}
-    values = distances(drawn, {**found, Path("b1"): np.array([3.4])})
-    assert values["front"] == pytest.approx([0.5, 0.2, 0.4])
-    assert values["front, nearly"] == pytest.approx([0.2])
-    assert values["photos"] == pytest.approx([0.3])
+def test_a_true_portrait_is_compared_where_both_pictures_show_a_face() -> None:
+    front, photo, lost = Path("front"), Path("photo"), Path("lost")
+    pairs = [("front", front, photo), ("front", front, lost), ("photos", photo, lost), ("yaw", photo, front)]
+    values = distances(pairs, {front: np.array([0.0]), photo: np.array([0.25])})
+    assert values == {"front": [0.25], "yaw": [0.25]}
