@@ -161,9 +161,10 @@ def _opened(action: StageAction[Any]) -> Iterator[tuple[Face, bool]]:
         face = read_face(path)
         parts, warnings = face.parts(), face.warnings
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        made = Path(folder) / f"{path.stem or 'face'}.usdc"  # the working folder, ".", has no name
         with apart():
-            save_parts(parts, Path(folder) / f"{path.stem}.usdc")
-        opened = open_face(Path(folder) / f"{path.stem}.usdc")
+            save_parts(parts, made)
+        opened = open_face(made)
         opened.warnings = warnings
         yield opened, True
 

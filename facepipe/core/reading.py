@@ -57,6 +57,26 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_there(path: Path) -> bool:
+    """Whether `path` is a file or a folder; False for a name that neither can have."""
+    try:
+        return path.is_file() or path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def files_in(folder: Path) -> list[Path]:
+    """The files of a folder by name, but for hidden ones.
+
+    :raises InputError: it can't be read
+    """
+    check_readable(folder)
+    try:
+        return sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+    except OSError as error:
+        raise InputError(folder, f"can't be read: {error.strerror or error}") from error
+
+
 def read_bytes(path: Path, most: int) -> bytes:
     """The content of a file of at most `most` bytes.
 

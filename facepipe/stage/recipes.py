@@ -14,7 +14,8 @@ from pxr import Ar, Sdf
 
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
-from facepipe.core.reading import digest, is_file, read_json_object
+from facepipe.core.images import PHOTO_SUFFIXES
+from facepipe.core.reading import digest, files_in, is_there, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
@@ -89,7 +90,7 @@ def existing_source(where: str, path: Path, instead: str) -> Path:
     :raises InputError: no such file, or as `check_source`
     """
     check_source(where, path)
-    if not is_file(path):
+    if not is_there(path):
         raise InputError(where, f"{path}: no such file, expected it there (or {instead})")
     return path.resolve()
 
@@ -103,7 +104,7 @@ def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[st
 
 
 def source_digest(path: Path) -> str:
-    """The digest of a file with what it stands on: USD layers, buffers of a glTF.
+    """The digest of a file with what it stands on: USD layers, buffers of a glTF; or of the photos in a folder.
 
     :raises InputError: a file can't be read
     """
@@ -112,6 +113,8 @@ def source_digest(path: Path) -> str:
 
 def source_files(path: Path) -> set[Path]:
     """The files that `source_digest` reads."""
+    if os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
+        return {one for one in files_in(path) if one.suffix.lower() in PHOTO_SUFFIXES}
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         layers = {path.resolve()} | {

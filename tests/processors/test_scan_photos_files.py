@@ -26,8 +26,7 @@ from facepipe.processors.scan_photos import (
     write_cameras,
 )
 from facepipe.processors.scan_photos.photos import read_photos
-from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotosReport
-from facepipe.processors.scan_photos.scan_action import _bars
+from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotosReport, bars
 from facepipe.processors.scan_photos.structure import Structure
 from facepipe.scans import Scan, ScanLandmarks
 
@@ -185,7 +184,7 @@ def test_one_bar_is_open_at_a_time() -> None:
         yield mock.Mock(update=lambda: events.append("step"))
         events.append(f"{name} ends")
 
-    with _bars(watch) as step:
+    with bars(watch) as step:
         for name, total in (("cameras", 1), ("depth", 2), ("depth", 2)):
             step(name, total)
     assert events == ["cameras of 1", "step", "cameras ends", "depth of 2", "step", "step", "depth ends"]

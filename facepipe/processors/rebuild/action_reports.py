@@ -46,6 +46,7 @@ class FitNeutralReport(Judged, NeutralReport):
     textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
     colored: float = 0.0  # share of the skin's outside whose colours the scan shows
     hidden: tuple[str, ...] = ()  # materials of cards of brows, which the scan's colours show
+    photos: Mapping[str, Any] = field(default_factory=dict)  # what `facepipe scan` reports of them
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
 
 SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of any pose and unit, whole or in part.
+A folder of photos around a face is scanned first, as `facepipe scan` does by default (`pip install 'facepipe[scan]'`).
 Without --template it becomes the built-in head, textured and ready for use: with -o person.glb for the engine at once.
 Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
 scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
@@ -15,6 +16,7 @@ their distance. Exit code 1: done, but a limit of the quality gate of `facepipe 
 
 examples:
   facepipe fit-neutral anna.glb -o anna_face.glb
+  facepipe fit-neutral photos/ -o anna.glb
   facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
   facepipe fit-neutral ben.ply -o ben.usda --unit cm --weights mouthSmileLeft=0.5 mouthSmileRight=0.5
 """
@@ -55,7 +57,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         flag="--template",
         metavar="FACE",
     )
-    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD")
+    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
     database: Path | None = source(
         "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
         default=None,
@@ -80,6 +82,15 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         super().__post_init__()
         object.__setattr__(self, "landmarks", landmark_file(self.scan, self.landmarks))
 
+    def check(self) -> None:
+        from facepipe.processors.scan_photos import photo_files
+
+        super().check()
+        if Path(self.scan).is_dir():
+            photo_files(Path(self.scan))
+            if self.unit != "auto":
+                raise InputError(f"--unit {self.unit}", "photos have no unit, expected auto")
+
     @property
     def base(self) -> Path:
         return Path(self.scan if self.template is None else self.template)
@@ -90,23 +101,23 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         return make(textures=_TEXTURES) if self.template is None else None
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
-        from facepipe.importers.scan_file import read_scan
         from facepipe.processors.database import QualityLimits, misses
         from facepipe.processors.rebuild.action_reports import FitNeutralReport
         from facepipe.processors.rebuild.author_neutral import AuthorNeutral
         from facepipe.processors.rebuild.built_in_head import BuiltInHead
         from facepipe.processors.rebuild.fit_neutral import FitNeutral
         from facepipe.processors.rebuild.scan_fit import FaceOnScan
-        from facepipe.processors.rebuild.scan_input import landmarks_of, named
+        from facepipe.processors.rebuild.scan_input import named, scan_input
         from facepipe.processors.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
         from facepipe.processors.rebuild.template import Template
         from facepipe.processors.scan_texture import author_scan_textures
 
-        parts, scan = face.parts(), read_scan(self.scan)
+        parts = face.parts()
         template, own = Template.of(parts, str(self.template or face.where)), BuiltInHead.of(parts)
         database = self._people(own)
         body = template.body(database.topology)
-        landmarks, notes = landmarks_of(self.landmarks, scan)
+        given = scan_input(Path(self.scan), self.landmarks, job.watch)
+        scan, landmarks = given.scan, given.landmarks
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
             fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
@@ -118,13 +129,14 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
         author = AuthorNeutral() if own is None else AuthorNeutral(settled=own.settled)
         authored = author(face, points, recipe=recipe)
-        with named(self.scan):
+        with named(self.scan), job.watch("textures", 1) as bar:
             baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
+            bar.update()
         neutral = points if report.weights else None
         picture = FaceOnScan(template=template, points=shown, scan=scan, place=fit.place, neutral=neutral)
         missed = misses(report.quality, QualityLimits())
-        warnings = (*notes, *report.warnings, *authored.warnings, *baked.warnings)
-        made = {"textures": baked.textures, "colored": baked.colored, "hidden": baked.hidden}
+        warnings = (*given.warnings, *report.warnings, *authored.warnings, *baked.warnings)
+        made = {"textures": baked.textures, "colored": baked.colored, "hidden": baked.hidden, "photos": given.photos}
         return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
 
     def _people(self, own: BuiltInHead | None) -> FaceDatabase:
@@ -138,12 +150,13 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         return own.people()
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
-        fit, quality = report.fit, report.quality
+        fit, quality, photos = report.fit, report.quality, report.photos
         unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
         off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
         besides = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
         distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
         rows = [
+            *([("photos", f"{len(photos['photos_used'])} used")] if photos else []),
             ("distance from the scan", distance),
             ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
             ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from facepipe.core.errors import FacepipeError
-from facepipe.kinds import StageAction
+from facepipe.kinds import StageAction, Watch
 
 if TYPE_CHECKING:
     from facepipe.processors.rebuild.action_reports import Judged
@@ -34,15 +35,47 @@ class ScanAction(StageAction[J]):
 
 
 def landmark_file(scan: Path, given: Path | None) -> Path | None:
-    """The landmarks given, or those that lie beside the scan."""
-    if given is not None:
-        return Path(given)
+    """The landmarks given, or those that lie beside a scan's file."""
+    if given is not None or Path(scan).is_dir():
+        return None if given is None else Path(given)
     beside = Path(scan).with_name(f"{Path(scan).stem}.landmarks.json")
     return beside if beside.exists() else None
 
 
-def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[str, ...]]:
-    """Landmarks from a file, or found on the scan, and warnings.
+@dataclass(frozen=True, kw_only=True)
+class ScanInput:
+    """A scan and its landmarks."""
+
+    scan: Scan
+    landmarks: ScanLandmarks
+    warnings: tuple[str, ...]
+    photos: Mapping[str, Any] = field(default_factory=dict)  # what `facepipe scan` reports of them
+
+
+def scan_input(source: Path, landmarks: Path | None, watch: Watch) -> ScanInput:
+    """The scan in a file, or that of the photos in a folder.
+
+    :param landmarks: their file; None: they come from the photos, or are found on the scan
+    :raises FacepipeError: files that can't be used, photos that give no scan, or no landmarks found
+    """
+    from facepipe.importers.scan_file import read_scan
+    from facepipe.processors.scan_photos import ScanPhotos, bars
+
+    if not source.is_dir():
+        scan = read_scan(source)
+        found, warnings = landmarks_of(landmarks, scan)
+        return ScanInput(scan=scan, landmarks=found, warnings=warnings)
+    with named(source), bars(watch) as step:
+        made = ScanPhotos()(source, step)
+    found, warnings = landmarks_of(landmarks, made.scan, made.landmarks)
+    report = made.report.to_dict()
+    return ScanInput(scan=made.scan, landmarks=found, warnings=(*made.report.warnings, *warnings), photos=report)
+
+
+def landmarks_of(
+    file: Path | None, scan: Scan, known: ScanLandmarks | None = None
+) -> tuple[ScanLandmarks, tuple[str, ...]]:
+    """Landmarks from a file, else the known ones, else those that are found on the scan; and warnings.
 
     :raises FacepipeError: a file that can't be used, or no landmarks found
     """
@@ -50,6 +83,8 @@ def landmarks_of(file: Path | None, scan: Scan) -> tuple[ScanLandmarks, tuple[st
 
     if file is not None:
         return read_scan_landmarks(file), ()
+    if known is not None and known.known.any():
+        return known, ()
     from facepipe.pictures.surface_view import draw_surface
     from facepipe.processors.scan_landmarks import FindScanLandmarks
 

@@ -7,7 +7,8 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera, read_cameras, write_cameras
     from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
-    from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos, ScanPhotosReport
+    from facepipe.processors.scan_photos.photos import photo_files
+    from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotos, ScanPhotosReport, bars
     from facepipe.processors.scan_photos.triangulation import read_markers, triangulate
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -20,6 +21,8 @@ __all__ = [
     "ScanPhotos",
     "ScanPhotosOptions",
     "ScanPhotosReport",
+    "bars",
+    "photo_files",
     "read_cameras",
     "read_markers",
     "triangulate",

@@ -11,14 +11,13 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, ByteArray
 from facepipe.core.errors import InputError
-from facepipe.core.images import decoding, open_image
-from facepipe.core.reading import read_bytes
+from facepipe.core.images import PHOTO_SUFFIXES, decoding, open_image
+from facepipe.core.reading import files_in, read_bytes
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 _EXIF, _FOCAL_35 = 0x8769, 0xA405  # the IFD of the camera's settings; focal length as on 36 x 24 mm film
 _FILM = 36.0  # mm
 _FOCALS = (4.0, 2000.0)  # mm: what lenses have
@@ -54,10 +53,11 @@ def photo_files(folder: Path) -> tuple[list[Path], list[str]]:
     """
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected a folder of photos")
-    files = sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
-    photos = [one for one in files if one.suffix.lower() in SUFFIXES]
+    files = files_in(folder)
+    photos = [one for one in files if one.suffix.lower() in PHOTO_SUFFIXES]
     if len(photos) < FEWEST_PHOTOS:
-        raise InputError(folder, f"{len(photos)} photos ({' '.join(SUFFIXES)}), expected {FEWEST_PHOTOS} or more")
+        found = f"{len(photos)} photos ({' '.join(PHOTO_SUFFIXES)})"
+        raise InputError(folder, f"{found}, expected {FEWEST_PHOTOS} or more")
     return photos, [one.name for one in files if one not in photos]
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
+from facepipe.kinds import Watch
 from facepipe.processors.scan_landmarks.find import found_sigmas
 from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera
 from facepipe.processors.scan_photos.depth import depth_maps
@@ -61,6 +63,21 @@ class ScanPhotosReport(Report):
 
 def no_step(name: str, total: int) -> None:
     """Progress that nobody watches."""
+
+
+@contextmanager
+def bars(watch: Watch) -> Iterator[Step]:
+    """A bar for each kind of work, one after the other."""
+    with ExitStack() as stack:
+        shown: dict[str, Any] = {}
+
+        def step(name: str, total: int) -> None:
+            if name not in shown:
+                stack.close()
+                shown[name] = stack.enter_context(watch(name, total))
+            shown[name].update()
+
+        yield step
 
 
 @dataclass(frozen=True, kw_only=True)

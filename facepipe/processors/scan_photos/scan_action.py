@@ -19,20 +19,18 @@ examples:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import table
 from facepipe.declare import beside, option, source
-from facepipe.kinds import FileAction, Job, Watch, action
+from facepipe.kinds import FileAction, Job, action
 from facepipe.processors.scan_photos.options import ScanPhotosOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.scan_photos.scan import ScanPhotos, ScanPhotosReport, Step
+    from facepipe.processors.scan_photos.scan import ScanPhotos, ScanPhotosReport
 
 
 @action("scan", "make a scan of photos around a face")
@@ -64,9 +62,10 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         from facepipe.core.atomic import discard_stale
         from facepipe.importers.scan_landmarks import write_scan_landmarks
         from facepipe.importers.scan_ply import write_ply
+        from facepipe.processors.scan_photos.scan import bars
 
         scanner, (landmark_file,) = self._scanner(), self.with_it(job.out)
-        with _bars(job.watch) as step:
+        with bars(job.watch) as step:
             made = scanner(self.photos, step)
         write_ply(made.scan, job.out)
         if made.landmarks.known.any() or made.landmarks.markers:
@@ -115,18 +114,3 @@ def _distance(words: tuple[str, ...]) -> tuple[str, str, float]:
     except ValueError:
         said = " ".join(map(str, words))[:80]
         raise InputError(f"--marker-distance {said}", "expected two markers and millimetres") from None
-
-
-@contextmanager
-def _bars(watch: Watch) -> Iterator[Step]:
-    """A bar for each kind of work, one after the other."""
-    with ExitStack() as stack:
-        shown: dict[str, Any] = {}
-
-        def step(name: str, total: int) -> None:
-            if name not in shown:
-                stack.close()
-                shown[name] = stack.enter_context(watch(name, total))
-            shown[name].update()
-
-        yield step
