@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 
 LANDMARK_SCHEME = "multipie68"
 LANDMARK_COUNT = 68
@@ -44,6 +45,17 @@ class ScanTexture:
         return replace(self, uvs=self.uvs[kept], picture=self.picture[kept])
 
 
+class SurfaceColors(Protocol):
+    """What shows a scan's surface besides its points and pictures on it: photos."""
+
+    def __call__(self, points: FloatArray, normals: FloatArray, spacing: float) -> Float32Array:
+        """(m, 3) linear colours at places (m, 3) of the surface; NaN where they are unknown.
+
+        :param normals: (m, 3) unit, outward
+        :param spacing: about how far apart the places are
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scan:
     """One scanned surface, or a cloud of points."""
@@ -54,6 +66,7 @@ class Scan:
     normals: FloatArray | None = None  # (n, 3) unit vectors, outward
     colors: FloatArray | None = None  # (n, 3) linear 0..1
     texture: ScanTexture | None = None  # on the file's triangles: what mends triangles drops it
+    photos: SurfaceColors | None = None  # before other colours, where they show the surface
     warnings: tuple[str, ...] = ()  # of the reader, one line each
 
     @property

@@ -18,7 +18,9 @@ from scan_actors import ict
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from trimesh.triangles import points_to_barycentric
 
+from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
@@ -90,14 +92,27 @@ def photograph(points: FloatArray, camera: PhotoCamera, *, seed: int = 0, sample
         at = slice(start, start + 200_000)
         ids = raster[rows[at], columns[at]]
         weights = barycentrics(screen, triangles, ids, columns[at] + 0.5, rows[at] + 0.5)
-        corners = triangles[ids]
-        rest = np.einsum("mk,mkc->mc", weights, ict().neutral[corners])
-        normal = np.einsum("mk,mkc->mc", weights, normals[corners])
-        makeup = np.einsum("mk,mk->m", weights, _makeup()[corners])
-        color[rows[at], columns[at]] = paint(rest, makeup, corners[:, 0]) * _light(normal)[:, None]
+        color[rows[at], columns[at]] = _shown(triangles[ids], weights, normals)
     small = color.reshape(camera.height, samples, camera.width, samples, 3).mean(axis=(1, 3))
     noisy = to_srgb(small) * 255 + np.random.default_rng(seed).normal(0.0, 1.0, small.shape)
     return np.clip(noisy + 0.5, 0, 255).astype(np.uint8)
+
+
+def colors_at(points: FloatArray, places: FloatArray) -> FloatArray:
+    """(m, 3) linear colours, as a face of ICT points (n, 3) shows them, where it is nearest to places (m, 3)."""
+    triangles = solid_triangles()
+    nearest = closest_places(places, points, triangles)
+    corners = triangles[nearest.triangles]
+    weights = points_to_barycentric(points[corners], nearest.places)
+    return _shown(corners, weights, point_normals(points, triangles))
+
+
+def _shown(corners: IntArray, weights: FloatArray, normals: FloatArray) -> FloatArray:
+    """(m, 3) linear colours at places by the corners (m, 3) of their triangles and shares (m, 3) of these."""
+    rest = np.einsum("mk,mkc->mc", weights, ict().neutral[corners])
+    normal = np.einsum("mk,mkc->mc", weights, normals[corners])
+    makeup = np.einsum("mk,mk->m", weights, _makeup()[corners])
+    return paint(rest, makeup, corners[:, 0]) * _light(normal)[:, None]
 
 
 def _light(normal: FloatArray) -> FloatArray:

@@ -77,7 +77,7 @@ def _read(file: Path, most: int, masks: Path | None) -> Photo:
     full = image.size
     if min(full) < _SMALLEST:
         raise InputError(file, f"{full[0]} x {full[1]} pixels, expected at least {_SMALLEST} a side")
-    size = _fitting(full, most)
+    size = fitting(full, most)
     small = image if size == full else image.resize(size, resample=5, reducing_gap=3.0)  # 5: area average
     return Photo(
         name=file.name,
@@ -88,7 +88,8 @@ def _read(file: Path, most: int, masks: Path | None) -> Photo:
     )
 
 
-def _fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
+def fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
+    """Width and height, shrunk to have no side above `most` pixels."""
     shrink = min(1.0, most / max(size))
     return max(1, round(size[0] * shrink)), max(1, round(size[1] * shrink))
 

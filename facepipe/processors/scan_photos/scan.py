@@ -21,6 +21,7 @@ from facepipe.processors.scan_landmarks.find import found_sigmas
 from facepipe.processors.scan_photos.cameras import Cameras, PhotoCamera
 from facepipe.processors.scan_photos.depth import depth_maps
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS, ScanPhotosOptions
+from facepipe.processors.scan_photos.photo_colors import PhotoColors
 from facepipe.processors.scan_photos.photos import Photo, photo_files, read_photos
 from facepipe.processors.scan_photos.structure import Structure, find_structure
 from facepipe.processors.scan_photos.subject import Subject, choose_pairs, find_subject, scale_of_markers, upright
@@ -137,7 +138,10 @@ class ScanPhotos:
             warnings=(*warnings, *made.report.warnings),
             seconds=time.perf_counter() - start,
         )
-        return replace(made, report=report)
+        shown = PhotoColors(
+            folder=folder, cameras=made.cameras.cameras, points=made.scan.points, triangles=made.scan.triangles
+        )
+        return replace(made, scan=replace(made.scan, photos=shown), report=report)
 
     def _scan(self, name: str, photos: list[Photo], structure: Structure, step: Step) -> PhotoScan:
         """The scan of photos that have a camera, without warnings on the others."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
-from facepipe.scans import Scan, ScanPicture, ScanTexture
+from facepipe.scans import Scan, ScanPicture, ScanTexture, SurfaceColors
 
 _MOST = 6_000_000  # samples of a scan
 _STEPS = 64  # of a triangle's side, at most
@@ -49,12 +49,20 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
     owners, shares, spacing = _lattice(points[scan.triangles[triangles]], spacing)
     owners = triangles[owners]
     corners = scan.triangles[owners]
-    return ScanSamples(
+    samples = ScanSamples(
         points=_mixed(points, corners, shares),
         normals=unit(_mixed(normals, corners, shares)),
         colors=_colors(scan, owners, corners, shares),
         spacing=spacing,
     )
+    return samples if scan.photos is None else _photographed(samples, scan.photos, place)
+
+
+def _photographed(samples: ScanSamples, photos: SurfaceColors, place: Similarity) -> ScanSamples:
+    """The samples with the colours of the photos where these show them."""
+    assert samples.colors is not None  # scans of photos have some at their points
+    colors = photos(place.undo(samples.points), samples.normals @ place.rotation, samples.spacing / place.scale)
+    return replace(samples, colors=np.where(np.isfinite(colors), colors, samples.colors))
 
 
 def _of_cloud(scan: Scan, points: FloatArray, inside: BoolArray, place: Similarity) -> ScanSamples:
