@@ -16,6 +16,7 @@ from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Shown
 from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
+from facepipe.geometry.vectors import unit_vectors
 
 _FEWEST = 50  # matches
 _ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is reported as an outlier
@@ -46,6 +47,7 @@ class Registered:
     matched: BoolArray  # (n,) points that have a match
     distances: FloatArray  # (n,) of matched points from the scan's surface, NaN elsewhere
     anchor_distances: FloatArray  # (l,)
+    anchor_slides: FloatArray  # (l,) the part of these that lies along the surface
     outliers: tuple[int, ...]  # anchors that lie off
     steps: int
 
@@ -114,7 +116,10 @@ class ViewState:
         matched, distances = np.zeros(len(points), bool), np.full(len(points), np.nan)
         matched[seen] = matches.kept
         distances[seen[matches.kept]] = matches.distances[matches.kept]
-        off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
+        away = self._anchors.places(points) - self._anchors.targets
+        off = np.linalg.norm(away, axis=1)
+        across = unit_vectors(self._anchors.places(point_normals(points, surface.triangles)))
+        slides = away - np.einsum("li,li->l", away, across)[:, None] * across
         return Registered(
             points=points,
             coefficients=coefficients,
@@ -124,6 +129,7 @@ class ViewState:
             matched=matched,
             distances=distances,
             anchor_distances=off,
+            anchor_slides=np.linalg.norm(slides, axis=1),
             outliers=tuple(np.flatnonzero(off > farthest_anchor(off)).tolist()),
             steps=steps,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from facepipe.processors.rebuild.options import UNITS
 from facepipe.processors.rebuild.template import Template
 from facepipe.scans import Scan
 
+_PARTS = {"brows": range(17, 27), "lids": range(36, 48), "lips": range(48, 68)}  # landmarks
 _ALIKE = 0.15  # a scale nearer than this to a unit's counts as that unit
 
 
@@ -30,6 +32,7 @@ class ScanFit:
     surface_p95_mm: float
     coverage: float  # share 0..1 of the face area that has a match
     landmark_mean_mm: float
+    slid_mm: Mapping[str, float]  # brows, lids, lips: how far off their landmarks points lie along the surface, RMS
     outliers: tuple[str, ...]  # landmarks and markers that are ignored
     steps: int
 
@@ -72,9 +75,17 @@ def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[st
         landmark_mean_mm=float(registered.anchor_distances.mean())
         if len(registered.anchor_distances)
         else float("nan"),
+        slid_mm=_slid(registered, names),
         outliers=tuple(names[number] for number in registered.outliers),
         steps=registered.steps,
     )
+
+
+def _slid(registered: Registered, names: tuple[str, ...]) -> dict[str, float]:
+    """Of the parts of a face that have landmarks."""
+    slides = dict(zip(names, registered.anchor_slides, strict=True))
+    known = {part: [slides[key] for i in marks if (key := f"landmark {i}") in slides] for part, marks in _PARTS.items()}
+    return {part: float(np.sqrt(np.mean(np.square(found)))) for part, found in known.items() if found}
 
 
 def in_place(scan: Scan, place: Similarity) -> Scan:
