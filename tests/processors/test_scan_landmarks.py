@@ -291,7 +291,7 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytes
     words = ["scan-landmarks", str(shared("scans/LeePerrySmith.glb")), "-o", str(out), "--picture", str(picture)]
     report = json.loads(done(capsys, *words, "--json", quiet=False))
     assert report["found"] == read_scan_landmarks(out).known.sum() == 68
-    assert read_scan_landmarks(out).sigma_mm.tolist() == [3.5] * 17 + [2.2] * 51
+    assert read_scan_landmarks(out).sigma_mm.tolist() == [3.5] * 17 + [1.5] * 10 + [0.8] * 41
     pixels = np.asarray(Image.open(picture).convert("RGB")).astype(int)
     assert ((pixels[..., 0] > 200) & (pixels[..., 1] < 80)).sum() > 68 * 20  # its red dots
     assert exit_code(*words) == 2  # it exists now

@@ -188,7 +188,7 @@ class ScanPhotos:
             return ScanLandmarks(markers=markers), lost
         sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
         points = place_landmarks(sightings, structure.cameras, scan)
-        return ScanLandmarks(points=points, sigma_mm=found_sigmas(), markers=markers), lost
+        return ScanLandmarks(points=points, sigma_mm=found_sigmas(colored=True), markers=markers), lost
 
     @property
     def _unit(self) -> str | None:
