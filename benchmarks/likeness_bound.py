@@ -12,8 +12,6 @@ Figures are distances of face descriptors: mean, tenth and ninetieth percentile,
   front, front (nearly)   the front to a photo; to one within 10 degrees of the front
   yaw                     the neutral from 30 degrees to either side to a photo
   photos                  two photos of one person
-  untextured              a photo to the same of the same shape with the average head's skin, eyes and colour of hair
-  mean head               a photo to the same of the average head in its own skin, with the expression
 """
 
 from __future__ import annotations
@@ -23,7 +21,6 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -32,7 +29,7 @@ import numpy.typing as npt
 from arguments import positive
 from children import ChildError, run_child
 from geometry_people import person, portraits
-from likeness_pictures import SIZE, YAWS, average, unskinned
+from likeness_pictures import SIZE, YAWS
 from PIL import Image
 from tables import aligned
 
@@ -93,10 +90,6 @@ def _pairs(number: int, seed: int, size: int, folder: Path) -> Iterator[Pair]:
         if abs(photo.yaw) <= _NEARLY:
             yield "front (nearly)", drawn["front"], photos[-1]
     yield from (("photos", one, other) for one, other in combinations(photos, 2))
-    for row, parts in (("untextured", unskinned(who.parts, size)), ("mean head", average(size))):
-        same = replace(who, parts=parts)
-        for each, photo in enumerate(portraits(same, number, seed, size)):
-            yield row, _saved(photo.image, folder / f"{number}.{each}.{row}.png"), photos[each]
 
 
 def _saved(image: npt.NDArray[np.uint8], file: Path) -> Path:

@@ -167,20 +167,16 @@ def _image(pixels: FloatArray) -> Image.Image:
 
 def other(seed: int, folder: Path, size: int) -> dict[str, Path]:
     """Front pictures of a person drawn from the head in the box, with that person's looks and with the average ones."""
-    person, shown = make(seed, textures=size), {}
-    for look, parts in ((TEXTURED, person), (UNTEXTURED, unskinned(person, size))):
+    person, average = make(seed, textures=size), _average(size)
+    plain = {material.name: material for material in average.materials}
+    skinned = replace(person, materials=tuple(plain.get(each.name, each) for each in person.materials))
+    shown = {}
+    for look, parts in ((TEXTURED, person), (UNTEXTURED, skinned)):
         shown[look] = folder / f"seed{seed}.{look}.front.png"
         pictures(parts, None, [PictureOptions(size=SIZE, samples=_SAMPLES)])[0].save(shown[look])
     return shown
 
 
-def unskinned(person: FaceParts, size: int) -> FaceParts:
-    """A person with the looks of the average head."""
-    plain = {material.name: material for material in average(size).materials}
-    return replace(person, materials=tuple(plain.get(each.name, each) for each in person.materials))
-
-
 @cache
-def average(size: int) -> FaceParts:
-    """The average head, with textures of a size."""
+def _average(size: int) -> FaceParts:
     return make(0, textures=size)

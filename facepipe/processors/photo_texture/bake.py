@@ -23,6 +23,8 @@ from facepipe.processors.photo_texture.evened import (
     quantile,
     relief,
     renewed,
+    too_dark,
+    upper_lids,
 )
 from facepipe.processors.photo_texture.hair import hair_color, scalp_color
 from facepipe.processors.photo_texture.observed import DARKEST, Exposure, Observed, observe
@@ -34,6 +36,7 @@ _REACH = 0.02  # of the completion: what is smaller is detail
 _FAR = 0.15  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
 _SHARP = 4  # power of preference by which photos are mixed: mostly one in one place, where features would blur
+_FOLDED = 0.8  # of the confidence in lids, that goes: a blink stretches what of their skin an open eye shows
 _STRAINED = 0.5  # of preference that goes where a photo's expression folds the skin
 _OTHERS = 0.8  # preference of all photos but the one that shows the face best: features fit together in one photo
 
@@ -76,6 +79,7 @@ class Baker:
         sums = np.zeros((len(skin.points), 4))
         for texture, flat in zip(skin.textures, self.flats, strict=True):
             sums += texture.texels.summed(np.column_stack([np.log(flat), np.ones(len(flat))]), len(skin.points))
+        self.lids = upper_lids(skin)
         self.totals = sums[:, 3]
         self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
 
@@ -120,11 +124,13 @@ class Baker:
         mask = is_skin(skin, colors - light, trust)
         trust = trust * mask
         light = light + one_sided(skin, colors - light, trust)
+        light = light + too_dark(skin, colors - light, trust, self.lids)
         around = relief(skin, photo, colors - light, trust)
         shown = self.template + colors - light
         weight = trust * skin.areas * inner(skin)
         scale = balance(photo, np.exp([quantile(channel, weight, 0.5) for channel in shown.T]))
-        observed = [self.evened(number, one, light, mask) for number, one in enumerate(observed)]
+        kept = mask * (1 - _FOLDED * self.lids)
+        observed = [self.evened(number, one, light, kept) for number, one in enumerate(observed)]
         observed = [self._lessened(number, one, around, np.log(scale)) for number, one in enumerate(observed)]
         colors, trust = self.at_points(observed)
         white = photo.white * np.exp(raw - colors)

@@ -31,6 +31,9 @@ _LOCAL = 0.10  # over which folds and hues stand out
 _LEVELS = ((0.12, 0.35), (0.04, 0.10), (0.04, 0.10))  # least and largest deviation of skin: brightness, two hues
 _LOWER = 0.05  # brows lie below their landmarks
 _BROWS = (0.12, 0.18)  # off the arcs of the brows
+_LIDS, _ABOVE_RIMS = (0.08, 0.16), (-0.02, 0.02)  # off the rims of the upper lids, where these begin and end
+_THAN_BROWS = (0.7, 1.3)  # share of the distance off brows
+_LASHES, _SHADE = 0.04, 0.25  # over which lids' shade varies; logarithm by which they may be darker than the face
 _FOREHEAD, _BARE = (0.05, 0.09), 0.95  # above the brows; how far it is judged as what is beside the face
 _CORE = (0.7, 1.0)  # of what `inner` gives: within the face, where nothing but glasses and hands hides skin
 _STRANGE = (2.8, 30.0, 30.0)  # deviations beyond which a colour is no skin: beside the face, on it, more on brows
@@ -204,6 +207,24 @@ def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray, uneven: 
     middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
     even = middle + uneven * (skin.smooth(both, total, _WIDE) - middle)
     return np.asarray(skin.smooth(colors, trust, _WIDE) - even)
+
+
+def upper_lids(skin: SkinSurface) -> FloatArray:
+    """(n,) 0..1, 1 on upper lids, which open eyes fold away and brows shade: a blink shows all of them."""
+    marks = skin.points[skin.landmarks]
+    rims = np.concatenate([marks[[36, 37, 38, 39, 42, 43, 44, 45]], (marks[[37, 43]] + marks[[38, 44]]) / 2])
+    up, unit = marks[27] - marks[8], skin.eye_distance(skin.points)
+    distance, nearest = cKDTree(rims).query(skin.points)
+    above = step((skin.points - rims[nearest]) @ up / np.linalg.norm(up) / unit, *_ABOVE_RIMS)
+    nearer = 1 - step(distance / unit / np.maximum(_forehead(skin)[1], 1e-9), *_THAN_BROWS)
+    return np.asarray(above * nearer * (1 - step(distance / unit, *_LIDS)))
+
+
+def too_dark(skin: SkinSurface, colors: FloatArray, trust: FloatArray, lids: FloatArray) -> FloatArray:
+    """(n, 1) what of colours (n, 3) is shade on upper lids (n,), whose skin is hardly darker than that of the face."""
+    level = (colors @ GREY)[:, None]
+    middle = quantile(level[:, 0], trust * skin.areas * inner(skin), 0.5)
+    return np.asarray(lids[:, None] * np.minimum(skin.smooth(level, trust, _LASHES) - middle + _SHADE, 0))
 
 
 @dataclass(frozen=True, kw_only=True)
