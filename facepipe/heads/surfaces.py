@@ -105,10 +105,15 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
 
 def _hairs(look: Look) -> list[Material]:
     hair, picture = look.hair_color, STYLES[look.style][1]
-    dark = min(1.0, 0.12 / hair.max(), 0.6 * look.skin.mean() / hair.mean())  # brows are darker than the skin
     brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
-    found = [_hair("Brows", brows, 0.8 * dark * hair + 0.05 * look.skin), _hair("Lashes", "lashes.png", _LASHES)]
+    found = [_hair("Brows", brows, brow_color(hair, look.skin)), _hair("Lashes", "lashes.png", _LASHES)]
     return [*found, replace(_hair("Hair", picture, hair), opacity_threshold=0.5)] if picture else found
+
+
+def brow_color(hair: FloatArray, skin: FloatArray) -> FloatArray:
+    """(3,) linear colour of brows that go with hair: darker than the skin."""
+    dark = min(1.0, 0.12 / float(hair.max()), 0.6 * float(skin.mean() / hair.mean()))
+    return np.asarray(0.8 * dark * hair + 0.05 * skin)
 
 
 def _hair(name: str, picture: str, color: FloatArray) -> Material:

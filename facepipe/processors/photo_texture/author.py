@@ -15,9 +15,9 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.vectors import transformed
 from facepipe.heads.people import STYLES
-from facepipe.heads.surfaces import kind_of, other_cards
+from facepipe.heads.surfaces import brow_color, kind_of, other_cards
 from facepipe.kinds import Watch
-from facepipe.parts import PhotoView, Recipe, TextureInput
+from facepipe.parts import Material, PhotoView, Recipe, TextureInput
 from facepipe.processors.photo_fit import Photo, read_photo
 from facepipe.processors.photo_texture.bake import Baked, Baker
 from facepipe.processors.photo_texture.eyes import eye_colors, eye_whites, recolored
@@ -75,7 +75,11 @@ def author_textures(
         name = f"{Path(eyes.texture.source.texture.name).stem}_photo.png"
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
         files[name] = eyes.materials
-    hidden = hide_brow_cards(face, skin) if _shows_brows(skin, baked.trust) else ()
+    hidden: tuple[str, ...] = ()
+    if _shows_brows(skin, baked.trust):
+        hidden = hide_brow_cards(face, skin)
+    elif baked.hair is not None:
+        _color_brow_cards(face, skin, brow_color(baked.hair, baked.skin))
     if cards is not None and _author_hair(face, skin, cards, baked.hair, style):
         hidden = (*hidden, cards.material.name)
     return replace(_report(photos, baked, files), hidden=hidden, hair_style=style)
@@ -140,18 +144,30 @@ def _shows_brows(skin: SkinSurface, trust: FloatArray) -> bool:
 
 def hide_brow_cards(face: Face, skin: SkinSurface) -> tuple[str, ...]:
     """Make cards that lie on the brows transparent, within `Face.deriving`; their materials."""
+    cards = _brow_cards(face, skin)
+    for prim in cards:
+        author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    return tuple(material.name for material in cards.values())
+
+
+def _color_brow_cards(face: Face, skin: SkinSurface, color: FloatArray) -> None:
+    """Give cards that lie on the brows a linear colour (3,), within `Face.deriving`."""
+    for prim, material in _brow_cards(face, skin).items():
+        if isinstance(material.diffuse_color, TextureInput):
+            author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(material, color))
+
+
+def _brow_cards(face: Face, skin: SkinSurface) -> dict[str, Material]:
+    """The materials of cards that lie on the brows, by their prims."""
     rest = transformed(skin.mesh.points, skin.mesh.transform)
     brows, reach = rest[skin.landmarks[_BROWS]], _REACH * skin.eye_distance(rest)
-    cut = {material.name for material in face.materials if isinstance(material.opacity, TextureInput)}
-    hidden = tuple(
+    near = {
         mesh.material
         for mesh in face.meshes
-        if mesh.material in cut and cKDTree(brows).query(transformed(mesh.points, mesh.transform))[0].max() < reach
-    )
-    for prim, material in face.material_names.items():
-        if material in hidden:
-            author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
-    return hidden
+        if cKDTree(brows).query(transformed(mesh.points, mesh.transform))[0].max() < reach
+    }
+    cut = {one.name: one for one in face.materials if one.name in near and isinstance(one.opacity, TextureInput)}
+    return {prim: cut[name] for prim, name in face.material_names.items() if name in cut}
 
 
 def _png(picture: FloatArray) -> bytes:

@@ -36,7 +36,7 @@ _REACH = 0.02  # of the completion: what is smaller is detail
 _FAR = 0.15  # over which what is unseen goes to the skin's median colour
 _INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
 _SHARP = 4  # power of preference by which photos are mixed: mostly one in one place, where features would blur
-_FOLDED = 0.8  # of the confidence in lids, that goes: a blink stretches what of their skin an open eye shows
+_FOLDED = 0.6  # of the confidence in lids, that goes: a blink stretches what of their skin an open eye shows
 _STRAINED = 0.5  # of preference that goes where a photo's expression folds the skin
 _OTHERS = 0.8  # preference of all photos but the one that shows the face best: features fit together in one photo
 
@@ -51,6 +51,7 @@ class Baked:
     shares: tuple[float, ...]  # of the face that each photo shows
     seen: float  # share of the face that some photo shows
     trust: FloatArray  # (n,) the most confidence that a photo has at each point
+    skin: FloatArray  # (3,) linear colour of the face
     hair: FloatArray | None  # (3,) linear colour, where photos show it
 
 
@@ -90,13 +91,11 @@ class Baker:
         :param bald: the scalp has the skin's colour instead
         """
         layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
-        color, paint = None, None
+        color, paint, own = None, None, self._skin_color(layers)
         if scalp is not None and not bald:
             color = hair_color(photos, [layer.scale for layer in layers], scalp)
         if scalp is not None and (bald or color is not None):
-            below = own = self._skin_color(layers)
-            if color is not None:
-                below = scalp_color(color, own)
+            below = own if color is None else scalp_color(color, own)
             paint = scalp[:, None], scalp[:, None] * (np.log(below) - self.template)
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
@@ -107,6 +106,7 @@ class Baker:
             shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
             seen=float(seen @ face / face.sum()),
             trust=seen,
+            skin=own,
             hair=color,
         )
 

@@ -50,6 +50,7 @@ _STRAIN = (0.06, 0.25)  # logarithm of stretching: where folds begin to be the e
 _FLATTER = 0.75  # of an expression's folds, that goes
 _BRIGHTEST = 1.1  # light of the brightest skin of a well exposed photo
 _LIGHT_SPREAD, _SKIN_SPREAD = np.array([0.35, 0.12]), 0.1  # deviations: of brightness and hue of light, and of skin
+_PAINTED = (0.6, 1.0)  # of a logarithm: hues of lids that are skin's in the shade, and those that are not
 _WHITES, _WHITES_SPREAD = np.array([0.15, 0.0, 0.0]), np.array([0.35, 0.25])  # of eyes, between lids that redden them
 
 
@@ -221,10 +222,15 @@ def upper_lids(skin: SkinSurface) -> FloatArray:
 
 
 def too_dark(skin: SkinSurface, colors: FloatArray, trust: FloatArray, lids: FloatArray) -> FloatArray:
-    """(n, 1) what of colours (n, 3) is shade on upper lids (n,), whose skin is hardly darker than that of the face."""
-    level = (colors @ GREY)[:, None]
-    middle = quantile(level[:, 0], trust * skin.areas * inner(skin), 0.5)
-    return np.asarray(lids[:, None] * np.minimum(skin.smooth(level, trust, _LASHES) - middle + _SHADE, 0))
+    """(n, 1) what of colours (n, 3) is shade on upper lids (n,), whose skin is hardly darker than that of the face.
+
+    What is of another hue than skin is paint, and stays.
+    """
+    weight = trust * skin.areas * inner(skin)
+    off = skin.smooth(colors, trust, _LASHES) - [quantile(channel, weight, 0.5) for channel in colors.T]
+    level = off @ GREY
+    painted = step(np.linalg.norm(off - level[:, None], axis=1), *_PAINTED)
+    return np.asarray((lids * (1 - painted) * np.minimum(level + _SHADE, 0))[:, None])
 
 
 @dataclass(frozen=True, kw_only=True)

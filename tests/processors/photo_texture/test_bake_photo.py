@@ -23,6 +23,7 @@ from facepipe.heads.assembly import make_head
 from facepipe.heads.people import Look
 from facepipe.heads.surfaces import dressed, other_cards
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
+from facepipe.processors.photo_texture import author
 from facepipe.processors.photo_texture.observed import sampled
 from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
 from facepipe.rig import build
@@ -204,9 +205,9 @@ def hair_of(parts: FaceParts) -> Material:
     return next(material for material in parts.materials if material.name == "Hair")
 
 
-def hair_color(parts: FaceParts) -> np.ndarray:
-    """(3,) what the picture of hair is multiplied with."""
-    color = hair_of(parts).diffuse_color
+def card_color(parts: FaceParts, name: str = "Hair") -> np.ndarray:
+    """(3,) what the picture of hair, or of other cards, is multiplied with."""
+    color = next(one for one in parts.materials if one.name == name).diffuse_color
     assert isinstance(color, TextureInput)
     return np.array(color.scale[:3])
 
@@ -224,8 +225,8 @@ def test_hair_has_the_colour_of_the_hair_in_the_photo(tmp_path: Path) -> None:
     fair = replace(hair, diffuse_color=replace(hair.diffuse_color, scale=(0.8, 0.5, 0.2, 1.0)))
     put_fitted(parts, with_hair(parts, fair), tmp_path, size=240, front=0.0)
     report = facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
-    made = hair_color(facepipe.open(tmp_path / "out.usda").parts())
-    off, before = (np.abs(np.log(color / truth)).mean() for color in (made, hair_color(parts)))
+    made = card_color(facepipe.open(tmp_path / "out.usda").parts())
+    off, before = (np.abs(np.log(color / truth)).mean() for color in (made, card_color(parts)))
     assert off < 0.5
     assert off < before / 3
     assert report.hair is not None
@@ -324,13 +325,29 @@ def test_what_is_before_the_face_is_not_on_it(tmp_path: Path) -> None:
         assert (texture[..., 1] - texture[..., 0] < 0.02).all()
 
 
+def test_brows_that_no_photo_shows_have_a_colour_that_goes_with_the_hair(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(author, "_SHOWN", 1.1)  # mean confidence
+    parts = with_cards(person(LIGHT_SKIN, 64), "Brows", "Hair")
+    hair = hair_of(parts)
+    assert isinstance(hair.diffuse_color, TextureInput)
+    red = replace(hair, diffuse_color=replace(hair.diffuse_color, scale=(0.9, 0.2, 0.05, 1.0)))
+    put_fitted(parts, with_hair(parts, red), tmp_path, size=240, front=0.0)
+    facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
+    made = facepipe.open(tmp_path / "out.usda").parts()
+    (was_red, _, was_blue), (is_red, _, is_blue) = card_color(parts, "Brows"), card_color(made, "Brows")
+    assert is_red / is_blue > 2 * was_red / was_blue
+    assert isinstance(next(one for one in made.materials if one.name == "Brows").opacity, TextureInput)
+
+
 @pytest.mark.slow
 def test_what_is_behind_a_head_is_not_its_hair(tmp_path: Path) -> None:
     """Behind a head with a painted scalp and no cards is magenta."""
     parts = with_cards(person(LIGHT_SKIN, 64), "Hair")
     put_fitted(parts, with_hair(parts, replace(hair_of(parts), opacity=0.0)), tmp_path, size=240, front=0.0)
     facepipe.bake_photo(tmp_path / "fitted.usda", photos=[tmp_path / "front.png"], out=tmp_path / "out.usda")
-    red, green, blue = hair_color(facepipe.open(tmp_path / "out.usda").parts())
+    red, green, blue = card_color(facepipe.open(tmp_path / "out.usda").parts())
     assert min(red, blue) < green + 0.05
 
 
