@@ -9,11 +9,11 @@ from pathlib import Path
 
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.reading import digest, is_there
+from facepipe.core.reading import digest
 from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, check_stage_file
-from facepipe.stage.recipes import check_recipe, check_source, file_recipe, layer_links, source_files
+from facepipe.stage.recipes import check_recipe, check_source, file_recipe, is_source, layer_links, source_files
 
 _IMPORT = "import "  # its faces are taken as they are
 _ENDS = 8  # files at each end of a trail that are named
@@ -155,7 +155,7 @@ class _Walk:
     def _check(self, node: Node) -> None:
         """:raises InputError: what it is made of is gone"""
         for number, source in enumerate(node.sources, 1):
-            if not is_there(source):
+            if not is_source(source):
                 place = _line([*self._paths(), node.path])
                 raise InputError(f"{place} -> source {number}", f"{shown(source)}: no such file, expected it there")
         if node.recipe is None and node.lost:

@@ -57,14 +57,6 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def is_there(path: Path) -> bool:
-    """Whether `path` is a file or a folder; False for a name that neither can have."""
-    try:
-        return path.is_file() or path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def files_in(folder: Path) -> list[Path]:
     """The files of a folder by name, but for hidden ones.
 

@@ -15,7 +15,7 @@ from pxr import Ar, Sdf
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import PHOTO_SUFFIXES
-from facepipe.core.reading import digest, files_in, is_there, read_json_object
+from facepipe.core.reading import digest, files_in, is_file, read_json_object
 from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
@@ -90,9 +90,21 @@ def existing_source(where: str, path: Path, instead: str) -> Path:
     :raises InputError: no such file, or as `check_source`
     """
     check_source(where, path)
-    if not is_there(path):
+    if not is_source(path):
         raise InputError(where, f"{path}: no such file, expected it there (or {instead})")
     return path.resolve()
+
+
+def is_source(path: Path) -> bool:
+    """Whether it is a file, or a folder with photos."""
+    return is_file(path) or bool(_photos(path))
+
+
+def _photos(path: Path) -> set[Path]:
+    """Those in a folder; none where it is no folder."""
+    if not os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
+        return set()
+    return {one for one in files_in(path) if one.suffix.lower() in PHOTO_SUFFIXES}
 
 
 def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[str, ...]:
@@ -113,8 +125,8 @@ def source_digest(path: Path) -> str:
 
 def source_files(path: Path) -> set[Path]:
     """The files that `source_digest` reads."""
-    if os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
-        return {one for one in files_in(path) if one.suffix.lower() in PHOTO_SUFFIXES}
+    if photos := _photos(path):
+        return photos
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
         layers = {path.resolve()} | {
