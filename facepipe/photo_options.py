@@ -33,11 +33,11 @@ class PhotoTermOptions(Ranged):
     :raises InputError: a number out of range
     """
 
-    iterations: int = option(80, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
+    iterations: int = option(60, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
     loss_threshold: float = option(0.0, "stop once the joint loss is below this", 0.0, 1e9)
     optimiser: Optimiser = option("adam", "adam, or plain gradient descent", choices=("adam", "gradient-descent"))
     rate: float = option(0.04, "size of a step, of a slider's range (adam), or per slope (plain)", 1e-9, 1e3)
-    size: int = option(256, "pixels a side that image terms see of the head", 64, 1024)
+    size: int = option(192, "pixels a side that image terms see of the head", 64, 1024)
     color: float = option(60.0, "weight of the colours of the pixels", 0.0, 1e6)
     content: float = option(1.0, "weight of features and semantics", 0.0, 1e6)
     identity: float = option(0.2, "weight of the identity", 0.0, 1e6)
