@@ -201,7 +201,7 @@ def _under(path: Path) -> Iterator[None]:
     except FacepipeError as error:
         first = error.where.partition(" -> ")[0]
         is_prim = first.startswith("<") or (first.startswith("/") and not Path(first).suffix)
-        raise error.under(path) if is_prim else error from None
+        raise error.under(path) if is_prim and first != str(path) else error from None
 
 
 def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:

@@ -32,6 +32,7 @@ def test_folders_that_give_no_scan_leave_nothing_behind(
     monkeypatch.chdir(tmp_path / "photos")
     pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     assert "degrees apart" in failed(capsys, "fit-neutral", ".", "-o", tmp_path / "person.glb", folder=tmp_path)
+    assert failed(capsys, *words, folder=tmp_path).count(f"{tmp_path / 'photos'} -> ") == 1
 
 
 def test_landmarks_are_those_of_the_photos(tmp_path: Path) -> None:
