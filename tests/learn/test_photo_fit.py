@@ -86,7 +86,7 @@ def test_a_fit_finds_the_person_and_the_camera() -> None:
     assert min(smile) > 0.15, "true: 0.5 and 0.4"
     totals = [terms["total"] for terms in fit.history]
     assert len(totals) == 17
-    assert min(totals) < 0.9 * totals[0]
+    assert min(totals) < 0.97 * totals[0]
 
 
 def test_results_are_in_range_and_of_the_photo() -> None:
@@ -156,7 +156,7 @@ def test_each_term_will_do_alone(term: str) -> None:
     own, options = portrait(), PhotoFitOptions(**{**ALONE, term: 1.0}, iterations=3, rate=1e-3)
     start = moved(moved(own.truth, "shares", torch.tensor(0.05)), "expressions", torch.tensor(0.05))
     found = descend(joint_loss(own, **{**ALONE, term: 1.0}), start, options)
-    assert sorted(found.history[0]) == sorted([term, "total"])
+    assert sorted(found.history[0]) == sorted([term, "prior", "total"])
     assert min(each["total"] for each in found.history) < found.history[0]["total"]
 
 
@@ -209,7 +209,7 @@ def test_starts_are_turned_with_their_photos(quarters: int) -> None:
 
 def test_without_any_term_landmarks_decide() -> None:
     fit = fitted(**ALONE, iterations=1)
-    assert [each["total"] for each in fit.history] == [0.0, 0.0]
+    assert all(each == {"prior": each["total"], "total": each["total"]} for each in fit.history)
     assert fit.views[0].landmark_error < 1.0
 
 
@@ -360,7 +360,7 @@ def test_portraits_of_another_renderer(number: int, monkeypatch: pytest.MonkeyPa
 def test_what_a_mask_hides_of_a_photo_does_not_count() -> None:
     """A black bar over a part of the face: the fit is that of a photo with another bar there."""
     (image,), (marks,) = portrait().images, portrait().landmarks
-    rows, options = slice(int(marks[27, 1]), int(marks[33, 1])), PhotoFitOptions(iterations=4, size=64)
+    rows, options = slice(int(marks[27, 1]), int(marks[33, 1])), PhotoFitOptions(iterations=4, size=64, rate=0.005)
     fits = []
     for color in (0.0, 0.9):
         covered = image.copy()

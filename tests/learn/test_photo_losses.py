@@ -204,11 +204,11 @@ def test_terms_are_weighted_switched_off_and_summed(extractors: dict[str, Extrac
     at = moved(at, "key", tensor([[0, 0, 0, 0.1, 0.5, 0.9, 0, 0]]))
     weights = {name: 0.5 + number for number, name in enumerate(ALONE)}
     every = joint_loss(own, extractors, **weights)(at)
-    assert sorted(every) == sorted([*ALONE, "total"])
-    assert every["total"].item() == pytest.approx(sum(every[name].item() for name in ALONE), rel=1e-6)
+    assert sorted(every) == sorted([*ALONE, "prior", "total"])
+    assert every["total"].item() == pytest.approx(sum(every[name].item() for name in [*ALONE, "prior"]), rel=1e-6)
     for name, weight in weights.items():
         single_term = joint_loss(own, extractors, **{**ALONE, name: 2 * weight})(at)
-        assert sorted(single_term) == sorted([name, "total"])
+        assert sorted(single_term) == sorted([name, "prior", "total"])
         assert single_term[name].item() == pytest.approx(2 * every[name].item(), rel=1e-5), name
         assert every[name].item() > 0, name
 
@@ -246,10 +246,10 @@ def slopes(own: Portrait, term: str, name: str, size: float, networks: dict[str,
         value = getattr(at, one)
         at = moved(at, one, 0.04 * torch.rand(value.shape, generator=random, dtype=value.dtype))
     loss = joint_loss(own, networks, **{**ALONE, term: 1.0, "size": own.images[0].shape[0] + 32})
-    (slope,) = torch.autograd.grad(loss(at)["total"], getattr(at, name))
+    (slope,) = torch.autograd.grad(loss(at)[term], getattr(at, name))
     step = size * slope / slope.norm()
     with torch.no_grad():
-        ahead, behind = (loss(moved(at, name, sign * step))["total"].item() for sign in (1, -1))
+        ahead, behind = (loss(moved(at, name, sign * step))[term].item() for sign in (1, -1))
     return slope.norm().item(), (ahead - behind) / (2 * size)
 
 
@@ -285,11 +285,11 @@ def test_image_terms_of_several_photos_are_means() -> None:
         )
         rows = {one: getattr(at, one)[view : view + 1] for one in ("expressions", "poses", "light", "key")}
         alone.append(joint_loss(part, sparsity=0.0, expression_sparsity=0.0)(replace(at, **rows)))
-    for name in ("landmarks", "color", "total"):
+    for name in ("landmarks", "color"):
         assert both[name].item() == pytest.approx((alone[0][name] + alone[1][name]).item() / 2, rel=1e-5)
 
 
-# The prior of a normal distribution
+# The prior
 
 
 def prior(views: int, lens: float) -> tuple[float, float]:
@@ -299,7 +299,6 @@ def prior(views: int, lens: float) -> tuple[float, float]:
     """
     own = portrait(seed=1, views=views)
     loss = joint_loss(own)
-    loss.fit.priors = replace(loss.fit.priors, normal=True)
     poses = own.truth.poses.detach().clone()
     poses[:, 6] = np.log(lens) - poses[:, 5]
     off = (own.state.shares - subject().default_shares) / loss.fit.priors.slider_sigma

@@ -12,6 +12,7 @@ from with_torch import torch
 from facepipe.learn.face_model import FaceModel, Look
 from facepipe.learn.light import DARK, KeyLight, ambient, distant
 from facepipe.learn.photo.descent import Unknowns
+from facepipe.learn.photo.fit import priors_of
 from facepipe.learn.photo.joint_loss import JointLoss, single
 from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
 from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
@@ -137,7 +138,7 @@ def portrait(
 def joint_loss(own: Portrait, extractors: dict[str, object] | None = None, **options: float) -> JointLoss:
     """The joint loss of those photos, with the shadows that are true."""
     wanted = PhotoFitOptions(**{"size": 128, **options})  # type: ignore[arg-type]
-    fit = LandmarkFit(subject(), own.landmarks, own.spaces, Priors())
+    fit = LandmarkFit(subject(), own.landmarks, own.spaces, priors_of(wanted))
     photos = [
         WorkingPhoto.from_photo(image, marks, wanted.size)
         for image, marks in zip(own.images, own.landmarks, strict=True)

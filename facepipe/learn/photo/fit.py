@@ -115,7 +115,7 @@ def fit_photos(
     :param expressions: shapes that are expressions; None: those with ARKit's names
     :param extractors: networks by kind (content, identity, attributes); None: our own
     :param slider_sigma: standard deviation of the sliders, of their range, where that is known (identity modes);
-        None: the fewer sliders are off their defaults, the likelier
+        None: the usual one, and the fewer sliders are off their defaults, the likelier
     :param start: where to start from instead of the defaults, as `facepipe train-photo` guesses it
     :param mask: tells which pixels of a photo with these landmarks are face, as shares (h, w); None: all
     :param done: called with 1 after each step
@@ -204,9 +204,7 @@ def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Pr
         slider_sparsity=COUNT * options.sparsity,
         focal_sigma=options.focal_sigma,
     )
-    if slider_sigma is None:
-        return priors
-    return replace(priors, slider_sigma=slider_sigma, slider_sparsity=0.0, normal=True)
+    return priors if slider_sigma is None else replace(priors, slider_sigma=slider_sigma, slider_sparsity=0.0)
 
 
 def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions) -> Mapping[Kind, Extractor]:

@@ -40,9 +40,6 @@ _MOST = 4.0  # what a pixel counts at most: hair over a brow, clothes and shadow
 _USUAL = 0.35  # median of the differences in spreads that a good face has before it is fitted to pixels
 FEATURES: tuple[Kind, ...] = ("content", "identity", "attributes")
 IMAGE = ("color", *FEATURES)
-# of the weights of image terms, where sliders have a normal distribution: neighbouring pixels show the same thing, and
-# must not count for more than how likely a person is (0.03 to 0.1 find renders of known people best)
-_DENSE = 0.1
 _CORNER = 1e-3  # of a range, below which L1 norms are smooth
 
 
@@ -195,18 +192,15 @@ class JointLoss:
         terms = [self._of_view(at, sliders, view) for view in views]
         result = {name: sum(each[name] for each in terms) / len(terms) for name in terms[0]}
         off = (at.shares - self._default).abs()
-        if priors.normal:
-            # All photos share the person: like the others, the term is its share in one of them.
-            person = 0.5 * (off * off).sum() / priors.slider_sigma**2 / len(self.photos)
-            lens = (at.poses[:, 5:].sum(dim=1) - math.log(FOCAL)) / priors.focal_sigma
-            result["prior"] = (person + 0.5 * (lens * lens).mean()) / COUNT
-        else:
-            result["sparsity"] = (off * off + _CORNER**2).sqrt().sum()
+        # All photos share the person: like the others, the term is its share in one of them.
+        person = 0.5 * (off * off).sum() / priors.slider_sigma**2 / len(self.photos)
+        lens = (at.poses[:, 5:].sum(dim=1) - math.log(FOCAL)) / priors.focal_sigma
+        result["prior"] = (person + 0.5 * (lens * lens).mean()) / COUNT
+        result["sparsity"] = (off * off + _CORNER**2).sqrt().sum()
         result["expression_sparsity"] = at.expressions.sum(dim=1).mean()
         result["hue"] = torch.stack([hue_cost(*one) for one in zip(at.light, at.key, strict=True)]).mean()
-        weights = {name: getattr(options, name, 1.0) for name in result}  # the prior of a normal distribution has none
-        if priors.normal:
-            weights |= {name: _DENSE * weights[name] for name in IMAGE if name in result}
+        weights = {name: getattr(options, name, 1.0) for name in result}  # the prior has none
+        weights["sparsity"] = priors.slider_sparsity / COUNT
         weighted = {name: weights[name] * value for name, value in result.items() if weights[name]}
         return {**weighted, "total": sum(weighted.values(), 0 * at.poses.sum())}  # with a slope without terms too
 

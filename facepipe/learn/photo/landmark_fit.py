@@ -92,8 +92,7 @@ class Priors:
     """What is likely before any photo is seen."""
 
     landmark_sigma: float = 0.02  # standard deviation of landmarks, of the size of the face
-    slider_sigma: float = 0.3  # of sliders around their defaults, of their range
-    normal: bool = False  # whether that is their distribution, and not only what holds sliders that no photo shows
+    slider_sigma: float = 0.2  # of sliders around their defaults, of their range
     slider_sparsity: float = 0.0  # L1 weight of sliders, per range
     expression_sparsity: float = 3.0  # L1 weight of expressions
     focal_sigma: float = 0.2  # of the logarithm of the focal length

