@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 from recovery_landmarks import SCHEME, FaceLandmarks
-from recovery_targets import EXPRESSION_GROUPS, RecoveryTarget, posed
+from recovery_targets import RecoveryTarget, posed
 
 from facepipe.geometry.similarity import fit_similarity
+from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts, Slider
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.occlusion import ambient_occlusion
@@ -99,8 +100,7 @@ def slider_reach(parts: FaceParts, values: Mapping[str, float]) -> dict[str, flo
         slider.name: float(
             np.linalg.norm(head(slider.name, slider.maximum) - head(slider.name, slider.minimum), axis=1).max()
         )
-        for slider in parts.sliders
-        if slider.group not in EXPRESSION_GROUPS
+        for slider in Subject.of(parts).free_sliders
     }
 
 

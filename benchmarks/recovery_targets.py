@@ -27,7 +27,6 @@ from facepipe.rig import Rig, build, slide
 FloatArray = npt.NDArray[np.floating]
 
 ACTIVE = 30  # sliders that are not at their default
-EXPRESSION_GROUPS = ("expression", "visemes")
 SAMPLES = 3  # of a pixel in each direction
 # A person makes one of the faces of each place; both sides together or, where there are two, one of them.
 PLACES: tuple[tuple[str, ...], ...] = (

@@ -33,7 +33,7 @@ class PhotoTermOptions(Ranged):
     :raises InputError: a number out of range
     """
 
-    iterations: int = option(60, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
+    iterations: int = option(45, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
     loss_threshold: float = option(0.0, "stop once the joint loss is below this", 0.0, 1e9)
     optimiser: Optimiser = option("adam", "adam, or plain gradient descent", choices=("adam", "gradient-descent"))
     rate: float = option(0.04, "size of a step, of a slider's range (adam), or per slope (plain)", 1e-9, 1e3)

@@ -104,11 +104,9 @@ def one_sample_a_pixel() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def few_lamps() -> Iterator[None]:
     """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
-    from facepipe.learn.photo import lighting
-    from facepipe.learn.photo.shadows import shadow_transfer
+    from facepipe.learn.photo import lighting, shadows
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "_CANDIDATES", 12)
         patch.setattr(lighting, "_RINGS", ())
-        patch.setattr(shadow_transfer, "__defaults__", (12,))
+        patch.setattr(shadows, "DIRECTIONS", 12)
         yield

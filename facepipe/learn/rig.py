@@ -98,7 +98,7 @@ class DifferentiableRig:
         """(..., j + 1, 4, 4) matrices from bind-time skeleton space to world, the skeleton's own last."""
         root = self._parent_world if parent_world is None else parent_world
         local = self._rest if coefficients is None else self._rest @ coefficient_matrices(coefficients)
-        batch = torch.broadcast_shapes(local.shape[:-3], root.shape[:-2])
+        batch = np.broadcast_shapes(local.shape[:-3], root.shape[:-2])  # torch's own loads sympy
         root_matrix = root.expand(*batch, 4, 4)[..., None, :, :]
         if not self.joints:
             return root_matrix

@@ -93,7 +93,22 @@ class Rig:
 
     def activations(self, weights: FloatArray) -> FloatArray:
         """(targets,) activations of (shapes,) shape weights."""
-        return np.array([float(t.curve(weights[t.shape])) for t in self.targets])
+        shapes, (base, slope), bends = self._hinges
+        own = weights[shapes]
+        result = base + slope * own
+        for at, change in bends:
+            result += change * np.maximum(own - at, 0.0)
+        return np.asarray(result)
+
+    @cached_property
+    def _hinges(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Of targets' curves, as `Curve.hinges`: shapes (t,), base and slope (2, t), bends (b, 2, t), 0 where fewer."""
+        curves = [target.curve.hinges() for target in self.targets]
+        bends = np.zeros((max((len(each) for _, _, each in curves), default=0), 2, len(curves)))
+        for number, (_, _, each) in enumerate(curves):
+            bends[: len(each), :, number] = np.reshape(each, (-1, 2))
+        lines = np.array([line for *line, _ in curves], dtype=np.float64).reshape(-1, 2).T
+        return np.array([target.shape for target in self.targets], dtype=np.int64), lines, bends
 
     def morph(self, weights: FloatArray) -> FloatArray:
         """(n, 3) points of (shapes,) weights, in skeleton space at bind time, before skinning."""

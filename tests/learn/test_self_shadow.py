@@ -11,7 +11,7 @@ from solids import ball
 from with_torch import torch
 
 from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.photo.shadows import shadow_transfer, visibility
+from facepipe.learn.photo.shadows import sky_visibility, transfer_of, visibility
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -37,6 +37,13 @@ def room() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     points = np.concatenate([floor, wall])
     normals = np.concatenate([np.tile((0.0, 0.0, 1.0), (len(floor), 1)), np.tile((1.0, 0.0, 0.0), (len(wall), 1))])
     return flat(points), flat(normals), torch.tensor(np.concatenate([floor_triangles, wall_triangles + len(floor)]))
+
+
+def shadow_transfer(
+    points: torch.Tensor, normals: torch.Tensor, triangles: torch.Tensor, directions: int | None = None
+) -> torch.Tensor:
+    """(n, 9) of points (n, 3) with normals among triangles."""
+    return transfer_of(sky_visibility(points, triangles, directions), normals)
 
 
 def floor_integral(x: float, y: float) -> np.ndarray:

@@ -20,7 +20,14 @@ from facepipe.learn.photo.descent import Adam, Unknowns
 from facepipe.learn.photo.joint_loss import JointLoss, color_loss, single
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.learn.photo.seen_surface import SeenSurface
-from facepipe.learn.photo.shadows import Shadows, shadows_of_harmonics, shadows_of_lamp, sphere, visibility
+from facepipe.learn.photo.shadows import (
+    Shadows,
+    shadows_of_harmonics,
+    shadows_of_lamp,
+    sky_visibility,
+    sphere,
+    visibility,
+)
 from facepipe.learn.photo.working_photo import to_srgb
 
 _ROUNDS = 4
@@ -28,14 +35,13 @@ OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, hi
 _RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3, 1e-6)  # keeps harmonics that few normals show small
 _DOUBT = 2e-4  # of all the light, with which a material keeps its own colour among the others
 _LEAST, _LARGEST = 0.05, 20.0  # factor of a colour
-_CANDIDATES = 96
 _BEHIND = -0.2  # cosine to the view below which a lamp hardly lights what the photo shows
 _RINGS = (math.radians(10.0), math.radians(5.0))  # around the best so far, each of eight more
 _SAMPLES = 4000  # pixels
 _OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
 _COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
-_STEPS, _RATE, _SLOWEST = 60, 0.05, 0.1
+_STEPS, _RATE, _SLOWEST = 30, 0.05, 0.1
 
 
 def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -100,7 +106,9 @@ class _Candidate:
     numbers: Tensor  # (8,) as `KeyLight`
 
 
-def _find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> Tensor | None:
+def _find_key(
+    surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor, sky: Tensor
+) -> Tensor | None:
     """(8,) as `KeyLight`: the lamp that, beside harmonics, explains a photo best; None: none does, or nothing can.
 
     Directions are tried, all around and then nearer and nearer; colour and highlight are robust least squares. What is
@@ -110,19 +118,22 @@ def _find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Ten
     :param seen: (p, 3) linear light of the photo at the surface's pixels
     :param harmonics: (p, 9) how white surfaces there take the light that is no lamp
     :param colors: (p, 3) linear colours of the surface
+    :param sky: (directions, n) `sky_visibility` of the points: the directions that are tried first
     """
     if not len(seen):
         return None
     with torch.no_grad():
-        search = _Search(surface, points, seen, harmonics, colors)
+        search = _Search(surface, seen, harmonics, colors)
         without = search.cost_without()
         if without >= _COVERED:
             return None
-        lamp = search.best(one for one in sphere(_CANDIDATES).to(points.dtype) if one[2] > _BEHIND)
+        towards = sphere(len(sky)).to(points.dtype)
+        lamp = search.best((one, arriving) for one, arriving in zip(towards, sky, strict=True) if one[2] > _BEHIND)
         if lamp.cost >= without:
             return None
         for angle in _RINGS:
-            other = search.best(_around(lamp.numbers[:3], angle))
+            nearby = _around(lamp.numbers[:3], angle)
+            other = search.best((one, visibility(points, surface.triangles, one)) for one in nearby)
             lamp = other if other.cost < lamp.cost else lamp
         return lamp.numbers
 
@@ -130,27 +141,26 @@ def _find_key(surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Ten
 class _Search:
     """The pixels that lamps are tried on."""
 
-    def __init__(self, surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor) -> None:
+    def __init__(self, surface: SeenSurface, seen: Tensor, harmonics: Tensor, colors: Tensor) -> None:
         main = torch.bincount(surface.materials).argmax()
         chosen = (surface.materials == main).nonzero()[:, 0]
         self._chosen = chosen[:: max(1, len(chosen) // _SAMPLES)]
-        self._surface, self._points = surface, points
+        self._surface = surface
         self._normals, self._towards_eye = surface.normals[self._chosen], surface.towards_eye[self._chosen]
         self._seen, self._harmonics, self._colors = (one[self._chosen] for one in (seen, harmonics, colors))
 
-    def best(self, directions: Iterable[Tensor]) -> _Candidate:
-        """The lamp of the least cost in one of the directions (3,)."""
-        return min((self._lamp(direction) for direction in directions), key=lambda candidate: candidate.cost)
+    def best(self, lamps: Iterable[tuple[Tensor, Tensor]]) -> _Candidate:
+        """The lamp of the least cost: directions (3,), and shares (n,) of its light that reach points from there."""
+        return min((self._lamp(*one) for one in lamps), key=lambda candidate: candidate.cost)
 
     def cost_without(self) -> float:
         """What harmonics alone leave."""
         light, _ = _light_of(self._harmonics, self._colors, self._seen, outlier=_OUTLIER)
         return self._cost(self._harmonics @ light * self._colors)
 
-    def _lamp(self, towards: Tensor) -> _Candidate:
+    def _lamp(self, towards: Tensor, arriving: Tensor) -> _Candidate:
         numbers = self._seen.new_tensor(DARK)
         numbers[:3], numbers[3:7] = towards, 1.0
-        arriving = visibility(self._points, self._surface.triangles, towards)
         lamp = KeyLight(numbers=numbers, arriving=arriving)
         here = self._surface.at_pixels(arriving)[self._chosen]
         matt, mirrored = (one[:, :1] for one in lamp.shade(self._normals, self._towards_eye, here))
@@ -189,11 +199,13 @@ def lit(loss: JointLoss, state: State) -> Unknowns:
 
 
 def renew_shadows(loss: JointLoss, at: Unknowns) -> None:
-    """The shadows of the face as it is by now."""
+    """The lamps' shadows of the face as it is by now; what creases lose of harmonics hardly changes."""
     with torch.no_grad():
-        for view in range(len(loss.photos)):
+        for view, shadows in enumerate(loss.shadows):
+            assert shadows is not None
             points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
-            loss.shadows[view] = Shadows.from_lamp(loss.model, points, loss.look(at, view).camera, at.key[view])
+            arriving = shadows_of_lamp(loss.model, points, loss.look(at, view).camera, at.key[view])
+            loss.shadows[view] = replace(shadows, arriving=arriving)
 
 
 def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -206,10 +218,12 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         points, count = model.rig(sliders, weights), len(model.colors.names)
         surface = SeenSurface.from_camera(model, points, camera, photo.face)
         seen = photo.linear.reshape(-1, 3)[surface.raster.pixels]
-        transfer, key = shadows_of_harmonics(model, points, camera), photo.linear.new_tensor(DARK)
+        local, key = camera.to_camera(points), photo.linear.new_tensor(DARK)
+        sky = sky_visibility(local, model.outline.triangles)
+        transfer = shadows_of_harmonics(model, points, camera, sky)
         shape = basis(surface.normals) + surface.at_pixels(transfer)
         light, tint = relight(surface, seen, shape, count)
-        lamp = _find_key(surface, camera.to_camera(points), seen, shape, surface.colors * tint[surface.materials])
+        lamp = _find_key(surface, local, seen, shape, surface.colors * tint[surface.materials], sky)
         key = key if lamp is None else lamp
         arriving = shadows_of_lamp(model, points, camera, key)
         loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)

@@ -27,26 +27,32 @@ _SLACK = 0.008  # of that size, by which something must be nearer to shade a poi
 _SHARP = 448  # pixels a side of a lamp's view
 
 
-def shadow_transfer(points: Tensor, normals: Tensor, triangles: Tensor, directions: int = DIRECTIONS) -> Tensor:
-    """(n, 9) what self-shadowing adds to the harmonics of the points' normals: ``shade = (basis + this) light``.
+def sky_visibility(points: Tensor, triangles: Tensor, directions: int | None = None) -> Tensor:
+    """(directions, n) share of the light from each direction of `sphere` that reaches points, as `visibility`.
 
-    Without gradients. Costs a rasterised view for each direction.
-
-    :param points: (n, 3) in the frame of the light
-    :param normals: (n, 3) unit
-    :param triangles: (t, 3) point numbers
+    :param directions: None: `DIRECTIONS`
     """
+    all_around = sphere(DIRECTIONS if directions is None else directions).to(points.dtype)
     if not len(triangles):
-        return points.new_zeros((len(points), 9))
+        return points.new_ones((len(all_around), len(points)))
     used = torch.unique(triangles)
     with torch.no_grad():
-        lost = torch.zeros((len(points), 9), dtype=points.dtype)
-        for direction in sphere(directions).to(points.dtype):
-            cosine = (normals @ direction).clamp(min=0)
-            kept = visibility(points, triangles, direction, used=used)
-            lost += (cosine * (1 - kept))[:, None] * basis(direction)[None]
+        return torch.stack([visibility(points, triangles, direction, used=used) for direction in all_around])
+
+
+def transfer_of(sky: Tensor, normals: Tensor) -> Tensor:
+    """(n, 9) what self-shadowing adds to the harmonics of the points' normals: ``shade = (basis + this) light``.
+
+    Without gradients.
+
+    :param sky: (directions, n) as `sky_visibility`
+    :param normals: (n, 3) unit
+    """
+    with torch.no_grad():
+        all_around = sphere(len(sky)).to(normals.dtype)
+        lost = ((normals @ all_around.mT).clamp(min=0) * (1 - sky.mT)) @ basis(all_around)
         # light coefficients hold the cosine's share, as normals take them; what arrives from a direction does not
-        return -lost * (4 / directions) / lost.new_tensor(KERNEL)
+        return -lost * (4 / len(sky)) / lost.new_tensor(KERNEL)
 
 
 def visibility(
@@ -113,15 +119,15 @@ class Shadows:
     @classmethod
     def from_lamp(cls, model: FaceModel, points: Tensor, camera: Camera, lamp: Tensor) -> Shadows:
         """Those of world points (n, 3) for a lamp (8,) as `KeyLight`."""
-        transfer = shadows_of_harmonics(model, points, camera)
+        sky = sky_visibility(camera.to_camera(points), model.outline.triangles)
+        transfer = shadows_of_harmonics(model, points, camera, sky)
         return cls(transfer=transfer, arriving=shadows_of_lamp(model, points, camera, lamp))
 
 
-def shadows_of_harmonics(model: FaceModel, points: Tensor, camera: Camera) -> Tensor:
-    """(n, 9) as `Look.shadow`, of world points (n, 3)."""
+def shadows_of_harmonics(model: FaceModel, points: Tensor, camera: Camera, sky: Tensor) -> Tensor:
+    """(n, 9) as `Look.shadow`, of world points (n, 3) and their `sky_visibility` in camera coordinates."""
     with torch.no_grad():
-        turn = rotation_matrices(camera.rotation).mT
-        transfer = shadow_transfer(points @ turn, model.normals(points) @ turn, model.outline.triangles)
+        transfer = transfer_of(sky, model.normals(points) @ rotation_matrices(camera.rotation).mT)
         return transfer * transfer.new_tensor(KERNEL)  # a window: nine harmonics of sharp shadows ring
 
 
