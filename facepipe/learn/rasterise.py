@@ -114,7 +114,8 @@ def interpolate(values: Tensor, corners: Tensor, raster: Raster, weights: Tensor
     :param corners: (t, 3) int64 rows of `values`: the triangles themselves, or face-varying ones
     :param weights: (p, 3) barycentric coordinates
     """
-    return (take(values, corners[raster.triangles]) * weights[..., None]).sum(dim=1)
+    first, second, third = take(values, corners[raster.triangles]).unbind(dim=1)  # faster than sums over three
+    return first * weights[:, :1] + second * weights[:, 1:2] + third * weights[:, 2:]
 
 
 def usable(points: Tensor) -> Tensor:

@@ -41,7 +41,7 @@ _SAMPLES = 4000  # pixels
 _OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show where a lamp stands
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
 _COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
-_STEPS, _RATE, _SLOWEST = 30, 0.05, 0.1
+_STEPS, _RATE, _SLOWEST = 60, 0.05, 0.1
 
 
 def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:
