@@ -30,7 +30,7 @@ The recipe stays on the result. --edit fits again from it with what the line cha
 examples:
   facepipe fit-photo portrait.jpg head.usda -o person.usda --report person
   facepipe fit-photo front.jpg side.jpg head.usda --landmarks front.json --landmarks side.json -o person.usda
-  facepipe fit-photo --edit person.usda --iterations 400 --sparsity 0.3 --force
+  facepipe fit-photo --edit person.usda --iterations 400 --sparsity 0.1 --force
 """
 
 from __future__ import annotations

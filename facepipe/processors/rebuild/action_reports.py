@@ -70,6 +70,11 @@ class SplitShapesReport(Judged, SplitReport):
     flipped_triangles: int  # in some shape, where the personal template's has them upright
 
 
+def slid_text(slid_mm: Mapping[str, float]) -> str:
+    """How far parts of a face may have slid along a scan, as `ScanFit.slid_mm`."""
+    return ", ".join(f"{part} {off:.2f} mm" for part, off in slid_mm.items())
+
+
 def fit_misses(fit: ScanFit) -> tuple[str, ...]:
     """A line for each limit that a face misses on its scan; triangles that turn over are counted of shapes."""
     numbers = {name: getattr(fit, name) for name in ("surface_mean_mm", "surface_p95_mm", "coverage")}

@@ -150,18 +150,19 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         return own.people()
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
+        from facepipe.processors.rebuild.action_reports import slid_text
+
         fit, quality, photos = report.fit, report.quality, report.photos
         unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
         off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
         besides = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
-        slid = ", ".join(f"{part} {off:.2f} mm" for part, off in fit.slid_mm.items())
         distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
         rows = [
             *([("photos", f"{len(photos['photos_used'])} used")] if photos else []),
             ("distance from the scan", distance),
             ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
             ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
-            *([("slid along the surface", slid)] if slid else []),
+            *([("slid along the surface", slid_text(fit.slid_mm))] if fit.slid_mm else []),
             *([("shows besides", besides)] if besides else []),
             ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
             ("flipped triangles", f"{quality.flipped_triangles}"),

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.markup import Markup, heading, ruled_table, tag
-from facepipe.processors.rebuild.action_reports import refined_line
+from facepipe.processors.rebuild.action_reports import refined_line, slid_text
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -196,6 +196,8 @@ class RebuildPictures:
             f"distance from the scan: mean {fit['surface_mean_mm']:.3f} mm, 95 % below {fit['surface_p95_mm']:.3f} mm; "
             f"{100 * fit['coverage']:.0f} % of the face seen; landmarks {fit['landmark_mean_mm']:.2f} mm off"
         ]
+        if slid := fit.get("slid_mm"):  # not of steps that were done before it was measured
+            lines.append(f"slid along the surface: {slid_text(slid)}")
         if (name := step.removeprefix("expressions/")) in self.rebuilt.left_out:
             lines.append(f"left out: {self.rebuilt.left_out[name]}")
         if fit["outliers"]:

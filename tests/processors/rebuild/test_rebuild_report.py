@@ -113,7 +113,7 @@ def test_rows_and_columns_of_a_turntable(made: Made) -> None:
 
 def test_the_page_has_each_scan_and_shape(made: Made) -> None:
     page = (made.folder / "report" / "report.html").read_text(encoding="utf-8")
-    for words in ("neutral.ply", "open.ply", "shown by the scans", "jawOpen"):
+    for words in ("neutral.ply", "open.ply", "shown by the scans", "jawOpen", "slid along the surface: brows"):
         assert words in page
     assert re.search(r"jawOpen \d\.\d\d", page)  # the weight found
     assert "outliers" not in page  # there are none
