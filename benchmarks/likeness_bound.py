@@ -5,13 +5,15 @@ photos with expressions, lenses and lights. They are drawn as `likeness.py` draw
 are: the true neutral with the true skin and hair in studio light. Pictures are judged by dlib as there:
 
     python benchmarks/likeness_bound.py --dlib dlib-env/bin/python [--people 16] [--seed 0] [--size 640]
-        [--json out.json]
+        [--fits FOLDER] [--json out.json]
 
 Figures are distances of face descriptors: mean, tenth and ninetieth percentile, worst. Rows:
 
   front, front (nearly)   the front to a photo; to one within 10 degrees of the front
   yaw                     the neutral from 30 degrees to either side to a photo
   photos                  two photos of one person
+  no skin: ...            with the head's own skin, in the camera and light of a fit, all else grey: the fit, the
+                          true shape in its place, and the mean head; of fits that `photo_geometry.py --folder` keeps
 """
 
 from __future__ import annotations
@@ -29,13 +31,17 @@ import numpy.typing as npt
 from arguments import positive
 from children import ChildError, run_child
 from geometry_people import person, portraits
-from likeness_pictures import SIZE, YAWS
+from likeness_pictures import MASKED, PHOTO, SIZE, YAWS, PicturedPerson
 from PIL import Image
+from recovery_targets import posed
 from tables import aligned
 
+import facepipe
 from facepipe.core.arrays import FloatArray
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
+from facepipe.processors.photo_fit import read_photo
+from facepipe.rig import build
 
 _NEARLY = 10.0  # degrees
 
@@ -49,6 +55,7 @@ def main() -> int:
     parser.add_argument("--people", type=positive, default=16, help="default 16")
     parser.add_argument("--seed", type=int, default=0, help="of the people (default 0)")
     parser.add_argument("--size", type=positive, default=640, help="pixels a side of photos (default 640)")
+    parser.add_argument("--fits", type=Path, help="of the same people, kept by photo_geometry.py")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write every figure")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as passing:
@@ -58,6 +65,9 @@ def main() -> int:
             for number in range(arguments.people)
             for pair in _pairs(number, arguments.seed, arguments.size, folder)
         ]
+        if arguments.fits:
+            shapes = [_shapes(number, arguments.seed, arguments.fits, folder) for number in range(arguments.people)]
+            pairs += [pair for each in shapes for pair in each]
         files = list(dict.fromkeys(file for _, *both in pairs for file in both))
         try:
             seen = run_child(arguments.dlib, Path(__file__).with_name("dlib_faces.py"), *files, folder / "seen.json")
@@ -90,6 +100,19 @@ def _pairs(number: int, seed: int, size: int, folder: Path) -> Iterator[Pair]:
         if abs(photo.yaw) <= _NEARLY:
             yield "front (nearly)", drawn["front"], photos[-1]
     yield from (("photos", one, other) for one, other in combinations(photos, 2))
+
+
+def _shapes(number: int, seed: int, fits: Path, folder: Path) -> Iterator[Pair]:
+    """Shapes with the head's own skin, in the place of a fit."""
+    who, face = person(number, seed), facepipe.open(fits / f"{number:03}.1.usda")
+    photo, mean = read_photo(fits / f"{number:03}.0.png").pixels, facepipe.open(fits / "head.usda").evaluate()
+    heads = {"fit": None, "true shape": posed(who.parts, build(who.parts), {}, {}), "mean head": mean}
+    for shape, points in heads.items():
+        shown = dict(PicturedPerson(face, points).pictures(photo))
+        files = {line: folder / f"{number}.{shape}.{line}.png" for line in (MASKED, PHOTO)}
+        for line, file in files.items():
+            shown[line].save(file)
+        yield f"no skin: {shape}", files[MASKED], files[PHOTO]
 
 
 def _saved(image: npt.NDArray[np.uint8], file: Path) -> Path:

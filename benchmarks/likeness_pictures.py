@@ -70,7 +70,7 @@ def made(portrait: Portrait, head: Path, folder: Path, size: int) -> Made:
     neutral, mean = facepipe.open(fit).evaluate(pose="set"), facepipe.open(head).evaluate()
     shown: dict[tuple[str, str], Path] = {}
     for look, stage in zip(LOOKS, (baked, fit, baked, fit), strict=True):
-        person = _Person(facepipe.open(stage), mean if look in (MEAN_TEXTURED, MEAN) else None)
+        person = PicturedPerson(facepipe.open(stage), mean if look in (MEAN_TEXTURED, MEAN) else None)
         for line, picture in person.pictures(pixels):
             path = folder / f"{portrait.name}.{look}.{line}.png".replace(", ", "-").replace(" ", "-")
             picture.save(path)
@@ -91,20 +91,18 @@ def together(portraits: Sequence[Portrait], head: Path, folder: Path, size: int)
     return front
 
 
-class _Person:
-    """A face on a stage, or instead of it the average head with its skin and expression.
+class PicturedPerson:
+    """A face on a stage, or instead of it another head with its skin and expression."""
 
-    :param mean: (m, 3) points of the average head, where that is shown
-    """
-
-    def __init__(self, face: Face, mean: FloatArray | None) -> None:
+    def __init__(self, face: Face, head: FloatArray | None) -> None:
+        """:param head: (m, 3) points of that head"""
         self.parts, self.view = face.parts(), face.photos[0]
         assert self.view.animation is not None
         transforms, weights = face.sample(self.view.animation)
         self.posed = face.evaluate(weights, joint_transforms=transforms)
         self.neutral = neutral = face.evaluate(pose="set")
-        if mean is not None:
-            placed = fit_similarity(mean[:NARROW], neutral[:NARROW]).apply(mean)
+        if head is not None:
+            placed = fit_similarity(head[:NARROW], neutral[:NARROW]).apply(head)
             self.neutral = _with_hair(self.parts, placed)
             self.posed = self.neutral + self.posed - neutral
 
