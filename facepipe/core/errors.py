@@ -13,6 +13,10 @@ class FacepipeError(Exception):
         self.what = printable(" ".join(what.split()))
         super().__init__(f"{self.where}: {self.what}")
 
+    def __reduce__(self) -> tuple[type["FacepipeError"], tuple[str, str]]:
+        """Pickled whole: an error that can't be read takes a pool of processes with it."""
+        return type(self), (self.where, self.what)
+
     def under(self, outer: object) -> "FacepipeError":
         """The same error with `outer` put before its trail."""
         return type(self)(f"{outer} -> {self.where}", self.what)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 import pkgutil
 import re
 import shutil
@@ -16,6 +17,7 @@ from small_head import make
 
 import facepipe
 from facepipe.api import given, names
+from facepipe.core.errors import InputError
 from facepipe.stage import save_parts
 
 
@@ -155,3 +157,10 @@ def test_no_function_is_called_as_a_room() -> None:
     rooms = {iter_module.name for iter_module in pkgutil.iter_modules(facepipe.__path__)}
     assert not rooms & {*facepipe.__all__, *names()}
     assert {*facepipe.__all__, *names()} <= {*dir(facepipe)}
+
+
+def test_errors_come_whole_from_other_processes() -> None:
+    error = InputError("head.usda -> jawOpen", "51 offsets, expected 52").under("batch")
+    other = pickle.loads(pickle.dumps(error))
+    assert (type(other), str(other)) == (InputError, "batch -> head.usda -> jawOpen: 51 offsets, expected 52")
+    assert (other.where, other.what) == (error.where, error.what)
