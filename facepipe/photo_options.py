@@ -38,6 +38,7 @@ class PhotoTermOptions(Ranged):
     optimiser: Optimiser = option("adam", "adam, or plain gradient descent", choices=("adam", "gradient-descent"))
     rate: float = option(0.04, "size of a step, of a slider's range (adam), or per slope (plain)", 1e-9, 1e3)
     size: int = option(192, "pixels a side that image terms see of the head", 64, 1024)
+    # neighbouring pixels show the same thing, and must not count for more than how likely a person is
     color: float = option(6.0, "weight of the colours of the pixels", 0.0, 1e6)
     content: float = option(0.1, "weight of features and semantics", 0.0, 1e6)
     identity: float = option(0.02, "weight of the identity", 0.0, 1e6)

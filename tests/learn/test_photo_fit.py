@@ -63,7 +63,8 @@ def person_error(values: Mapping[str, float]) -> float:
 
 @cache
 def usual() -> PhotoFit:
-    return fitted(iterations=16, rate=0.005)
+    """With much weight on colours: few steps show that they lead down."""
+    return fitted(iterations=16, rate=0.005, color=60.0)
 
 
 @cache
@@ -86,7 +87,7 @@ def test_a_fit_finds_the_person_and_the_camera() -> None:
     assert min(smile) > 0.15, "true: 0.5 and 0.4"
     totals = [terms["total"] for terms in fit.history]
     assert len(totals) == 17
-    assert min(totals) < 0.97 * totals[0]
+    assert min(totals) < 0.9 * totals[0]
 
 
 def test_results_are_in_range_and_of_the_photo() -> None:
@@ -109,7 +110,7 @@ def test_results_are_in_range_and_of_the_photo() -> None:
 
 
 def test_the_same_twice() -> None:
-    other = fitted(iterations=16, rate=0.005)
+    other = fitted(iterations=16, rate=0.005, color=60.0)
     assert usual().sliders == other.sliders
     assert usual().history == other.history
     assert (usual().views[0].light == other.views[0].light).all()

@@ -285,7 +285,9 @@ def test_image_terms_of_several_photos_are_means() -> None:
         )
         rows = {one: getattr(at, one)[view : view + 1] for one in ("expressions", "poses", "light", "key")}
         alone.append(joint_loss(part, sparsity=0.0, expression_sparsity=0.0)(replace(at, **rows)))
-    for name in ("landmarks", "color"):
+    for terms in (both, *alone):
+        terms["others"] = terms["total"] - terms["prior"]
+    for name in ("landmarks", "color", "others"):
         assert both[name].item() == pytest.approx((alone[0][name] + alone[1][name]).item() / 2, rel=1e-5)
 
 

@@ -23,7 +23,7 @@ EXPRESSION = {"jawOpen": 0.5}
 YAWS = {"front": 0.0, "side": 0.25}  # radians
 SIZE = 144
 OFF = ("--content", "0", "--identity", "0", "--attributes", "0")  # image terms that need networks
-FAST = ("--iterations", "8", "--size", "96", *OFF)
+FAST = ("--iterations", "8", "--size", "96", "--landmark-sigma", "0.005", *OFF)  # landmarks are nearly exact
 SOON = ("--iterations", "0", "--size", "64", *OFF)
 
 

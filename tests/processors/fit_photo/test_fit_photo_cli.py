@@ -18,7 +18,7 @@ from command_line import exit_code, failed
 from faces import with_meshes
 from feature_graphs import coarse_picture, save
 from onnx import TensorProto, helper
-from photographed_face import EXPRESSION, FAST, OFF, SIZE, SOON, contents, fit_json, fit_photo, write_photos
+from photographed_face import EXPRESSION, FAST, SIZE, SOON, contents, fit_json, fit_photo, write_photos
 from PIL import Image
 from small_head import make
 from with_torch import torch
@@ -81,9 +81,8 @@ def test_the_stage_holds_person_and_expression_apart(fitted: Path) -> None:
     face = facepipe.open(fitted / "person.usda")
     values = {slider.name: slider.value or 0.0 for slider in face.sliders}
     assert values["jawWidth"] < -0.25  # of -0.7
-    # Of 0.7 and 0.6; expressions and other sliders share what landmarks show, and the prior holds all of them.
-    assert values["mouthWidth"] > 0.02
-    assert values["eyeSpacing"] > 0.0
+    assert values["mouthWidth"] > 0.1  # of 0.7
+    assert values["eyeSpacing"] > 0.0  # of 0.6, which is 1.1 mm: how much of it is found depends on the libraries
     neutral, pose = (
         next(animation for animation in face.animations if animation.name == name) for name in ("sliders", "front")
     )
@@ -220,7 +219,8 @@ def test_edit_fits_again_from_the_recipe(person: Path, capsys: pytest.CaptureFix
     missed = "of the distance of the outer eye corners, expected at most 0.1 %"
     assert fit_photo("--edit", "person.usda", *words) == 2  # would overwrite it
     capsys.readouterr()
-    for line in ((*ONE, "-o", "anew.usda", *words, *OFF), ("--edit", "person.usda", *words, "--force")):
+    anew = (*ONE, "-o", "anew.usda", *FAST, *words)
+    for line in (anew, ("--edit", "person.usda", *words, "--force")):
         assert fit_photo(*line) == 1
         _, err = capsys.readouterr()
         assert err.count("\n") == 1
@@ -251,7 +251,7 @@ def test_the_function_gives_the_bytes_of_the_command(studio: Path) -> None:
     assert fit_photo(*ONE, "-o", "person.usda", *FAST) == 0
     weights = {"content": 0.0, "identity": 0.0, "attributes": 0.0}
     sources = {"photos": [Path("front.png")], "landmarks": [Path("front.json")]}
-    facepipe.fit_photo("head.usdc", **sources, out="again.usda", iterations=8, size=96, **weights)
+    facepipe.fit_photo("head.usdc", **sources, out="again.usda", iterations=8, size=96, landmark_sigma=0.005, **weights)
     assert Path("again.usda").read_bytes() == Path("person.usda").read_bytes()
 
 

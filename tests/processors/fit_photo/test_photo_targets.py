@@ -11,6 +11,7 @@ from photo_recovery import judged
 from recovery_landmarks import CONTOUR, FaceLandmarks, pixels
 from recovery_looks import DIAGONAL_MM, Pose, camera_of, pose_axes
 from recovery_measures import (
+    MOVES_MM,
     active_sliders,
     aligned_error,
     face_points,
@@ -222,8 +223,9 @@ def test_reach_is_how_far_the_head_moves_over_the_whole_range(face: tuple[FacePa
     reach = slider_reach(parts, {"noseDepth": 0.3})
     (shape,) = (blendshape for blendshape in parts.meshes[0].blendshapes if blendshape.name == "noseDepth")
     assert reach["noseDepth"] == pytest.approx(2 * np.linalg.norm(shape.offsets, axis=1).max(), rel=1e-3)
-    idle = replace(parts, sliders=(*parts.sliders, Slider(name="idle")))
-    assert slider_reach(idle, {}).keys() == reach.keys()
+    idle = Slider(name="idle", channels=(("root/neck/head/jaw/tongue", "ty", 1.0),))
+    assert slider_reach(replace(parts, sliders=(*parts.sliders, idle)), {})["idle"] == 0.0 < MOVES_MM
+    assert slider_reach(replace(parts, sliders=(*parts.sliders, Slider(name="alone"))), {}).keys() == reach.keys()
     assert not {"smile", "blink"} & set(reach)
 
 

@@ -146,9 +146,18 @@ def test_an_existing_folder_is_refused(made: Made, capsys: pytest.CaptureFixture
         assert text in failed(capsys, *words, *more, folder=made.folder)
 
 
-@pytest.mark.parametrize("place", [".", "p", "p/corrections", "none/report", "p.toml"])
-def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str], place: str) -> None:
-    failed(capsys, *made.words("--report", made.folder / place), folder=made.folder)
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        (".", "holds p.toml, which is read or written too"),
+        ("p", "holds corrections, expected an empty folder"),
+        ("p/corrections", "holds corrections, which is read or written too"),
+        ("none/report", "the folder around it does not exist"),
+        ("p.toml", "is a file, expected a folder"),
+    ],
+)
+def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str], place: str, why: str) -> None:
+    assert why in failed(capsys, *made.words("--report", made.folder / place), folder=made.folder)
 
 
 def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
