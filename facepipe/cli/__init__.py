@@ -22,8 +22,8 @@ from facepipe.cli.parser import Parser
 from facepipe.cli.show import note, quiet_libraries, speaking
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
+from facepipe.core.policy.paths import PROJECT, Trust, roots_in, trust, trusting
 from facepipe.core.reading import check_input
-from facepipe.core.trust import PROJECT, Trust, roots_in, trust, trusting
 
 if TYPE_CHECKING:
     from facepipe.core.project import Project

@@ -27,7 +27,7 @@ from facepipe.cli.parser import Parser
 from facepipe.cli.show import quiet_libraries
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.trust import Trust, trusting
+from facepipe.core.policy.paths import Trust, trusting
 from facepipe.declare import fields_of
 from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import Record

@@ -62,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print its report."""
     from facepipe.cli import in_project
     from facepipe.cli.parser import options_from
+    from facepipe.core.policy.paths import trust
     from facepipe.core.project import project_around
-    from facepipe.core.trust import trust
     from facepipe.farm.batch import batch
     from facepipe.farm.plan import each, read_plan
 

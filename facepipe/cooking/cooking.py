@@ -14,8 +14,8 @@ from facepipe.cooking.report import Action, CookOptions, CookReport, NodeReport
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
+from facepipe.core.policy.paths import trust, trusting
 from facepipe.core.reports import Report
-from facepipe.core.trust import trust, trusting
 from facepipe.kinds import Watch, unwatched
 from facepipe.performing import again
 

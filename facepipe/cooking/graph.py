@@ -9,8 +9,8 @@ from pathlib import Path
 
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.policy.paths import check_readable, is_writable, roots_of
 from facepipe.core.reading import digest
-from facepipe.core.trust import check_readable, is_writable, roots_of
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, check_stage_file
 from facepipe.stage.recipes import check_recipe, check_source, file_recipe, is_source, layer_links, source_files

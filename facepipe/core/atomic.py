@@ -14,7 +14,7 @@ from pathlib import Path
 
 from facepipe.core import hidden_folders
 from facepipe.core.errors import InputError
-from facepipe.core.hidden_folders import PREFIX, HiddenFolder
+from facepipe.core.hidden_folders import HiddenFolder
 from facepipe.core.placing import (
     Move,
     Role,
@@ -29,7 +29,7 @@ from facepipe.core.placing import (
     undo,
     write_journal,
 )
-from facepipe.core.trust import check_beside
+from facepipe.core.policy.paths import PREFIX, check_beside
 
 AnyPath = str | os.PathLike[str]
 _log = logging.getLogger(__name__)

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facepipe.core.locks import try_lock
+from facepipe.core.policy.paths import PREFIX
 
-PREFIX = ".facepipe-"  # of all names that are facepipe's
 JOURNAL = f"{PREFIX}journal"
 _LOCK = f"{PREFIX}lock"
 _NAME = re.compile(r"\.facepipe-[0-9a-f]{16}")

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from facepipe.core.hidden_folders import JOURNAL, PREFIX, HiddenFolder, claim, release, remove
+from facepipe.core.hidden_folders import JOURNAL, HiddenFolder, claim, release, remove
+from facepipe.core.policy.paths import PREFIX
 
 Identity = tuple[int, int, int]  # inode, size, time of change
 Role = Literal["main", "beside", "stale"]

@@ -26,8 +26,8 @@ from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys
+from facepipe.core.policy.paths import PROJECT
 from facepipe.core.reading import read_toml
-from facepipe.core.trust import PROJECT
 
 _MOST_BYTES = 1 << 20
 VARIABLE = "FACEPIPE_PROJECT"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.trust import check_readable
+from facepipe.core.policy.paths import check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
 _MOST_DOTS = 100  # of a line: tomllib takes the square of a key's length

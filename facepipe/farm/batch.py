@@ -11,14 +11,14 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.core.trust import roots_of, trust
+from facepipe.core.policy.paths import roots_of, trust
+from facepipe.core.policy.urls import checked, is_url
 from facepipe.declare import check_ranges
 from facepipe.farm.child import Engine, Processes
 from facepipe.farm.cluster import Cluster
 from facepipe.farm.ledger import ledger_in
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan, Step, plan_of, read_plan
-from facepipe.farm.remote import checked, is_url
 from facepipe.farm.report import BatchReport, report_of, write_report
 from facepipe.farm.run import Run
 from facepipe.stage.files import SUFFIXES

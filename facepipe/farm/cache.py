@@ -14,7 +14,7 @@ from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.trust import is_writable, trust
+from facepipe.core.policy.paths import is_writable, trust
 
 _RECORD = "record.json"
 _PASSING = ".new-"

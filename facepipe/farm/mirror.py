@@ -17,10 +17,11 @@ from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
 from facepipe.core.errors import InputError
+from facepipe.core.policy.urls import SCHEMES, checked, is_url
 from facepipe.core.reading import digest
 from facepipe.farm import contents
 from facepipe.farm.cache import Cache
-from facepipe.farm.remote import SCHEMES, State, Store, checked, is_url, state_in
+from facepipe.farm.remote import State, Store, state_in
 from facepipe.stage.files import SUFFIXES, named_in
 
 T = TypeVar("T")

@@ -29,8 +29,8 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys, did_you_mean
 from facepipe.core.placing import relative
+from facepipe.core.policy.urls import is_url, placed
 from facepipe.core.reading import read_toml
-from facepipe.farm.remote import is_url, placed
 from facepipe.farm.table import Row, read_table
 
 _MOST_BYTES = 1 << 20

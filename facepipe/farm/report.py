@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.atomic import together, write_bytes
 from facepipe.core.markup import Markup, heading, joined, page, ruled_table, tag
+from facepipe.core.policy.urls import is_url
 from facepipe.core.reports import Report
-from facepipe.farm.remote import is_url
 
 if TYPE_CHECKING:
     from facepipe.farm.ledger import Record

@@ -15,12 +15,13 @@ from typing import Any
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
+from facepipe.core.policy.urls import is_url
 from facepipe.farm.child import LOST, Engine
 from facepipe.farm.contents import unchanged
 from facepipe.farm.ledger import Ledger, Record
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan, Task, line_of, needed, result_of, tasks_named, tasks_of
-from facepipe.farm.remote import States, is_url
+from facepipe.farm.remote import States
 from facepipe.farm.work import CACHED, FAILED, KEPT, MADE
 
 DONE = (MADE, KEPT, CACHED)

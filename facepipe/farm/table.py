@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys, file_name
+from facepipe.core.policy.paths import check_copied, trust
+from facepipe.core.policy.urls import checked, is_url, placed
 from facepipe.core.reading import read_bytes
-from facepipe.core.trust import check_copied, trust
-from facepipe.farm.remote import Store, checked, is_url, placed
+from facepipe.farm.remote import Store
 
 _MOST_BYTES = 1 << 28  # of a CSV file
 _MOST_ROWS = 10_000_000

@@ -16,13 +16,14 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.policy.paths import is_writable, trust
+from facepipe.core.policy.urls import is_url
 from facepipe.core.reading import digest
-from facepipe.core.trust import is_writable, trust
 from facepipe.farm.cache import Cache
 from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import Record
 from facepipe.farm.mirror import Mirror
-from facepipe.farm.remote import StoreError, is_url
+from facepipe.farm.remote import StoreError
 from facepipe.stage.files import SUFFIXES
 from facepipe.stage.recipes import attribution_of
 from facepipe.stage.textures import texture_folder

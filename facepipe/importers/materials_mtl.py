@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import is_file, read_bytes
-from facepipe.core.trust import check_copied
 from facepipe.importers.wavefront import read_text
 from facepipe.parts import Material, Texture, TextureInput
 

@@ -9,8 +9,8 @@ from pxr import Ar, Sdf, Usd
 
 from facepipe.core.errors import InputError
 from facepipe.core.images import is_image
+from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_regular
-from facepipe.core.trust import check_copied
 
 _DEFAULT = Usd.TimeCode.Default()
 _MOST_BYTES = 1 << 28  # of an image

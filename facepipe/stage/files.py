@@ -16,7 +16,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
 from facepipe.core.atomic import replacing, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
-from facepipe.core.trust import is_below
+from facepipe.core.policy.paths import is_below
 from facepipe.stage.composition import checked_layers, composable_layers
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
 from facepipe.stage.stage_counts import check_counts

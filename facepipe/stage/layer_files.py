@@ -18,7 +18,7 @@ import numpy as np
 from pxr import Ar, Sdf
 
 from facepipe.core.errors import InputError
-from facepipe.core.trust import check_readable
+from facepipe.core.policy.paths import check_readable
 
 MOST_LEVELS = 200  # USD recurses into nested prims, layers and arcs
 _MOST_COUNTED = 1 << 20  # of the paths, specs, ... of a binary layer, beyond its bytes

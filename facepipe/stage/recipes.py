@@ -15,8 +15,8 @@ from pxr import Ar, Sdf
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import PHOTO_SUFFIXES
+from facepipe.core.policy.paths import check_model
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
-from facepipe.core.trust import check_model
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
 from facepipe.stage.guard import USD_ERRORS, errors_below, usd_errors

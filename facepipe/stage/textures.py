@@ -14,7 +14,7 @@ from pxr import Sdf, Usd, UsdUtils
 from facepipe.core.atomic import collect, hidden_folder, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
-from facepipe.core.trust import check_beside
+from facepipe.core.policy.paths import check_beside
 from facepipe.parts import Texture
 from facepipe.stage.assets import images_of, name_of
 from facepipe.stage.files import check_suffix, relative_path, save_layer

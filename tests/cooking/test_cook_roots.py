@@ -20,7 +20,7 @@ import facepipe
 from facepipe import cooking
 from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trusting
+from facepipe.core.policy.paths import Trust, trusting
 from facepipe.parts import Recipe
 from facepipe.processors.rebuild.steps import WorkFolder
 from facepipe.stage import save_parts

@@ -18,7 +18,7 @@ from farm_cluster import farm_in
 from textures import COLORS, picture, textured
 
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trust, trusting
+from facepipe.core.policy.paths import Trust, trust, trusting
 from facepipe.farm.batch import batch
 from facepipe.farm.mirror import mirror
 from facepipe.farm.plan import read_plan

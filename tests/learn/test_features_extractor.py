@@ -14,7 +14,7 @@ from onnx import TensorProto, helper
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trusting
+from facepipe.core.policy.paths import Trust, trusting
 from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
 from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix
 from facepipe.learn.features.extractor import load_extractor

@@ -18,7 +18,7 @@ from places import SUPPORT, names
 from facepipe.core import atomic, hidden_folders, locks, placing
 from facepipe.core.atomic import apart, collect, hidden_folder, replacing, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trusting
+from facepipe.core.policy.paths import Trust, trusting
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="no such calls there")
 KEY = "0123456789abcdef"

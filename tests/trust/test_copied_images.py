@@ -17,7 +17,7 @@ from pxr import Sdf, Usd, UsdUtils
 import facepipe
 from facepipe.checks import validate
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trusting
+from facepipe.core.policy.paths import Trust, trusting
 from facepipe.importers import load
 from facepipe.parts import TextureInput
 from facepipe.pictures.textures import decode

@@ -10,7 +10,7 @@ from command_line import done, exit_code, failed
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.core.trust import (
+from facepipe.core.policy.paths import (
     Trust,
     check_copied,
     check_model,

@@ -22,7 +22,7 @@ from facepipe_web.server import MOST_CONNECTIONS, Server
 from faces import tiny_face
 
 from facepipe.core.errors import InputError
-from facepipe.core.trust import Trust, trust, trusting
+from facepipe.core.policy.paths import Trust, trust, trusting
 from facepipe.parts import Slider
 from facepipe.stage import save_parts
 

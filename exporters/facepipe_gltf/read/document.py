@@ -18,8 +18,8 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import read_bytes
-from facepipe.core.trust import check_copied
 from facepipe_gltf.read.meshopt import EXTENSION, decode
 from facepipe_gltf.read.values import Value, parse, quote
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.trust import check_model
+from facepipe.core.policy.paths import check_model
 from facepipe.geometry.face_crops import arcface_crop, face_crop
 from facepipe.learn.features.description import DEFAULT_SIZES, PROPERTY, Crop, Description, Kind, describe
 from facepipe.learn.features.onnx_file import properties, read_model

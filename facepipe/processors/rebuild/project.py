@@ -30,8 +30,8 @@ from pathlib import Path
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
+from facepipe.core.policy.paths import check_writable
 from facepipe.core.reading import is_file, read_toml
-from facepipe.core.trust import check_writable
 from facepipe.declare import from_json, values_of
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.options import (

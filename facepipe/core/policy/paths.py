@@ -18,7 +18,8 @@ from facepipe.core.errors import InputError
 
 ROOTS = "FACEPIPE_ROOTS"  # folders, separated as in PATH
 PROJECT = "facepipe.toml"  # marks the folder of a project
-_OWN = Path(__file__).parent.parent  # networks and tables that come with facepipe
+PREFIX = ".facepipe-"  # of the names of files and folders that are there while others are written
+_OWN = Path(__file__).parents[2]  # networks and tables that come with facepipe
 _CODE = (".pt2", ".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".joblib")  # files that run code as they are loaded
 
 
