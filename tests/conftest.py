@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
+import started
 from hypothesis import HealthCheck, settings
 from small_sources import made
 from threadpoolctl import threadpool_limits
@@ -22,6 +23,8 @@ from facepipe.stage import save_parts
 
 threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+
+started.watch()  # every command of every test
 
 BEGUN = time.monotonic()
 

@@ -7,8 +7,6 @@ import hashlib
 import importlib
 import platform
 import re
-import subprocess
-import sys
 import tempfile
 import tomllib
 import zipfile
@@ -22,6 +20,7 @@ from facepipe import registry
 from facepipe.core import __version__
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
+from facepipe.core.policy import children
 from facepipe.core.reports import ExportReport
 from facepipe.declare import option
 
@@ -99,15 +98,16 @@ def _download(folder: Path, options: Options) -> None:
     :raises InputError: no pip, or wheels that it can't get
     """
     host = _HOSTS[options.blender]
-    words = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--dest", str(folder)]
+    words = ["download", "--quiet", "--disable-pip-version-check", "--dest", str(folder.absolute())]
     words += ["--only-binary=:all:", "--implementation", "cp", "--python-version", host.python]
     words += [word for tag in _TAGS[options.platform] for word in ("--platform", tag)]
     if options.wheels is not None:
-        words += ["--no-index", "--find-links", str(options.wheels)]
-    done = subprocess.run([*words, f"numpy=={host.numpy}", *_libraries()], capture_output=True, text=True)
+        words += ["--no-index", "--find-links", str(options.wheels.absolute())]
+    done = children.run(children.python("pip", *words, f"numpy=={host.numpy}", *_libraries()), seconds=None)
     if done.returncode:
-        errors = [line for line in done.stderr.splitlines() if "ERROR" in line or "No module named" in line]
-        reason = (errors or done.stderr.splitlines() or ["no reason given"])[-1].removeprefix("ERROR: ")
+        lines = done.stderr.decode(errors="replace").splitlines()
+        errors = [line for line in lines if "ERROR" in line or "No module named" in line]
+        reason = (errors or lines or ["no reason given"])[-1].removeprefix("ERROR: ")
         source = "the network" if options.wheels is None else str(options.wheels)
         raise InputError(
             f"wheels for {options.platform}", f"pip can't get them ({reason}), expected them from {source}"

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from facepipe.core.errors import ExportError, InputError
+from facepipe.core.policy.children import find_program
 from facepipe.records import Json
-from facepipe_gltf.node import find_node, run_node
+from facepipe_gltf.node import run_node
 from facepipe_gltf.read.meshopt import EXTENSION
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
 
 
 def _run(request: bytes) -> bytes:
-    node = find_node()
+    node = find_program("node")
     if node is None:
         raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
     try:

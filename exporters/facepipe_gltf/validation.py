@@ -12,10 +12,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from facepipe.core.policy.children import find_program
 from facepipe.core.reports import Finding
 from facepipe_gltf import mesh_validation as mesh
 from facepipe_gltf import skin_validation as skin
-from facepipe_gltf.node import find_node, run_node
+from facepipe_gltf.node import run_node
 from facepipe_gltf.raw import RawDocument
 
 _PROGRAM = """
@@ -43,7 +44,7 @@ def _check_khronos(path: Path) -> list[Finding]:
 
     One note where it is not installed or gave no report.
     """
-    node = find_node()
+    node = find_program("node")
     report = _report(node, path) if node else None
     if isinstance(report, str):
         return [Finding(check="khronos:Report", severity="info", where=path.name, message=report)]

@@ -14,10 +14,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from facepipe import registry
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import progress
+
+if TYPE_CHECKING:
+    from subprocess import Popen
 
 _HOST = "view"
 
@@ -49,7 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _open(url: str) -> None:
-    import webbrowser
+def _open(url: str) -> Popen[bytes]:
+    """By Python's own list of browsers, which looks for programs where PATH says: in a process of its own."""
+    from subprocess import DEVNULL
 
-    webbrowser.open(url)
+    from facepipe.core.policy import children
+
+    return children.start(children.python("webbrowser", url), stdout=DEVNULL)  # it rings the terminal's bell

@@ -5,16 +5,15 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import os
 import queue
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.policy import children
 from facepipe.core.threads import THREADS
 from facepipe.farm.ledger import Record
 from facepipe.farm.work import FAILED
@@ -53,9 +52,12 @@ class Child:
 
         :param seconds: it may take
         :param memory_mb: the process may have
-        :raises ChildLostError: it has ended, or took more than that
+        :raises ChildLostError: it has ended, could not be started, or took more than that
         """
-        process = self._process or self._start()
+        try:
+            process = self._process or self._start()
+        except OSError as error:  # no memory, say: another may be had later
+            raise ChildLostError(request["task"], f"its process can't be started: {error.strerror or error}") from None
         self._send(process, request)
         until = None if seconds is None else time.monotonic() + seconds
         while True:
@@ -92,9 +94,8 @@ class Child:
         return code
 
     def _start(self) -> subprocess.Popen[bytes]:
-        words = [sys.executable, "-m", PROGRAM]
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        process = subprocess.Popen(words, env={**os.environ, **_ONE_THREAD}, **pipes)
+        process = children.start(children.python(PROGRAM), _ONE_THREAD, **pipes)
         self._process, self._answers = process, queue.SimpleQueue()
         threading.Thread(target=_pump, args=(process.stdout, self._answers), daemon=True).start()
         self._send(process, self._setting)

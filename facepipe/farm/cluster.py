@@ -17,6 +17,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
+from facepipe.core.policy.children import remote_python
 from facepipe.farm.child import LOST, Child, Done, answer
 from facepipe.farm.ledger import Record
 
@@ -169,6 +170,7 @@ def _over_ssh(address: str, processes: int | None) -> Iterator[Any]:
     options: Any = {
         "worker_options": {} if processes is None else {"nthreads": processes},
         "scheduler_options": {"idle_timeout": _IDLE},
+        "remote_python": remote_python(),
     }
     with SSHCluster([hosts[0], *hosts], **options) as cluster:
         yield cluster

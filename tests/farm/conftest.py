@@ -6,13 +6,13 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from farm_forks import Fork
 from places import REPOSITORY
 
+from facepipe.core.policy import children
 from facepipe.farm import child
 from facepipe.farm.batch import batch
 from facepipe.farm.options import RunOptions
@@ -29,7 +29,7 @@ def show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = [str(REPOSITORY / "tests/support"), *filter(None, [os.environ.get("PYTHONPATH")])]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
     if sys.platform == "linux":
-        monkeypatch.setattr(child, "subprocess", SimpleNamespace(PIPE=None, DEVNULL=None, Popen=Fork))
+        monkeypatch.setattr(children, "start", Fork)
     folder = tmp_path / "show"
     (folder / "heads").mkdir(parents=True)
     for name in ("ada", "bea", "cyd"):

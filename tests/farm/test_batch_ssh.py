@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -26,13 +30,32 @@ def command(home: Path, folder: Path, *words: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def remote() -> set[int]:
-    """Processes of schedulers and workers that were started by ssh."""
-    return {
-        one.pid
-        for one in psutil.process_iter(["cmdline"])
-        if "distributed.cli.dask_spec" in (one.info["cmdline"] or ())
-    }
+def remote() -> dict[int, list[str]]:
+    """Processes of schedulers and workers that were started by ssh, and their lines."""
+    lines = {one.pid: one.info["cmdline"] or [] for one in psutil.process_iter(["cmdline"])}
+    return {pid: line for pid, line in lines.items() if "distributed.cli.dask_spec" in line}
+
+
+@contextmanager
+def watched() -> Iterator[dict[int, list[str]]]:
+    """Those that are there at some time in the block, and their children."""
+    seen: dict[int, list[str]] = {}
+    ended = threading.Event()
+
+    def look() -> None:
+        while not ended.wait(0.05):
+            for pid, line in remote().items():
+                seen[pid] = line
+                with contextlib.suppress(psutil.Error):
+                    seen.update({one.pid: one.cmdline() for one in psutil.Process(pid).children() if one.cmdline()})
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    try:
+        yield seen
+    finally:
+        ended.set()
+        watcher.join()
 
 
 @pytest.mark.slow
@@ -47,12 +70,15 @@ def test_a_host_is_reached_by_ssh_and_nothing_is_left_over_there(tmp_path: Path)
     assert (code, len(expected)) == (0, 3), out + err
     for name in expected:
         (tmp_path / "show" / name).unlink()
-    before = remote()
-    with ssh_server(tmp_path / "ssh") as home:
+    before = remote().keys()
+    with ssh_server(tmp_path / "ssh") as home, watched() as seen:
         code, out, err = command(home, tmp_path / "show", "--cluster", "ssh://localhost", "--processes", "2")
         assert code == 0, out + err
-        until(lambda: not remote() - before)
+        until(lambda: not remote().keys() - before)
         assert {one.name: one.read_bytes() for one in (tmp_path / "show").glob("*.glb")} == expected
+    pythons = [line for pid, line in seen.items() if pid not in before and line[0] == sys.executable]
+    assert len(pythons) >= 3, "a scheduler, a nanny, and its worker"
+    assert [line for line in pythons if "-P" not in line] == [], "none imports from the folder that ssh starts in"
     code, out, err = command(home, tmp_path / "show", "--cluster", "ssh://localhost")
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert "--cluster ssh://localhost: can't be used: " in err

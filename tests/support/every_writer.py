@@ -18,6 +18,7 @@ from typing import Any
 import live_link
 import numpy as np
 import scan_domes
+import started
 from baked_face import put_fitted
 from facepipe_blender.addon import write_own_wheel
 from import_data import SHARED
@@ -105,6 +106,7 @@ weights = { jawOpen = 0.8 }
 
 def work(seed: int) -> None:
     """Write all of it."""
+    started.watch()
     _list_in_any_order(random.Random(seed))
     PictureOptions.__init__.__kwdefaults__["samples"] = 1
     lighting._RINGS, shadows.DIRECTIONS = (), 12

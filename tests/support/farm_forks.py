@@ -10,18 +10,20 @@ from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import IO, Any
 
+from facepipe.core.policy.children import environment
+
 _FORKS: Any = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload(["farm_child", "s3fs"])
 
 
 class Fork:
-    """What `facepipe.farm.child` asks of `subprocess.Popen`, for the program `farm_child`."""
+    """What `facepipe.farm.child` asks of a process that `children.start` starts, for the program `farm_child`."""
 
-    def __init__(self, words: list[str], env: Mapping[str, str], **pipes: Any) -> None:
+    def __init__(self, words: list[str], more: Mapping[str, str], **pipes: Any) -> None:
         """:param words, pipes: not used: the program and its pipes are always the same"""
         requests, stdin = _FORKS.Pipe(duplex=False)
         stdout, answers = _FORKS.Pipe(duplex=False)
-        self._process = _FORKS.Process(target=_run, args=(requests, answers, dict(env)), daemon=True)
+        self._process = _FORKS.Process(target=_run, args=(requests, answers, environment(more)), daemon=True)
         self._process.start()
         self.pid: int = self._process.pid
         self.stdin: IO[bytes] = os.fdopen(os.dup(stdin.fileno()), "wb")
@@ -39,9 +41,9 @@ class Fork:
         return int(self._process.exitcode)
 
 
-def _run(requests: Connection, answers: Connection, environment: Mapping[str, str]) -> None:
+def _run(requests: Connection, answers: Connection, variables: Mapping[str, str]) -> None:
     os.environ.clear()
-    os.environ.update(environment)
+    os.environ.update(variables)
     for end, number in ((requests.fileno(), 0), (answers.fileno(), 1), (os.open(os.devnull, os.O_WRONLY), 2)):
         os.dup2(end, number)
     requests.close(), answers.close()

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from facepipe_gltf.node import find_node
 from faces import tiny_face
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -122,9 +121,3 @@ def test_networks_with_data_in_other_files_are_refused(tmp_path: Path) -> None:
         path.write_bytes(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 15)]).SerializeToString())
         with pytest.raises(InputError, match="has its data in another file"):
             read_model(path)
-
-
-@pytest.mark.parametrize("found", [".\\node.EXE", "./node", "node", None])
-def test_no_node_of_the_working_folder_is_run(found: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("shutil.which", lambda name: found)
-    assert find_node() is None
