@@ -114,7 +114,8 @@ def texture_home(target: Path) -> Iterator[Path]:
     :raises InputError: the folder of `target` does not exist
     """
     if target.suffix.lower() != ".usdz":
-        collect(texture_folder(target))
+        if not texture_folder(target).is_symlink():  # that would tidy up in somebody else's
+            collect(texture_folder(target))
         yield target
         return
     if not target.parent.is_dir():

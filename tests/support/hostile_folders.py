@@ -94,6 +94,7 @@ class Hostile:
     make: Callable[[World], object]
     lines: tuple[tuple[str, ...], ...]
     refused: bool = True  # by the first line at least; else it may be of no harm
+    reads: bool = False  # what is elsewhere, as USD composes it, or as the victim names it by a link
 
 
 def noise(size: int = 16) -> bytes:

@@ -49,6 +49,7 @@ from hostile_folders import (
     textured,
 )
 from small_sources import made
+from trespass import trespassing
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
 
@@ -93,21 +94,31 @@ HOSTILE = (
     Hostile("recipe of itself", recipe("blend", ("./mix.usda", "./mix.usda")), COOK),
     Hostile("recipe of a name in two lines", recipe("blend", ("./a\nb.usda", "\x1b[31m./c.usda")), COOK),
     Hostile(
-        "result below, elsewhere", elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('{top}/private/mix.usda')}")), COOK
+        "result below, elsewhere",
+        elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('{top}/private/mix.usda')}")),
+        COOK,
+        reads=True,
     ),
     Hostile(
-        "result below, two up", elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('./x/../../private/mix.usda')}")), COOK
+        "result below, two up",
+        elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('./x/../../private/mix.usda')}")),
+        COOK,
+        reads=True,
     ),
     Hostile(
         "result below, by a linked folder",
         elsewhere(both(linked("lib", "../private"), file("mix.usda", f"#usda 1.0\n{_layer('./lib/mix.usda')}"))),
         COOK,
+        reads=True,
     ),
-    Hostile("result that is a link", elsewhere(both(stale, linked("mix.usda", "../private/mix.usda"))), COOK),
+    Hostile(
+        "result that is a link", elsewhere(both(stale, linked("mix.usda", "../private/mix.usda"))), COOK, reads=True
+    ),
     Hostile(
         "result that is a chain of links",
         elsewhere(both(stale, linked("one.usda", "../private/mix.usda"), linked("mix.usda", "one.usda"))),
         COOK,
+        reads=True,
     ),
     Hostile("result that is a hard link", hard_link, COOK, refused=False),
     Hostile("result that is a link to nothing", linked("mix.usda", "../private/new.usda"), COOK),
@@ -180,7 +191,12 @@ HOSTILE = (
         COOK,
     ),
     # layers
-    Hostile("sublayer that is text of the victim's", over(_layer("../private/notes.txt")), (*SHOW, *EXPORT, *FLAT)),
+    Hostile(
+        "sublayer that is text of the victim's",
+        over(_layer("../private/notes.txt")),
+        (*SHOW, *EXPORT, *FLAT),
+        reads=True,
+    ),
     Hostile("sublayer that is a pipe", both(_device, over(_layer("./pipe"))), (*SHOW, *EXPORT[:1], *COOK[:1])),
     Hostile("sublayer that is a device", over(_layer("/dev/zero")), SHOW),
     Hostile("sublayer that is a linked pipe", both(_device, linked("x.usda", "pipe"), over(_layer("./x.usda"))), SHOW),
@@ -334,8 +350,12 @@ def test_a_hostile_folder_is_of_no_harm(
     hostile.make(world)
     before = _state(world)
     for number, line in enumerate(hostile.lines):
-        code = exit_code(*line, *MODES[mode])
+        with trespassing(
+            world.private, Path("/etc/passwd"), Path("/etc/x"), Path("/etc/hostname"), Path("/dev/zero")
+        ) as found:
+            code = exit_code(*line, *MODES[mode])
         error = capsys.readouterr().err
+        assert hostile.reads or found == [], line
         assert not world.ran.exists(), line
         assert not Path("ran").exists(), line
         assert _state(world) == before, line
