@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -10,14 +11,17 @@ import shutil
 import stat
 import struct
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from command_line import exit_code
 from PIL import Image
 from pxr import Sdf, Usd
+from trespass import trespassing
 
 from facepipe.cli import main
 from facepipe.parts import FaceParts, Recipe
@@ -74,6 +78,14 @@ class World:
         """A payload as a pickle."""
         return pickle.dumps(Payload(self.ran))
 
+    def settle(self, stock: Path) -> None:
+        """Make it, with the good files of `make_stock`."""
+        shutil.copytree(stock, self.sent)
+        self.private.mkdir()
+        (self.private / "photo.png").write_bytes(noise())
+        (self.private / "notes.txt").write_text("{private: notes}\n")
+        (self.private / "points.bin").write_bytes(np.random.default_rng(3).bytes(64))
+
     @property
     def archive(self) -> bytes:
         """A payload as torch and numpy keep them: archives of pickles."""
@@ -85,16 +97,63 @@ class World:
             archive.writestr("values.npy", _object_array(self.pickled))
         return data.getvalue()
 
+    def outside(self) -> dict[str, str]:
+        """The state of all that is not in the folder that was sent."""
+        return {
+            str(path.relative_to(self.top)): _digest(path) for path in _below(self.top) if self.sent not in path.parents
+        }
+
+    def brought(self) -> list[str]:
+        """Files in the folder that was sent with something of the victim's."""
+        secrets = [pixels_of(noise()), b"private: notes", (self.private / "points.bin").read_bytes()[:36]]
+        plain = [one for one in _below(self.sent) if one.is_file() and not one.is_symlink()]
+        return [one.name for one in plain if any(secret in one.read_bytes() for secret in secrets)]
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    for parent, folders, names in os.walk(folder):
+        yield from (Path(parent, name) for name in (*folders, *names))
+
+
+def _digest(path: Path) -> str:
+    state = path.lstat()
+    content = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() and not path.is_symlink() else ""
+    return f"{state.st_mode} {content}"
+
 
 @dataclass(frozen=True)
 class Hostile:
     """One folder."""
 
-    name: str
+    name: str  # what reads, which field of it: how that leads out
     make: Callable[[World], object]
     lines: tuple[tuple[str, ...], ...]
     refused: bool = True  # by the first line at least; else it may be of no harm
     reads: bool = False  # what is elsewhere, as USD composes it, or as the victim names it by a link
+
+
+def harm(hostile: Hostile, world: World, more: tuple[str, ...]) -> list[str]:
+    """What its lines do that they should not; the world has the folder in it, and is where they run.
+
+    :param more: words that are added to each line
+    """
+    before, found = world.outside(), []
+    closed = (world.private, *map(Path, ("/etc/passwd", "/etc/x", "/etc/hostname", "/dev/zero")))
+    for number, line in enumerate(hostile.lines):
+        errors = io.StringIO()
+        with trespassing(*closed) as done, redirect_stderr(errors), redirect_stdout(io.StringIO()):
+            code = exit_code(*line, *more)
+        said = [one for one in errors.getvalue().splitlines() if not one.startswith("facepipe: warning: ")]
+        wrong = {
+            "code ran": world.ran.exists() or Path("ran").exists(),
+            "changed outside": world.outside() != before,
+            f"brought {world.brought()}": bool(world.brought()),
+            f"did {done}": bool(done) and not hostile.reads,
+            f"exit code {code}": code not in ((1, 2) if hostile.refused and number == 0 else (0, 1, 2)),
+            f"said {said}": len(said) != (code == 2) or not all(map(str.isprintable, said)),
+        }
+        found += [f"{' '.join(line)}: {what}" for what, is_so in wrong.items() if is_so]
+    return found
 
 
 def noise(size: int = 16) -> bytes:

@@ -1,0 +1,266 @@
+"""The kinds of hostile folders: what reads, which field of it, and how that leads out, no two alike."""
+
+from __future__ import annotations
+
+import os
+
+from hostile_folders import (
+    COOK,
+    COPY,
+    EXPORT,
+    FLAT,
+    KEY,
+    REBUILD,
+    SHOW,
+    Hostile,
+    World,
+    archive,
+    both,
+    elsewhere,
+    file,
+    fitted,
+    gltf,
+    hard_link,
+    interface,
+    journal,
+    linked,
+    obj,
+    onnx,
+    over,
+    package,
+    packed_beside,
+    recipe,
+    sampled,
+    stale,
+    textured,
+)
+
+TEXTURES = (*EXPORT[:1], *FLAT, ("inspect", "face.usda"), *COPY)
+PACKED = tuple(tuple("face.usdz" if word == "face.usda" else word for word in line) for line in TEXTURES)
+GLTF = (("import", "gltf", "face.gltf", "copy.usda", "--force"), ("validate", "face.gltf"))
+OBJ = (("import", "obj", "shapes", "copy.usda", "--force"),)
+RIG = (("neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "rigged.usda"),)
+NET = (("validate", "net.onnx"), ("eval", "net.onnx", "-o", "points.npz"))
+PROJECT = 'template = "a.usda"\ndatabase = "mix.usda"\nwork = "{}"\n[neutral]\nscan = "b.usda"\n'
+LAYER = '(\n    defaultPrim = "Tiny"\n    subLayers = [@{}@, @./face2.usda@]\n)'
+
+
+def _layer(name: str) -> str:
+    return LAYER.replace("{}", name)
+
+
+def _device(world: World) -> None:
+    os.mkfifo(world.sent / "pipe")
+
+
+def _inside(world: World) -> None:
+    (world.sent / "pipe").rename(world.sent / "shapes" / "pipe")
+
+
+HOSTILE = (
+    # recipes that name code
+    Hostile("recipe, model: code", both(fitted("./net.pt2"), archive("net.pt2")), COOK),
+    Hostile("recipe, model: code by a way round", both(fitted("../sent/net.pt2"), archive("net.pt2")), COOK),
+    Hostile("recipe, model: pickle", both(fitted("./net.pkl"), archive("net.pkl")), COOK),
+    Hostile(
+        "recipe, model: link to code",
+        both(fitted("./net.onnx"), archive("net.pt2"), linked("net.onnx", "net.pt2")),
+        COOK,
+    ),
+    Hostile("recipe, model: code under another name", both(fitted("./net.onnx"), archive("net.onnx")), COOK),
+    Hostile("recipe, verb: unknown", recipe("python -c", ("./a.usda",)), COOK),
+    Hostile("recipe, verb: shell", recipe("$(touch ran)", ("./a.usda", "$(touch ran)", "| touch ran")), COOK),
+    # recipes that lead elsewhere
+    Hostile("recipe, source: above", recipe("blend", ("../private/notes.txt", "./b.usda")), COOK),
+    Hostile("recipe, source: pipe", both(_device, recipe("blend", ("./pipe", "./b.usda"))), COOK),
+    Hostile("recipe, source: device", recipe("blend", ("/dev/zero", "./b.usda")), COOK),
+    Hostile("recipe, source: itself", recipe("blend", ("./mix.usda", "./mix.usda")), COOK),
+    Hostile("recipe, source: two lines", recipe("blend", ("./a\nb.usda", "\x1b[31m./c.usda")), COOK),
+    Hostile(
+        "cook, layer with a recipe: absolute",
+        elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('{top}/private/mix.usda')}")),
+        COOK,
+        reads=True,
+    ),
+    Hostile(
+        "cook, layer with a recipe: above",
+        elsewhere(file("mix.usda", f"#usda 1.0\n{_layer('./x/../../private/mix.usda')}")),
+        COOK,
+        reads=True,
+    ),
+    Hostile(
+        "cook, layer with a recipe: linked folder",
+        elsewhere(both(linked("lib", "../private"), file("mix.usda", f"#usda 1.0\n{_layer('./lib/mix.usda')}"))),
+        COOK,
+        reads=True,
+    ),
+    Hostile("cook, result: link", elsewhere(both(stale, linked("mix.usda", "../private/mix.usda"))), COOK, reads=True),
+    Hostile(
+        "cook, result: chain of links",
+        elsewhere(both(stale, linked("one.usda", "../private/mix.usda"), linked("mix.usda", "one.usda"))),
+        COOK,
+        reads=True,
+    ),
+    Hostile("cook, result: hard link", hard_link, COOK, refused=False),
+    Hostile("cook, result: link to nothing", linked("mix.usda", "../private/new.usda"), COOK),
+    # what helps in writing
+    Hostile("lock, file: link", both(stale, linked(".mix.usda.lock", "../private/notes.txt")), COOK),
+    Hostile("lock, file: link to nothing", both(stale, linked(".mix.usda.lock", "../private/new")), COOK),
+    Hostile(
+        "lock, file: pipe",
+        both(stale, lambda world: os.mkfifo(world.sent / ".mix.usda.lock")),
+        COOK,
+        refused=False,
+    ),
+    Hostile("journal, move: above", journal(["."], [[0, "../private/notes.txt", None, "main"]]), COOK, refused=False),
+    Hostile("journal, folder: above", journal(["../private"], [[0, "notes.txt", None, "main"]]), COOK, refused=False),
+    Hostile("journal, folder: absolute", journal(["/etc"], [[0, "hostname", None, "stale"]]), COOK, refused=False),
+    Hostile(
+        "journal, folder: linked folder",
+        both(journal(["lib"], [[0, "notes.txt", None, "main"]]), linked("lib", "../private")),
+        COOK,
+        refused=False,
+    ),
+    Hostile("hidden folder, itself: link", both(stale, linked(KEY, "../private")), COOK, refused=False),
+    Hostile(
+        "hidden folder, content: link",
+        both(
+            stale,
+            file(f"{KEY}/.facepipe-lock", ""),
+            linked(f"{KEY}/x", "../../private"),
+            linked(f"{KEY}/.facepipe-former", "../../private"),
+        ),
+        COOK,
+        refused=False,
+    ),
+    Hostile(
+        "hidden folder, joined to: above",
+        both(stale, file(f"{KEY}/.facepipe-joined", "../private")),
+        COOK,
+        refused=False,
+    ),
+    Hostile("output, file: link", both(linked("out.glb", "../private/notes.txt")), EXPORT[:1]),
+    Hostile("output, file: link to nothing", both(linked("out.glb", "../private/new.glb")), EXPORT[:1]),
+    Hostile("output, sidecar: link", both(linked("out.onnx.json", "../private/notes.txt")), EXPORT[1:]),
+    Hostile("output, textures: linked folder", linked("flat_textures", "../private"), FLAT[:1]),
+    # projects
+    Hostile("rebuild project, work: above", file("project.toml", PROJECT.format("../private")), REBUILD),
+    Hostile("rebuild project, work: absolute", file("project.toml", PROJECT.format("{top}/private/new")), REBUILD),
+    Hostile(
+        "rebuild project, work: linked folder",
+        both(linked("work", "../private"), file("project.toml", PROJECT.format("work"))),
+        REBUILD,
+    ),
+    Hostile("rebuild project, work: two lines", file("project.toml", PROJECT.format("../pri\\nvate")), REBUILD),
+    Hostile(
+        "rebuild project, scan: pipe",
+        both(_device, file("project.toml", PROJECT.format("work").replace("b.usda", "pipe"))),
+        REBUILD,
+    ),
+    Hostile(
+        "recipe, project's work: above",
+        both(
+            file("project.toml", PROJECT.format("../private")),
+            recipe("rebuild", ("./project.toml", "./a.usda"), project="./project.toml", joint=False),
+        ),
+        COOK,
+    ),
+    # layers
+    Hostile(
+        "usd, sublayer: above",
+        over(_layer("../private/notes.txt")),
+        (*SHOW, *EXPORT, *FLAT),
+        reads=True,
+    ),
+    Hostile("usd, sublayer: pipe", both(_device, over(_layer("./pipe"))), (*SHOW, *EXPORT[:1], *COOK[:1])),
+    Hostile("usd, sublayer: device", over(_layer("/dev/zero")), SHOW),
+    Hostile("usd, sublayer: link to a pipe", both(_device, linked("x.usda", "pipe"), over(_layer("./x.usda"))), SHOW),
+    Hostile("usd, sublayer: folder", over(_layer("../private")), (*SHOW, *EXPORT, *FLAT)),
+    Hostile(
+        "usd, reference: circle", over('(defaultPrim = "A")\ndef "A" (references = @./face.usda@) {}'), (*SHOW, *EXPORT)
+    ),
+    # textures
+    Hostile("usd, texture: absolute", textured("{top}/private/photo.png"), TEXTURES),
+    Hostile("usd, texture: above", textured("../private/photo.png"), TEXTURES),
+    Hostile("usd, texture: link", both(linked("skin.png", "../private/photo.png"), textured("./skin.png")), TEXTURES),
+    Hostile(
+        "usd, texture: chain of links",
+        both(
+            linked("a.png", "../private/photo.png"),
+            linked("b.png", "a.png"),
+            linked("c.png", "b.png"),
+            textured("c.png"),
+        ),
+        TEXTURES,
+    ),
+    Hostile(
+        "usd, texture: linked folder",
+        both(linked("face_textures2", "../private"), textured("./face_textures2/photo.png")),
+        TEXTURES,
+    ),
+    Hostile("usd, texture: file of the system", textured("/etc/passwd"), TEXTURES[:1]),
+    Hostile("usd, texture: pipe", both(_device, textured("./pipe")), (*TEXTURES, ("validate", "face.usda"))),
+    Hostile("usd, texture: device", textured("/dev/zero"), (*TEXTURES, ("validate", "face.usda"))),
+    Hostile("usd, texture: two lines", textured("./\\n\x1b[2Ja.png"), TEXTURES[:1]),
+    Hostile("usd, texture over time: absolute", sampled, TEXTURES[1:3]),
+    Hostile("usd, texture of the material: absolute", interface, TEXTURES),
+    Hostile("usd, texture by an expression: absolute", textured('`"{top}/private/photo.png"`'), TEXTURES[:1]),
+    Hostile(
+        "project file, itself: folder",
+        both(file("../facepipe.toml/x", ""), textured("../private/photo.png")),
+        TEXTURES,
+    ),
+    Hostile(
+        "project file, roots: absolute",
+        both(file("facepipe.toml", 'roots = ["/"]'), textured("../private/photo.png")),
+        TEXTURES,
+    ),
+    Hostile(
+        "project file, itself: link", both(linked("facepipe.toml", "/"), textured("../private/photo.png")), TEXTURES
+    ),
+    # packages
+    Hostile("usdz, texture: absolute", packed_beside, PACKED),
+    Hostile(
+        "usdz, entry: above",
+        package("../private/photo.png", "../../above.png", "/etc/x"),
+        PACKED,
+        refused=False,
+    ),
+    Hostile("usdz, entry: link", package(link=True), PACKED, refused=False),
+    # glTF, OBJ
+    Hostile("gltf, buffer: above", gltf(buffer="../private/points.bin"), GLTF),
+    Hostile("gltf, buffer: above, encoded", gltf(buffer="%2e%2e/private/points.bin"), GLTF),
+    Hostile("gltf, buffer: absolute", gltf(buffer="{top}/private/points.bin"), GLTF),
+    Hostile("gltf, buffer: file URL", gltf(buffer="file://{top}/private/points.bin"), GLTF),
+    Hostile("gltf, buffer: link", both(gltf(buffer="b.bin"), linked("b.bin", "../private/points.bin")), GLTF),
+    Hostile("gltf, buffer: pipe", both(_device, gltf(buffer="pipe")), GLTF),
+    Hostile("gltf, image: above", gltf(image="../private/photo.png"), GLTF[:1]),
+    Hostile("gltf, image: file URL", gltf(image="file://{top}/private/photo.png"), GLTF[:1]),
+    Hostile("gltf, image: link", both(gltf(image="a.png"), linked("a.png", "../private/photo.png")), GLTF[:1]),
+    Hostile("mtl, map: above", obj("face.mtl", "../../private/photo.png"), OBJ),
+    Hostile("mtl, map: absolute", obj("face.mtl", "/etc/passwd"), OBJ),
+    Hostile("mtl, map: link", both(obj("face.mtl", "a.png"), linked("shapes/a.png", "../../private/photo.png")), OBJ),
+    Hostile("obj, library: above", obj("../../private/notes.txt"), OBJ),
+    Hostile("obj, library: pipe", both(_device, obj("pipe"), _inside), OBJ, refused=False),
+    # networks and arrays
+    Hostile("onnx, data of a tensor: above", onnx("../private/points.bin"), NET),
+    Hostile("onnx, data of a tensor: absolute", onnx("{top}/private/points.bin"), NET),
+    Hostile("onnx, data of a node: above", onnx("../private/points.bin", node=True), NET),
+    Hostile("onnx, itself: code", archive("net.onnx"), NET),
+    Hostile(
+        "npz, coefficients: code",
+        archive("pose.npz"),
+        (("apply-bones", "face.usda", "pose.npz", "-o", "posed.usda"),),
+    ),
+    Hostile(
+        "npz, slider network: code",
+        archive("net.npz"),
+        (("sliders", "face.usda", "--from-network", "net.npz", "-o", "out.usda"),),
+    ),
+    Hostile("database, itself: code", archive("faces.fpdb"), (("database", "info", "faces.fpdb"),)),
+    Hostile(
+        "neural rig, itself: code",
+        archive("rig.fpnr"),
+        RIG,
+    ),
+)
