@@ -1,110 +1,171 @@
-"""Whether hostile folders are seen to do harm without the checks that stand against them: those are taken out one at a
-time, in a process of its own for each folder.
+"""Whether hostile folders are seen to do harm without the checks that stand against them.
 
 usage: python tests/support/hostile_without.py [WORD ...]      kinds whose names have a word (default all)
 
-A row each: the checks without which it does harm, alone or (with +) together. Exit 1 where none of them matters.
+The line that refuses a folder is found by running it, and taken out (its `if` is never true, its `raise` raises
+nothing); then the next, until the folder is seen to do harm: to read, write, run or bring along what it should not, to
+be accepted, or to take 20 seconds or 3 GB. Folders that are of no harm without being refused have their checks in
+`QUIET`. A row each: the lines, and what was seen. Exit 1 where nothing was.
 """
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import itertools
+import ast
+import gc
+import json
 import os
 import resource
 import signal
 import sys
 import tempfile
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
 from command_line import exit_code
 from full_faces import full_face
 from hostile_folders import Hostile, World, harm, make_stock
 from hostile_kinds import HOSTILE
+from places import REPOSITORY
 from small_sources import made
 
+from facepipe.core.errors import FacepipeError
+
 _SECONDS, _BYTES = 20, 3 << 30  # what takes more does harm too
-_MOST = 3  # checks that one folder may need to be taken out together
+_MOST = 8  # lines that stand against one folder, one behind the other
 
 
-class Check(NamedTuple):
-    """A function, or a line of it, that refuses something."""
+class Site(NamedTuple):
+    """A line that refuses something, or one that is changed."""
 
-    function: str  # module:name
-    line: str = ""  # a part of its source; empty: all of it
-    instead: str = "None"  # of all of it: what it returns
+    file: str
+    line: int
+    old: str = ""  # of a line that is changed, its text
+    new: str = ""
 
     @property
     def name(self) -> str:
         """For people."""
-        return self.function.rpartition(".")[2] + (f" ({self.line})" if self.line else "")
+        return f"{Path(self.file).relative_to(REPOSITORY).as_posix()}:{self.line}"
 
 
-CHECKS = (
-    Check("facepipe.core.policy.paths:is_below", instead="True"),
-    Check("facepipe.core.policy.paths:is_writable", instead="True"),
-    Check("facepipe.core.policy.paths:check_beside"),
-    Check("facepipe.core.policy.paths:check_copied"),
-    Check("facepipe.core.policy.paths:check_model"),
-    Check("facepipe.core.policy.paths:check_readable"),
-    Check("facepipe.core.policy.paths:check_writable"),
-)
+class _Out(ast.NodeTransformer):
+    """Takes out what refuses at a line."""
+
+    def __init__(self, line: int) -> None:
+        self._line = line
+
+    def visit_If(self, node: ast.If) -> ast.AST:
+        """An `if` that has it in its own block is never true."""
+        if any(self._is(one) for one in node.body):
+            node.test = ast.copy_location(ast.Constant(False), node.test)
+            return node
+        return self.generic_visit(node)
+
+    def visit_Raise(self, node: ast.Raise) -> ast.AST:
+        """One that stands elsewhere raises nothing."""
+        return ast.copy_location(ast.Pass(), node) if self._is(node) else node
+
+    def visit_Return(self, node: ast.Return) -> ast.AST:
+        """Nor does the giving of an error."""
+        return ast.copy_location(ast.Return(None), node) if self._is(node) else node
+
+    def _is(self, node: ast.stmt) -> bool:
+        return isinstance(node, ast.Raise | ast.Return) and node.lineno <= self._line <= (node.end_lineno or 0)
 
 
-def without(check: Check) -> None:
-    """From now on this process has no such check, wherever it was imported to."""
-    module, _, path = check.function.partition(":")
-    function: Any = importlib.import_module(module)
-    for part in path.split("."):
-        function = getattr(function, part)
-    function = inspect.unwrap(function)
-    made: dict[str, Any] = {}
-    if check.line:
-        source = textwrap.dedent(inspect.getsource(function))
-        assert source.count(check.line) == 1, f"{check.function} has no single `{check.line}`"
-        exec(source.replace(check.line, check.instead), function.__globals__, made)
-        function.__code__ = inspect.unwrap(made[function.__name__]).__code__
+def take_out(site: Site) -> None:
+    """From now on this process has no such line, wherever its function was imported to."""
+    text = Path(site.file).read_text(encoding="utf-8")
+    if site.old:
+        assert text.count(site.old) == 1, f"{site.file} has no single `{site.old}`"
+        tree: Any = ast.parse(text.replace(site.old, site.new))
     else:
-        function.__code__ = eval(f"lambda *_, **__: {check.instead}").__code__
+        tree = ast.fix_missing_locations(_Out(site.line).visit(ast.parse(text)))
+    fresh = {_key(code): code for code in _codes(compile(tree, site.file, "exec"))}
+    for one in gc.get_objects():
+        if isinstance(one, FunctionType) and one.__code__.co_filename == site.file:
+            code = fresh.get(_key(one.__code__))
+            if (code is not None and code.co_code != one.__code__.co_code) or (
+                code and code.co_consts != one.__code__.co_consts
+            ):
+                one.__code__ = code
 
 
-def is_harmed(hostile: Hostile, stock: Path, checks: Sequence[Check]) -> bool:
-    """Whether a folder does harm without some checks, or runs out of time or memory, in a process of its own."""
+def _key(code: CodeType) -> tuple[str, int]:
+    return code.co_qualname, code.co_firstlineno
+
+
+def _codes(code: CodeType) -> list[CodeType]:
+    return [code, *(inner for one in code.co_consts if isinstance(one, CodeType) for inner in _codes(one))]
+
+
+def tried(hostile: Hostile, stock: Path, out: Sequence[Site]) -> tuple[list[str], list[Site]]:
+    """The harm that a folder does without some lines, in a process of its own; and the lines that refused something."""
+    reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
-        resource.setrlimit(resource.RLIMIT_DATA, (_BYTES, _BYTES))
-        signal.alarm(_SECONDS)
-        code = 1
+        os.close(reading)
+        answer = json.dumps((["ended by itself"], []))
         try:
-            with tempfile.TemporaryDirectory() as top:
-                world = World(Path(top).resolve())
-                world.settle(stock)
-                os.chdir(world.sent)
-                hostile.make(world)
-                for check in checks:
-                    without(check)
-                code = 1 if harm(hostile, world, ()) else 0
+            answer = _answer(hostile, stock, out)
+        except BaseException as error:
+            answer = json.dumps(([f"{type(error).__name__}: {error}"[:100]], []))
         finally:
-            os._exit(code)
-    return os.waitpid(pid, 0)[1] != 0
+            os.write(writing, answer.encode()[:60000])
+            os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as file:
+        said = file.read()
+    os.waitpid(pid, 0)
+    harms, sites = json.loads(said or '[["took too long, or too much memory"], []]')
+    return harms, [Site(*one) for one in sites]
 
 
-def needed(hostile: Hostile, stock: Path) -> list[str]:
-    """The checks without which it does harm; together, where it needs that."""
-    assert not is_harmed(hostile, stock, ()), hostile.name
-    for count in range(1, _MOST + 1):
-        found = [
-            " + ".join(check.name for check in checks)
-            for checks in itertools.combinations(CHECKS, count)
-            if is_harmed(hostile, stock, checks)
-        ]
-        if found:
-            return found
-    return []
+def _answer(hostile: Hostile, stock: Path, out: Sequence[Site]) -> str:
+    resource.setrlimit(resource.RLIMIT_DATA, (_BYTES, _BYTES))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(_SECONDS)
+    sites: list[Site] = []
+    plain = FacepipeError.__init__
+
+    def noted(self: FacepipeError, where: object, what: str) -> None:
+        frame = sys._getframe(1)
+        if frame.f_code.co_filename.startswith(str(REPOSITORY)) and "/tests/" not in frame.f_code.co_filename:
+            sites.append(Site(frame.f_code.co_filename, frame.f_lineno))
+        plain(self, where, what)
+
+    FacepipeError.__init__ = noted  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as top:
+        world = World(Path(top).resolve())
+        world.settle(stock)
+        os.chdir(world.sent)
+        hostile.make(world)
+        for site in out:
+            take_out(site)
+        harms = harm(hostile, world, ())
+        os.chdir("/")
+    return json.dumps(([one.replace(str(world.top), "")[:160] for one in harms], sites))
+
+
+def chain(hostile: Hostile, stock: Path) -> tuple[list[Site], list[str]]:
+    """The lines without which it does harm, and the harm."""
+    out = list(QUIET.get(hostile.name, ()))
+    harms, sites = tried(hostile, stock, ())
+    assert not harms, (hostile.name, harms)
+    if out:
+        return out, tried(hostile, stock, out)[0]
+    while not harms and len(out) < _MOST:
+        new = [site for site in sites if site not in out]
+        if not new:
+            break
+        out.append(new[-1])
+        harms, sites = tried(hostile, stock, out)
+    return out, harms
+
+
+QUIET: dict[str, tuple[Site, ...]] = {}
 
 
 def main() -> int:
@@ -114,15 +175,22 @@ def main() -> int:
         stock = Path(folder, "stock")
         stock.mkdir()
         make_stock(stock, full_face(), (made(1), made(2)))
-        for words in (("inspect", "face.usda"), ("export", "face.usda", "-o", "x.glb"), ("cook", "mix.usda")):
-            exit_code(*words)  # what they load is loaded once
-        failed = 0
+        for words in (
+            ("inspect", "face.usda"),
+            ("export", "face.usda", "-o", "x.glb"),
+            ("export", "face.usda", "-o", "x.onnx"),
+        ):
+            exit_code(*words[:1], stock / words[1], *words[2:2], *(["-o", Path(folder, words[3])] if words[3:] else []))
+        unseen = 0
         for one in kinds:
-            found = needed(one, stock)
-            failed += not found
-            print(f"{one.name:60} {', '.join(found) or '-'}", flush=True)
-    print(f"{len(kinds)} kinds, {failed} that no check matters to")
-    return int(failed > 0)
+            lines, harms = chain(one, stock)
+            unseen += not harms
+            print(
+                f"{one.name:48} {', '.join(site.name for site in lines)}\n    {harms[0] if harms else 'NO HARM SEEN'}",
+                flush=True,
+            )
+    print(f"{len(kinds)} kinds, {unseen} that no line matters to")
+    return int(unseen > 0)
 
 
 if __name__ == "__main__":
