@@ -30,9 +30,9 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.declare import fields_of
 from facepipe.farm.contents import Contents
-from facepipe.farm.ledger import Record
+from facepipe.farm.ledger import FAILED, Record
 from facepipe.farm.mirror import mirror
-from facepipe.farm.work import FAILED, Line, Outcome, work
+from facepipe.farm.work import Line, Outcome, work
 from facepipe.kinds import Action, FileAction, InPlaceAction
 from facepipe.stage.files import naming
 

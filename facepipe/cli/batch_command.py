@@ -32,6 +32,7 @@ from facepipe.core.errors import InputError
 from facepipe.farm.options import RunOptions
 
 if TYPE_CHECKING:
+    from facepipe.farm.plan import Plan
     from facepipe.farm.run import Run
 
 _EVERY = 10.0  # seconds between two lines of a log
@@ -60,18 +61,25 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print its report."""
+    from facepipe.core.policy.paths import trust, trusting
+    from facepipe.core.policy.urls import typed_roots
+    from facepipe.farm.plan import each, read_plan
+
+    if arguments.each is None:
+        file = _plan_file(arguments)
+        return _run(arguments, read_plan(file), arguments.state or file.with_name(f"{file.stem}_batch"))
+    urls = typed_roots((arguments.each, arguments.output or "", *arguments.words))
+    with trusting(replace(trust(), urls=(*trust().urls, *urls))):
+        return _run(arguments, each(arguments.each, arguments.words, arguments.output or ""), arguments.state)
+
+
+def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
     from facepipe.cli import in_project
     from facepipe.cli.parser import options_from
     from facepipe.core.policy.paths import trust
     from facepipe.core.project import project_around
     from facepipe.farm.batch import batch
-    from facepipe.farm.plan import each, read_plan
 
-    if arguments.each is None:
-        file = _plan_file(arguments)
-        plan, state = read_plan(file), arguments.state or file.with_name(f"{file.stem}_batch")
-    else:
-        plan, state = each(arguments.each, arguments.words, arguments.output or ""), arguments.state
     project = project_around(Path.cwd())
     if project is not None:
         words = [in_project(project, step.words, plan.folder, step.out) for step in plan.steps]

@@ -11,7 +11,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import roots_of, trust
+from facepipe.core.policy.paths import check_beside, check_output, roots_of, trust
 from facepipe.core.policy.urls import checked, is_url
 from facepipe.declare import check_ranges
 from facepipe.farm.child import Engine, Processes
@@ -25,6 +25,7 @@ from facepipe.stage.files import SUFFIXES
 
 THUMBNAIL = "thumbnail"  # the step that draws each face for the report
 _SIZES = range(16, 1025)
+_MOST_A_CORE, _MOST_ON_HOSTS = 4, 1024  # processes: more only wait, and each takes memory
 
 
 def batch(
@@ -54,10 +55,17 @@ def batch(
     check_ranges(options)
     if processes is not None and processes < 1:
         raise InputError("--processes", f"is {processes}, expected at least 1")
+    most = _MOST_ON_HOSTS if cluster else _MOST_A_CORE * (os.cpu_count() or 1)
+    if processes is not None and processes > most:
+        raise InputError("--processes", f"is {processes}, expected at most {most}")
+    if state is not None:
+        check_output(Path(state))
     if not isinstance(plan, Plan):
         state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
         plan = read_plan(Path(plan))
     state = plan.folder / "facepipe_batch" if state is None else Path(state)
+    if state.is_symlink():
+        check_beside(state, plan.folder / "plan")
     for root in trust().urls:
         checked(root, [root])
     if is_url(plan.out):
@@ -69,7 +77,7 @@ def batch(
         raise InputError(state, f"can't be made: {error.strerror or error}") from error
     start = time.perf_counter()
     with ledger_in(state) as ledger:
-        run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None)
+        run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None, roots=_roots(plan, state))
         if on_task is not None:
             run.on_task = on_task(run)
         setting = _setting(plan, state, models, options)
@@ -85,10 +93,13 @@ def batch(
     return report
 
 
+def _roots(plan: Plan, state: Path) -> tuple[Path, ...]:
+    return (*(trust().roots or roots_of(plan.folder / "plan")), state)
+
+
 def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapping[str, Any]:
     """What processes that do tasks need to know first."""
-    roots = trust().roots or roots_of(plan.folder / "plan")
-    folders = [*dict.fromkeys(str(one.absolute()) for one in (*roots, state))]
+    folders = [*dict.fromkeys(str(one.absolute()) for one in _roots(plan, state))]
     local = {"local": options.local and str(options.local.absolute()), "local_bytes": int(options.local_gb * 1e9)}
     setting = {"folder": str(plan.folder), "roots": folders, "urls": trust().urls, "models": models, **local}
     return {**setting, "version": __version__}

@@ -8,16 +8,20 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Mapping
+import stat
+from collections.abc import Callable, Collection, Mapping
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy.paths import is_writable, trust
+from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"
+_MOST_RECORD = 1 << 22  # bytes; a longer one is cut off, and damaged
 _BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
 _unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
 
@@ -36,17 +40,27 @@ class Cache:
         except OSError as error:
             raise InputError(folder, f"can't be made: {error.strerror or error}") from error
 
-    def fetch(self, key: str) -> dict[str, Any] | None:
-        """Put the files of a key in their places: the record that was kept; None where it isn't here, or is damaged."""
+    def fetch(self, key: str, places: Collection[Path]) -> dict[str, Any] | None:
+        """Put the files of a key in their places: the record that was kept; None where it isn't here, or is damaged.
+
+        :param places: files and folders, which the files must be or lie below: the folder may be of others
+        """
         entry = self._folder / key
         try:
-            record = json.loads((entry / _RECORD).read_bytes())
+            if entry.is_symlink():
+                raise InputError(entry, "is a link, expected a folder")
+            record = parsed(_bytes(entry / _RECORD))
+            if not is_outcome(record) or not record.get("writes"):
+                raise InputError(entry / _RECORD, "is damaged")
             writes = [(self._place(name), own) for name, (_, own) in record["writes"].items()]
+            for path, _ in writes:
+                if not any(path.is_relative_to(place) for place in places) or ".." in path.parts:
+                    raise InputError(entry, f"is of {path}, expected the results of the task")
+                if not is_writable(path, trust().roots):
+                    raise InputError(entry, "is of files outside the roots")
             if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
-            if not all(is_writable(path, trust().roots) for path, _ in writes):
-                raise InputError(entry, "is of files outside the roots")
-        except (OSError, ValueError, LookupError, TypeError, FacepipeError):
+        except (OSError, ValueError, FacepipeError):
             shutil.rmtree(entry, ignore_errors=True)
             return None
         with together(writes[0][0]) if writes else contextlib.nullcontext():
@@ -90,7 +104,22 @@ class Cache:
             over -= used
 
 
+def _opened(path: Path) -> BufferedReader:
+    """A regular file that lines may not read, since it lies outside the roots.
+
+    :raises InputError: it is a link, a pipe, or a device
+    """
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise InputError(path, "is not a regular file")
+    return path.open("rb")
+
+
+def _bytes(path: Path) -> bytes:
+    with _opened(path) as file:
+        return file.read(_MOST_RECORD)
+
+
 def _digest(path: Path) -> str:
-    """As `facepipe.core.reading.digest`, of a file that lines may not read."""
-    with path.open("rb") as file:
+    """As `facepipe.core.reading.digest`."""
+    with _opened(path) as file:
         return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()}"

@@ -15,8 +15,7 @@ from typing import Any, Protocol
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy import children
 from facepipe.core.threads import THREADS
-from facepipe.farm.ledger import Record
-from facepipe.farm.work import FAILED
+from facepipe.farm.ledger import FAILED, Record
 
 PROGRAM = "facepipe.cli.batch_child"  # a module that answers requests, a line of JSON each, from its standard input
 _PAUSE = 0.2  # seconds between two looks at its memory

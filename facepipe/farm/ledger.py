@@ -5,16 +5,20 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.core.locks import locked
+from facepipe.core.reading import check_input, check_regular
 
 Record = dict[str, Any]  # task, status, words, key, reads, writes, report, ... (`facepipe.farm.work`)
 FILE = "tasks.jsonl"
+STATUSES = (MADE, KEPT, CACHED, FAILED) = ("made", "kept", "cached", "failed")
+_MOST_LINE = 1 << 20  # bytes; reports are brief
+_MOST_BYTES = 4 << 30
 _SLACK = 1.5  # lines for each task before the file is written anew
 
 
@@ -46,6 +50,7 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
     path = folder / FILE
     if path.is_symlink():
         raise InputError(path, "is a link, expected a file")
+    check_input(path)
     with locked(path, patience=0.0):
         lines, records = _read(path)
         if lines > _SLACK * len(records) + 100 or not _ends_whole(path):
@@ -64,30 +69,89 @@ def _read(path: Path) -> tuple[int, dict[str, Record]]:
     records: dict[str, Record] = {}
     lines = 0
     try:
-        with path.open("rb") as file:
-            for line in file:
-                lines += 1
-                with contextlib.suppress(ValueError, RecursionError):
-                    record = json.loads(line)
-                    if _is_record(record):
+        if path.exists():
+            check_regular(path, _MOST_BYTES)
+            with path.open("rb") as file:
+                while line := file.readline(_MOST_LINE):
+                    lines += line.endswith(b"\n")
+                    record = parsed(line)
+                    if record is not None and is_record(record):
                         records[record["task"]] = record
-    except FileNotFoundError:
-        pass
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
     return lines, records
 
 
-def _is_record(record: Any) -> bool:
-    """Whether a line is what a run writes: a state folder may come from elsewhere."""
-    if not isinstance(record, dict) or not all(isinstance(record.get(key), str) for key in ("task", "status")):
+def parsed(data: bytes) -> Any:
+    """The value of a text of JSON, None where it is none, or holds a number that is none."""
+    if data.startswith(b"\0"):  # of a file with holes: no text to parse
+        return None
+    try:
+        return json.loads(data, parse_constant=_refused)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _refused(name: str) -> float:
+    raise ValueError(name)
+
+
+def is_record(record: Any) -> bool:
+    """Whether a value is what a run writes of a task: a state folder may come from elsewhere."""
+    if not is_outcome(record) or not {"task", "status"} <= record.keys() or record["status"] not in STATUSES:
         return False
-    reads, writes = record.get("reads", {}), record.get("writes", {})
-    if not isinstance(reads, dict) or not isinstance(writes, dict) or not isinstance(record.get("report", {}), dict):
-        return False
-    states = [*reads.values(), *(write[0] for write in writes.values() if isinstance(write, list) and len(write) == 2)]
-    whole = "key" in record and "reads" in record and "writes" in record
-    return all(isinstance(one, list) for one in (*states, *writes.values())) and (whole or record["status"] == "failed")
+    return record["status"] == FAILED or bool({"key", "reads", "writes", "seconds"} <= record.keys())
+
+
+def is_outcome(record: Any) -> bool:
+    """Whether what a value says of a task has the kinds that it should."""
+    return isinstance(record, dict) and all(
+        key not in record or is_kind(record[key]) for key, is_kind in _KINDS.items()
+    )
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < 1e15
+
+
+def _is_state(value: Any) -> bool:
+    """Bytes, and a mark of the version: a time, or a text of a store."""
+    return isinstance(value, list) and len(value) == 2 and _is_number(value[0]) and isinstance(value[1], int | str)
+
+
+def _is_write(value: Any) -> bool:
+    """The state of a file, None where a cache has it, and its digest."""
+    return (
+        isinstance(value, list) and len(value) == 2 and (value[0] is None or _is_state(value[0])) and _is_text(value[1])
+    )
+
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+_KINDS: Mapping[str, Callable[[Any], bool]] = {
+    "task": _is_text,
+    "status": _is_text,
+    "words": lambda value: isinstance(value, list) and all(isinstance(one, str) for one in value),
+    "version": _is_text,
+    "key": _is_text,
+    "verb": _is_text,
+    "error": _is_text,
+    "reads": lambda value: isinstance(value, dict) and all(map(_is_state, value.values())),
+    "writes": lambda value: isinstance(value, dict) and all(map(_is_write, value.values())),
+    "report": lambda value: isinstance(value, dict),
+    "attribution": _are_texts,
+    "seconds": _is_number,
+    "peak_mb": lambda value: value is None or _is_number(value),
+    "lost": _is_number,
+    "missed": lambda value: isinstance(value, bool),
+    "passing": lambda value: isinstance(value, bool),
+}
 
 
 def _ends_whole(path: Path) -> bool:

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import private_folder
 from facepipe.core.policy.urls import SCHEMES, checked, is_url
 from facepipe.core.reading import digest
 from facepipe.farm import contents
@@ -186,7 +187,7 @@ class Mirror:
         path.parent.mkdir(parents=True, exist_ok=True)
         for _ in range(_TRIES):
             self._states[url] = state
-            if state is None or self._cache().fetch(self._key(url)):
+            if state is None or self._cache().fetch(self._key(url), [path]):
                 return
             store.get(url, path)
             info = store.info(url)
@@ -224,10 +225,13 @@ def mirror(urls: Sequence[str], folder: str | None, most_bytes: int) -> Iterator
     if not urls:
         yield Mirror(Path(os.devnull), (), Path(os.devnull), 0)
         return
-    place = Path(folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "facepipe"))
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(place, f"can't be made: {error.strerror or error}") from error
+    if folder is None:
+        place = private_folder(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "facepipe"))
+    else:
+        place = Path(folder)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(place, f"can't be made: {error.strerror or error}") from error
     with hidden_folder(place) as own:
         yield Mirror(own, urls, place / "copies", most_bytes)

@@ -17,6 +17,7 @@ class RunOptions:
     failures: int = option(3, "processes or workers that a task may lose before it counts as failed", 0, 1000)
     retry_failed: bool = option(False, "do failed tasks again, even if nothing that they read has changed")
     resume: bool = option(False, "take finished tasks as they are, whatever has changed since: ends a killed run")
+    verify: bool = option(False, "compare the digests of all that is kept; what differs is done again")
     local: Path | None = option(None, "folder on each machine for copies of files at URLs (default ~/.cache/facepipe)")
     local_gb: float = option(20.0, "limit on these copies; the least recently used go first", 0.001, 1e6, "GB")
     cache: Path | None = option(None, "folder of results by content, shared by plans and runs")

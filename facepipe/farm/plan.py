@@ -29,6 +29,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys, did_you_mean
 from facepipe.core.placing import relative
+from facepipe.core.policy.paths import check_writable
 from facepipe.core.policy.urls import is_url, placed
 from facepipe.core.reading import read_toml
 from facepipe.farm.table import Row, read_table
@@ -82,10 +83,11 @@ def read_plan(path: Path) -> Plan:
     faces, steps = content.get("faces"), content.get("steps")
     if not isinstance(out, str) or not isinstance(faces, dict) or not isinstance(steps, dict) or not steps:
         raise InputError(path, 'expected out = "FOLDER", a table [faces], and a table [steps.NAME] for each step')
+    out = placed(folder, out)
+    if not is_url(out):
+        check_writable(f"{path} -> out", Path(out, "face"), folder / "plan")
     rows = read_table(f"{path} -> faces", folder, faces)
-    return plan_of(
-        str(path), folder, placed(folder, out), rows, {name: _step(path, name, one) for name, one in steps.items()}
-    )
+    return plan_of(str(path), folder, out, rows, {name: _step(path, name, one) for name, one in steps.items()})
 
 
 def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapping[str, Step]) -> Plan:
@@ -143,7 +145,11 @@ def each(pattern: str, words: Sequence[str], out: str) -> Plan:
     if not {"face", "name"} & {*braces(step)}:
         raise InputError("--each", "the line names no {face}, expected one like `-- export {face}`")
     return plan_of(
-        f"--each {pattern}", folder, str(folder), read_table("--each", folder, {"glob": pattern}), {step.name: step}
+        f"--each {pattern}",
+        folder,
+        str(folder),
+        read_table("--each", folder, {"glob": pattern}, typed=True),
+        {step.name: step},
     )
 
 

@@ -10,19 +10,20 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
-from facepipe.core.policy.urls import is_url
+from facepipe.core.policy.paths import trust
+from facepipe.core.policy.urls import Reach, is_url
 from facepipe.farm.child import LOST, Engine
-from facepipe.farm.contents import unchanged
-from facepipe.farm.ledger import Ledger, Record
+from facepipe.farm.contents import state_of, unchanged
+from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Ledger, Record
 from facepipe.farm.options import RunOptions
 from facepipe.farm.plan import Plan, Task, line_of, needed, result_of, tasks_named, tasks_of
 from facepipe.farm.remote import States
-from facepipe.farm.work import CACHED, FAILED, KEPT, MADE
 
 DONE = (MADE, KEPT, CACHED)
 SKIPPED = "skipped"  # what it needs failed
@@ -39,6 +40,7 @@ class Run:
     ledger: Ledger
     options: RunOptions
     on_task: OnTask
+    roots: tuple[Path, ...]  # which all that its tasks read and write lies below
     records: dict[str, Record] = field(default_factory=dict)  # of this run, by task
     scheduling: float = 0.0  # seconds in this class
     gone: str = ""  # why the engine can go no further
@@ -50,6 +52,7 @@ class Run:
         self._waits: dict[str, int] = {}  # task -> how many that it needs are left
         self._for: dict[str, list[str]] = {}  # task -> those that need it
         self._lost: Counter[str] = Counter()
+        self._reach = Reach(self.plan.folder, self.roots, trust().urls)
         self._states = States(self.plan.out if is_url(self.plan.out) else "")
         self._ready: list[tuple[tuple[int, int], int, Task]] = []  # a heap
         self._numbers = itertools.count()
@@ -127,7 +130,7 @@ class Run:
             step: [result_of(self.plan, self._tasks[name]) for name in tasks_named(self.plan, task, step)]
             for step in task.step.needs
         }
-        last = self.ledger.records.get(task.name)
+        last = self._last(task)
         try:
             words = line_of(self.plan, task, results)
         except FacepipeError as error:
@@ -142,6 +145,7 @@ class Run:
         cache = {"cache": folder, "cache_bytes": int(self.options.cache_gb * 1e9)}
         limits = {name: getattr(self.options, name) if value is None else value for name, value in own.items()}
         request = {"task": task.name, "attempt": self._lost[task.name], "words": words, "last": last, **limits, **cache}
+        request["verify"] = self.options.verify
         self._out += 1
         engine.submit(request, task.order, self._answers.put)
 
@@ -152,13 +156,28 @@ class Run:
         if last["status"] == FAILED:
             states = {**last.get("reads", {})}
             return not self.options.retry_failed and not last.get("passing") and bool(states) and self._are(states)
-        if last["status"] not in DONE:
+        if last["status"] not in DONE or self.options.verify:
             return False
         if self.options.resume:
-            return True
+            return self._is_there(next(iter(own_writes(self.plan, self._tasks[last["task"]], last)), ""))
         return self._are({**last["reads"], **{path: state for path, (state, _) in last["writes"].items()}})
 
+    def _last(self, task: Task) -> Record | None:
+        """What the ledger says of a task, where all that it names is below the roots, the result among it."""
+        last = self.ledger.records.get(task.name)
+        if last is None or not all(map(self._reach, (*last.get("reads", ()), *last.get("writes", ())))):
+            return None
+        return None if last["status"] in DONE and task.step.out and not own_writes(self.plan, task, last) else last
+
+    def _is_there(self, name: str) -> bool:
+        """Whether a result is; a task without one needs none."""
+        if is_url(name):
+            return self._states(name) is not None
+        return not name or state_of(self.plan.folder / name) is not None
+
     def _are(self, states: dict[str, Any]) -> bool:
+        if None in states.values():  # a result that was gone as soon as it was there
+            return False
         local = {str(self.plan.folder / name): state for name, state in states.items() if not is_url(name)}
         others = ((name, tuple(state)) for name, state in states.items() if is_url(name))
         return unchanged(local) and all(self._states(url) == state for url, state in others)
@@ -182,7 +201,9 @@ class Run:
     def _tidy(self, task: Task) -> None:
         """Remove what a process that was lost left beside its result."""
         with contextlib.suppress(FacepipeError, OSError):
-            collect((self.plan.folder / result_of(self.plan, task)).parent)
+            result = result_of(self.plan, task)
+            if not is_url(result) and self._reach(result):
+                collect((self.plan.folder / result).parent)
 
     def _tidy_made(self) -> None:
         """Remove what processes of workers left that a cluster lost and replaced by itself."""
@@ -201,3 +222,9 @@ class Run:
             self._waits[name] -= 1
             if self._waits[name] == 0:
                 self._make_ready(self._tasks[name])
+
+
+def own_writes(plan: Plan, task: Task, record: Mapping[str, Any]) -> list[str]:
+    """Of the files that a record names those that are a task's own result, or in it where that is a folder."""
+    result = result_of(plan, task) if task.step.out else ""
+    return [name for name in record.get("writes", ()) if result and (name == result or name.startswith(f"{result}/"))]

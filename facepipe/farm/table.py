@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
-import glob
+import fnmatch
 import io
+import itertools
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +21,10 @@ from facepipe.core.reading import read_bytes
 from facepipe.farm.remote import Store
 
 _MOST_BYTES = 1 << 28  # of a CSV file
-_MOST_ROWS = 10_000_000
+_MOST_ROWS = 1_000_000
+_MOST_COLUMNS = 4096
+_MOST_VALUES = 3_000_000  # of a CSV file: a byte of it can become an object of a hundred
+_MOST_ENTRIES = 1_000_000  # of folders that a glob looks at
 _KINDS = ("glob", "csv", "rows", "range")
 
 
@@ -31,21 +35,25 @@ class Row(NamedTuple):
     values: Mapping[str, str]  # column -> what braces are replaced by
 
 
-def read_table(where: str, folder: Path, table: Mapping[str, Any]) -> tuple[Row, ...]:
+def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: bool = False) -> tuple[Row, ...]:
     """The rows of one of ``glob = "heads/*.glb"`` (column face), ``csv = "faces.csv"`` (columns as its header says),
     ``rows = [{ name = "ada", seed = 7 }]``, ``range = { seed = [1, 500] }`` (both ends are in it).
 
     A row's `name` is its column of that name, else of its file (with folders where two are called alike), else its
     number.
 
+    :param typed: the caller has typed the glob, which may lie anywhere; else what is read lies below the roots
     :raises InputError: none or two of these, one that can't be read, no row, or two rows of one name
     """
     kinds = [kind for kind in _KINDS if kind in table]
     check_keys(where, table, _KINDS)
     if len(kinds) != 1:
         raise InputError(where, f"expected one of {', '.join(_KINDS)}")
-    read = {"glob": _of_glob, "csv": _of_csv, "rows": _of_rows, "range": _of_range}[kinds[0]]
-    columns = read(f"{where}.{kinds[0]}", folder, table[kinds[0]])
+    kind, said = kinds[0], table[kinds[0]]
+    if kind == "glob":
+        columns: Iterable[dict[str, str]] = _of_glob(f"{where}.{kind}", folder, said, typed=typed)
+    else:
+        columns = {"csv": _of_csv, "rows": _of_rows, "range": _of_range}[kind](f"{where}.{kind}", folder, said)
     rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
     if not rows:
         raise InputError(where, "no face, expected at least one")
@@ -57,14 +65,16 @@ def _row(number: int, values: dict[str, str]) -> Row:
     return Row(name, {**values, "name": name})
 
 
-def _of_glob(where: str, folder: Path, pattern: Any) -> list[dict[str, str]]:
+def _of_glob(where: str, folder: Path, pattern: Any, *, typed: bool) -> list[dict[str, str]]:
     if not isinstance(pattern, str):
         raise InputError(where, f"{str(pattern)[:40]}, expected a pattern like heads/*.glb")
     if is_url(pattern):
         checked(re.split(r"[*?[]", pattern)[0].rpartition("/")[0], trust().urls)
-        files = Store(pattern).matching(pattern)
+        files = [checked(one, trust().urls) for one in Store(pattern).matching(pattern)]
     else:
-        files = sorted(glob.glob(pattern, root_dir=folder, recursive=True))  # noqa: PTH207 (absolute patterns too)
+        files = sorted({*_matching(where, folder, pattern, typed=typed)})
+    if len(files) > _MOST_ROWS:
+        raise InputError(where, f"more than {_MOST_ROWS:,} files are called like {pattern[:80]}")
     if not files:
         raise InputError(where, f"no file is called like {pattern[:80]}")
     faces = [Path(one.rpartition("://")[2]) for one in files]
@@ -73,18 +83,72 @@ def _of_glob(where: str, folder: Path, pattern: Any) -> list[dict[str, str]]:
     return [{"face": one.replace(os.sep, "/"), "name": name} for one, name in zip(files, alone, strict=True)]
 
 
+def _matching(where: str, folder: Path, pattern: str, *, typed: bool) -> Iterator[str]:
+    """The files that are called like a pattern, relative to a folder as it is.
+
+    ``**`` is any folders; hidden names need a dot in the pattern. Links to folders are not followed below the first
+    wildcard: four of them to their own folder would never end.
+
+    :param typed: by the caller; else all must lie below the roots of a plan in the folder
+    """
+    parts = pattern.replace(os.sep, "/").split("/")
+    wild = next((number for number, part in enumerate(parts) if re.search(r"[*?\[]", part)), len(parts) - 1)
+    start, rest = "/".join(parts[:wild]), parts[wild:]
+    if ".." in rest:
+        raise InputError(where, f"{pattern[:80]} has .. behind a wildcard, expected it before")
+    if pattern.startswith("/") or start.endswith(":"):  # a drive of Windows
+        start = f"{start}/"
+    if not typed:
+        check_copied(where, folder / start, folder / "plan")
+    left = itertools.count(_MOST_ENTRIES, -1)
+    for found in _below(folder, start, rest, left):
+        if next(left) < 0:
+            raise InputError(where, f"{pattern[:80]} looks at more than {_MOST_ENTRIES:,} files and folders")
+        if found is not None:
+            yield found
+
+
+def _below(folder: Path, place: str, parts: Sequence[str], left: Iterator[int]) -> Iterator[str | None]:
+    """Names below a folder that match parts of a pattern; None for each that was looked at."""
+    part, rest = parts[0], parts[1:]
+    try:
+        with os.scandir(folder / place) as entries:
+            found = sorted((one.name, one.is_dir(follow_symlinks=False)) for one in entries)
+    except (OSError, ValueError):  # a folder that others took away, or may not be seen
+        return
+    if part == "**":
+        yield from _below(folder, place, rest or ["*"], left)
+    for name, is_folder in found:
+        yield None
+        own = f"{place}/{name}".replace("//", "/") if place else name
+        hidden = name.startswith(".")
+        if part == "**":
+            if is_folder and not hidden:
+                yield from _below(folder, own, parts, left)
+        elif fnmatch.fnmatch(name, part) and (part.startswith(".") or not hidden):
+            if not rest:
+                yield own
+            elif is_folder:
+                yield from _below(folder, own, rest, left)
+
+
 def _of_csv(where: str, folder: Path, name: Any) -> list[dict[str, str]]:
     if not isinstance(name, str):
         raise InputError(where, f"{str(name)[:40]}, expected a file like faces.csv")
     path = placed(folder, name)
     if is_url(path):
-        data = Store(path).read(checked(path, trust().urls), _MOST_BYTES)
+        address = checked(path, trust().urls)
+        data = Store(address).read(address, _MOST_BYTES)
     else:
         check_copied(where, Path(path), folder / "plan")
         data = read_bytes(Path(path), _MOST_BYTES)
+    if data.count(b",") + data.count(b"\n") > _MOST_VALUES:
+        raise InputError(path, f"more than {_MOST_VALUES:,} values")
     try:
         reader = csv.reader(io.StringIO(data.decode("utf-8-sig")), strict=True)
         header = [one.strip() for one in next(reader, [])]
+        if len(header) > _MOST_COLUMNS:
+            raise InputError(path, f"{len(header)} columns, expected at most {_MOST_COLUMNS}")
         lines = [(reader.line_num, line) for line in reader if any(one.strip() for one in line)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"is no CSV file: {error}") from None
@@ -103,7 +167,7 @@ def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
     return [{str(key): str(value) for key, value in one.items()} for one in said]
 
 
-def _of_range(where: str, folder: Path, columns: Any) -> list[dict[str, str]]:
+def _of_range(where: str, folder: Path, columns: Any) -> Iterable[dict[str, str]]:
     ends = next(iter(columns.values())) if isinstance(columns, dict) and len(columns) == 1 else None
     if not isinstance(ends, list) or len(ends) != 2 or not all(type(end) is int for end in ends):
         raise InputError(where, "expected a column with its first and last number, like { seed = [1, 500] }")
@@ -111,4 +175,4 @@ def _of_range(where: str, folder: Path, columns: Any) -> list[dict[str, str]]:
     if not 0 <= last - first < _MOST_ROWS:
         raise InputError(where, f"from {first} to {last}, expected at least one and at most {_MOST_ROWS:,} numbers")
     (column,) = columns
-    return [{column: str(number)} for number in range(first, last + 1)]
+    return ({column: str(number)} for number in range(first, last + 1))

@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core import __version__
-from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError, printable
 from facepipe.core.policy.paths import is_writable, trust
 from facepipe.core.policy.urls import is_url
 from facepipe.core.reading import digest
 from facepipe.farm.cache import Cache
 from facepipe.farm.contents import Contents
-from facepipe.farm.ledger import Record
+from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Record
 from facepipe.farm.mirror import Mirror
 from facepipe.farm.remote import StoreError
 from facepipe.stage.files import SUFFIXES
@@ -29,7 +29,6 @@ from facepipe.stage.recipes import attribution_of
 from facepipe.stage.textures import texture_folder
 
 _MOST = 40  # entries of a list or mapping in a report that is kept
-MADE, KEPT, CACHED, FAILED = "made", "kept", "cached", "failed"
 _PASSING = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.EROFS}
 
 
@@ -56,7 +55,8 @@ def work(
 ) -> Record:
     """Do a task; faults are in the record.
 
-    :param request: task, words, and the last record of the task, or null; cache, its folder, or null, and cache_bytes
+    :param request: task, words, and the last record of the task, or null; verify; cache, its folder, or null, and
+        cache_bytes
     """
     record: Record = {"task": request["task"], "words": request["words"], "version": __version__}
     start = time.perf_counter()
@@ -68,13 +68,14 @@ def work(
         record["key"] = key = _key(request["words"], [one.digest for one in found])
         states = {mirror.name(Path(path)): state for one in found for path, state in one.states.items()}
         record["reads"] = {name: mirror.state(name) if is_url(name) else state for name, state in states.items()}
-        record |= _kept(request.get("last"), key, mirror) or _result(request, line, key, mirror)
+        kept = _kept(request.get("last"), key, mirror, verify=request.get("verify", False))
+        record |= kept or _result(request, line, key, mirror)
     except FacepipeError as error:
         record |= {"status": FAILED, "error": str(error), "passing": _is_passing(error)}
     except (OSError, MemoryError) as error:
-        record |= {"status": FAILED, "error": f"{type(error).__name__}: {error}", "passing": True}
+        record |= {"status": FAILED, "error": printable(f"{type(error).__name__}: {error}"), "passing": True}
     except Exception as error:  # a fault of ours or of a plug-in: the rest goes on
-        what = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        what = printable(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
         record |= {"status": FAILED, "error": f"{request['task']}: {what}", "passing": False}
     finally:
         mirror.clear()
@@ -95,13 +96,18 @@ def _check_places(line: Line) -> None:
             raise InputError(path, f"is outside the roots ({roots}), expected --root")
 
 
-def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror) -> Record | None:
-    """The last result, where it is that of the key and still there."""
+def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror, *, verify: bool) -> Record | None:
+    """The last result, where it is that of the key and still there.
+
+    :param verify: its digests are compared even where nothing seems to have changed
+    """
     if last is None or last.get("key") != key or last["status"] == FAILED:
         return None
     writes = {name: [mirror.state(name), own] for name, (_, own) in last["writes"].items()}
     for name, (state, own) in writes.items():
-        if state != tuple(last["writes"][name][0]) and (state is None or mirror.digest(name) != own):
+        former = last["writes"][name][0]
+        unchanged = former is not None and state == tuple(former) and not verify
+        if not unchanged and (state is None or mirror.digest(name) != own):
             return None
     same = {name: last.get(name) for name in ("report", "missed", "attribution", "verb", "seconds", "peak_mb")}
     return {**same, "status": KEPT, "writes": writes}
@@ -111,7 +117,7 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    known = None if cache is None else cache.fetch(key)
+    known = None if cache is None else cache.fetch(key, [place for path in line.writes for place in _places(path)])
     record = known or _made(line, mirror)
     if cache is not None and known is None:
         cache.keep(key, record)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from hostile_folders import (
+    BATCH,
     COOK,
     COPY,
     EXPORT,
@@ -23,12 +24,14 @@ from hostile_folders import (
     hard_link,
     interface,
     journal,
+    ledger,
     linked,
     obj,
     onnx,
     over,
     package,
     packed_beside,
+    plan,
     recipe,
     sampled,
     stale,
@@ -53,11 +56,15 @@ def _device(world: World) -> None:
     os.mkfifo(world.sent / "pipe")
 
 
+def _state(world: World) -> None:
+    (world.sent / "pipe").rename(world.sent / "show_batch/tasks.jsonl")
+
+
 def _inside(world: World) -> None:
     (world.sent / "pipe").rename(world.sent / "shapes" / "pipe")
 
 
-HOSTILE = (
+_SINGLE = (
     # recipes that name code
     Hostile("recipe, model: code", both(fitted("./net.pt2"), archive("net.pt2")), COOK),
     Hostile("recipe, model: code by a way round", both(fitted("../sent/net.pt2"), archive("net.pt2")), COOK),
@@ -264,3 +271,97 @@ HOSTILE = (
         RIG,
     ),
 )
+
+_ONE = [1, 1]  # a state
+_HTTP = "http://127.0.0.1:9/x.glb"
+_AT = {  # how a name leads out: the name
+    "above": "../private/{}",
+    "absolute": "{{top}}/private/{}",
+    "device": "/dev/zero",
+    "http URL": "http://127.0.0.1:9/{}",
+    "file URL": "file://{{top}}/private/{}",
+    "chained URL": "simplecache::http://127.0.0.1:9/{}",
+    "S3 URL": "s3://bucket/{}",
+    "memory URL": "memory://{}",
+}
+
+
+def _at(escape: str, name: str) -> str:
+    return _AT[escape].format(name)
+
+
+_PLANS = (
+    *(
+        Hostile(f"plan, csv: {escape}", plan(f'csv = "{_at(escape, "notes.txt")}"'), BATCH)
+        for escape in ("above", "absolute", "device", "http URL", "file URL", "chained URL", "S3 URL", "memory URL")
+    ),
+    Hostile("plan, csv: link", both(plan('csv = "faces.csv"'), linked("faces.csv", "../private/notes.txt")), BATCH),
+    Hostile("plan, csv: pipe", both(_device, plan('csv = "pipe"')), BATCH),
+    *(
+        Hostile(f"plan, glob: {escape}", plan(f'glob = "{_at(escape, "*.png")}"'), BATCH)
+        for escape in ("above", "absolute", "http URL", "file URL", "chained URL", "S3 URL", "memory URL")
+    ),
+    Hostile("plan, glob: linked folder", both(plan('glob = "lib/*.png"'), linked("lib", "../private")), BATCH),
+    Hostile("plan, glob: above behind a wildcard", plan('glob = "*/../../private/*.png"'), BATCH),
+    Hostile("plan, glob: the whole disk", plan('glob = "/**/x"'), BATCH),
+    Hostile(
+        "plan, glob: circle of links",
+        both(plan('glob = "**/none.glb"'), *(linked(f"shapes/{name}", ".") for name in "abcd")),
+        BATCH,
+    ),
+    *(
+        Hostile(f"plan, out: {escape}", plan("range = { n = [1, 1] }", "export a.usda", _at(escape, "built")), BATCH)
+        for escape in ("above", "absolute", "http URL", "S3 URL")
+    ),
+    Hostile("plan, out: linked folder", both(plan('glob = "a.usda"', out="lib"), linked("lib", "../private")), BATCH),
+    Hostile("plan, range: billions", plan("range = { n = [1, 9000000000] }"), BATCH),
+    Hostile("plan, range: millions", plan("range = { n = [1, 9000000] }"), BATCH),
+    Hostile(
+        "table, columns: thousands",
+        both(plan('csv = "faces.csv"'), file("faces.csv", ",".join(f"c{n}" for n in range(5000)) + "\n")),
+        BATCH,
+    ),
+    Hostile(
+        "table, values: millions",
+        both(plan('csv = "faces.csv"'), file("faces.csv", "face\n" + "a\n" * 3_100_000)),
+        BATCH,
+    ),
+    Hostile("state folder, itself: link", both(plan('glob = "a.usda"'), linked("show_batch", "../private")), BATCH),
+    *(
+        Hostile(
+            f"state folder, {name}: link",
+            both(
+                plan('glob = "none.usda"'),
+                linked(f"show_batch/{file_name}", "../../private/notes.txt"),
+                plan('glob = "a.usda"'),
+            ),
+            BATCH,
+            refused=refused,
+        )
+        for name, file_name, refused in (
+            ("ledger", "tasks.jsonl", True),
+            ("lock", ".tasks.jsonl.lock", True),
+            ("report", "report.html", True),
+        )
+    ),
+    Hostile(
+        "state folder, ledger: pipe",
+        both(
+            plan('glob = "a.usda"'),
+            file("show_batch/x", ""),
+            lambda world: os.mkfifo(world.sent / "show_batch/tasks.jsonl"),
+        ),
+        BATCH,
+    ),
+    Hostile(
+        "state folder, ledger: device",
+        both(plan('glob = "a.usda"'), linked("show_batch/tasks.jsonl", "/dev/zero")),
+        BATCH,
+    ),
+    *(
+        Hostile(f"ledger, {field}: {escape}", ledger(**{field: {name: value}}), BATCH, refused=False)
+        for field, value in (("reads", _ONE), ("writes", [_ONE, "sha256:0"]))
+        for escape, name in (("http URL", _HTTP), ("S3 URL", "s3://bucket/x.glb"))
+    ),
+)
+HOSTILE = (*_SINGLE, *_PLANS)

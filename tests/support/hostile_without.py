@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ast
 import gc
+import importlib
 import json
 import os
 import resource
@@ -75,17 +76,21 @@ class _Out(ast.NodeTransformer):
         return isinstance(node, ast.Raise | ast.Return) and node.lineno <= self._line <= (node.end_lineno or 0)
 
 
-def take_out(site: Site) -> None:
-    """From now on this process has no such line, wherever its function was imported to."""
-    text = Path(site.file).read_text(encoding="utf-8")
-    if site.old:
-        assert text.count(site.old) == 1, f"{site.file} has no single `{site.old}`"
-        tree: Any = ast.parse(text.replace(site.old, site.new))
-    else:
-        tree = ast.fix_missing_locations(_Out(site.line).visit(ast.parse(text)))
-    fresh = {_key(code): code for code in _codes(compile(tree, site.file, "exec"))}
+def take_out(file: str, sites: Sequence[Site]) -> None:
+    """From now on this process has no such lines, wherever their functions were imported to."""
+    text = Path(file).read_text(encoding="utf-8")
+    for site in sites:
+        assert text.count(site.old) == 1 or not site.old, f"{file} has no single `{site.old}`"
+        text = text.replace(site.old, site.new) if site.old else text
+    tree: Any = ast.parse(text)
+    for site in sites:
+        tree = tree if site.old else _Out(site.line).visit(tree)
+    ast.fix_missing_locations(tree)
+    parts = Path(file).relative_to(REPOSITORY).with_suffix("").parts
+    importlib.import_module(".".join(part for part in parts if part not in ("exporters", "__init__")))
+    fresh = {_key(code): code for code in _codes(compile(tree, file, "exec"))}
     for one in gc.get_objects():
-        if isinstance(one, FunctionType) and one.__code__.co_filename == site.file:
+        if isinstance(one, FunctionType) and one.__code__.co_filename == file:
             code = fresh.get(_key(one.__code__))
             if (code is not None and code.co_code != one.__code__.co_code) or (
                 code and code.co_consts != one.__code__.co_consts
@@ -127,6 +132,7 @@ def _answer(hostile: Hostile, stock: Path, out: Sequence[Site]) -> str:
     resource.setrlimit(resource.RLIMIT_DATA, (_BYTES, _BYTES))
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(_SECONDS)
+    os.environ |= {"AWS_EC2_METADATA_DISABLED": "true", "AWS_ENDPOINT_URL": "http://127.0.0.1:9"}  # no other machine
     sites: list[Site] = []
     plain = FacepipeError.__init__
 
@@ -142,8 +148,8 @@ def _answer(hostile: Hostile, stock: Path, out: Sequence[Site]) -> str:
         world.settle(stock)
         os.chdir(world.sent)
         hostile.make(world)
-        for site in out:
-            take_out(site)
+        for file in dict.fromkeys(site.file for site in out):
+            take_out(file, [site for site in out if site.file == file])
         harms = harm(hostile, world, ())
         os.chdir("/")
     return json.dumps(([one.replace(str(world.top), "")[:160] for one in harms], sites))
@@ -165,7 +171,20 @@ def chain(hostile: Hostile, stock: Path) -> tuple[list[Site], list[str]]:
     return out, harms
 
 
-QUIET: dict[str, tuple[Site, ...]] = {}
+def _changed(file: str, old: str, new: str) -> Site:
+    path = REPOSITORY / file
+    text = path.read_text(encoding="utf-8")
+    return Site(str(path), text[: text.find(old)].count("\n") + 1, old, new)
+
+
+_RECORDS = _changed("facepipe/core/policy/urls.py", "return bool(checked(name, self._urls))", "return True")
+_FLAGS = _changed("facepipe/core/locks.py", 'getattr(os, "O_NONBLOCK", 0)', "0")
+_CLAIMS = _changed("facepipe/core/hidden_folders.py", "if path.is_symlink():\n        return None", "pass")
+_NAMES = _changed("facepipe/core/placing.py", "    if not plain or", "    if")
+_LINKS = _changed("facepipe/core/placing.py", "and not _has_links(move)]", "]")
+QUIET: dict[str, tuple[Site, ...]] = {
+    f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")
+}
 
 
 def main() -> int:

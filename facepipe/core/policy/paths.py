@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 import re
+import stat
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,7 +21,7 @@ from facepipe.core.errors import InputError
 ROOTS = "FACEPIPE_ROOTS"  # folders, separated as in PATH
 PROJECT = "facepipe.toml"  # marks the folder of a project
 PREFIX = ".facepipe-"  # of the names of files and folders that are there while others are written
-_OWN = Path(__file__).parents[2]  # networks and tables that come with facepipe
+OWN = Path(__file__).parents[2]  # networks and tables that come with facepipe
 _CODE = (".pt2", ".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".joblib")  # files that run code as they are loaded
 
 
@@ -134,10 +136,46 @@ def check_copied(where: object, path: Path, file: Path) -> None:
         raise InputError(where, f"{path} is outside the roots ({_shown(folders)}), expected --root")
 
 
+def check_output(path: Path) -> None:
+    """Check a file or folder that the caller names to be written, as it is typed.
+
+    It is written where it says; but links of somebody else's folder don't lead it elsewhere: one that lies below the
+    roots (given ones, else those of the project, else of the working folder) must not lead out of them.
+
+    :raises InputError: one does
+    """
+    place = Path(os.path.abspath(path))  # noqa: PTH100  (links stay)
+    folders = trust().roots or trust().project or roots_of(Path.cwd() / "any")
+    for one in (place, *place.parents):
+        if os.path.islink(one) and is_below(one.parent, folders) and not is_below(one, folders):  # noqa: PTH114
+            raise InputError(
+                path, f"{one} leads outside the roots ({_shown(folders)}), expected --root {one.resolve()}"
+            )
+
+
+def private_folder(path: Path) -> Path:
+    """A folder of this user's for copies of what others may not see, made where there is none.
+
+    :raises InputError: it can't be made, is a link, or is another user's
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+        state = path.lstat()
+        if not stat.S_ISDIR(state.st_mode):
+            raise InputError(path, "is a link, expected a folder")
+        if sys.platform != "win32":
+            if state.st_uid != os.geteuid():
+                raise InputError(path, "belongs to another user, expected a folder of your own")
+            path.chmod(0o700)
+    except OSError as error:
+        raise InputError(path, f"can't be made: {error.strerror or error}") from error
+    return path
+
+
 def check_readable(path: Path) -> None:
     """:raises InputError: reads are confined, and the path is outside the roots"""
     policy = trust()
-    if policy.confined and not is_below(path, (*policy.roots, _OWN)):
+    if policy.confined and not is_below(path, (*policy.roots, OWN)):
         raise InputError(path, f"is outside the roots ({_shown(policy.roots)})")
 
 

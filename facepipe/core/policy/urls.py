@@ -1,15 +1,18 @@
-"""URLs of files: which there are, and which of them lie below the roots that the caller gave."""
+"""URLs of files: which there are, and what names of files (URLs or paths) that others wrote may reach.
+
+A URL that the caller types allows its scheme, host and folder; one that a file holds must lie below one of these.
+"""
 
 from __future__ import annotations
 
 import os
 import posixpath
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import PREFIX
+from facepipe.core.policy.paths import OWN, PREFIX, is_below
 
 SCHEMES = {"s3": "s3fs", "gs": "gcsfs", "memory": "fsspec"}  # -> package that it needs
 _URL = re.compile(rf"({'|'.join(SCHEMES)})://[A-Za-z0-9][A-Za-z0-9._-]*(/[^/\\:*?\"<>|#@\x00-\x1f]+)*")
@@ -41,3 +44,34 @@ def checked(url: str, roots: Collection[str]) -> str:
         shown = ", ".join(roots) or "none has a URL"
         raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(parts[:3])}")
     return plain
+
+
+def typed_roots(words: Iterable[str]) -> tuple[str, ...]:
+    """The folders of the URLs among words that the caller types: up to the first wildcard or brace."""
+    urls = [re.split(r"[*?\[{]", word)[0] for word in words if word.partition("://")[0] in SCHEMES and is_url(word)]
+    return tuple(dict.fromkeys(url.rpartition("/")[0] for url in urls))
+
+
+class Reach:
+    """Whether names in records of others lie below the roots: each is asked about before anything is looked up there.
+
+    Folders are resolved once: a record of a plan names a few in a million tasks.
+    """
+
+    def __init__(self, folder: Path, roots: Iterable[Path], urls: Collection[str]) -> None:
+        """:param folder: that paths are relative to"""
+        self._folder, self._roots, self._urls = folder, (*roots, OWN), urls
+        self._known: dict[str, bool] = {}
+
+    def __call__(self, name: str) -> bool:
+        """Whether a URL or a path does."""
+        if is_url(name):
+            try:
+                return bool(checked(name, self._urls))
+            except InputError:
+                return False
+        parent, last = os.path.split(os.path.join(self._folder, name))  # noqa: PTH118  (half the time)
+        if parent not in self._known:
+            self._known[parent] = is_below(Path(parent), self._roots)
+        plain = last not in ("", ".", "..") and "\0" not in name and not os.path.islink(f"{parent}/{last}")  # noqa: PTH114
+        return (self._known[parent] and plain) or is_below(Path(parent, last), self._roots)

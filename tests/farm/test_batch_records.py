@@ -1,0 +1,210 @@
+"""What a state folder and a cache say of tasks counts only where it is whole, below the roots, and of what is there."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Capsys, failed
+from conftest import PLAN, Runner
+
+from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import Trust, check_output, private_folder, trusting
+from facepipe.core.policy.urls import Reach, typed_roots
+from facepipe.farm.batch import batch
+from facepipe.farm.ledger import FILE, is_outcome, is_record, parsed
+from facepipe.farm.plan import read_plan
+
+RECORD: dict[str, Any] = {
+    "task": "game/a", "status": "made", "version": "0", "key": "k", "seconds": 0.5, "verb": "export", "missed": False,
+    "words": ["export", "a\n"], "reads": {"a": [1, 2], "s3://b/c": [3, "tag"]}, "writes": {"b": [[1, 2], "sha256:0"]},
+    "report": {"error_mm": 0.1}, "attribution": ["CC0"], "peak_mb": None, "lost": 0, "passing": False,
+}  # fmt: skip
+DAMAGE: dict[str, tuple[Any, ...]] = {
+    "task": (None, 3, "a\nb", "\x1b[2J"),
+    "status": ("done", None),
+    "words": ("export", [1], None),
+    "key": (None,),
+    "seconds": ("x", None, -1.0, float("nan"), float("inf"), True),
+    "peak_mb": ("x", float("nan")),
+    "reads": (None, [], {"a": None}, {"a": [1]}, {"a": ["x", 2]}, {"a": [1, [2]]}),
+    "writes": (None, [], {"b": None}, {"b": [[1, 2], "s", "more"]}, {"b": ["x", "s"]}, {"b": [[1, 2], 3]}),
+    "report": (None, "text", []),
+    "attribution": (None, "CC0", [["CC0"]], ["a\nb"]),
+    "missed": ("yes", 1),
+    "error": (None, ["x"], "two\nlines"),
+}
+
+
+def lines_of(state: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (state / FILE).read_text().splitlines()]
+
+
+def change(state: Path, task: str, **said: Any) -> None:
+    """What the ledger says of a task."""
+    records = [{**one, **(said if one["task"] == task else {})} for one in lines_of(state)]
+    (state / FILE).write_text("".join(f"{json.dumps(one)}\n" for one in records))
+
+
+def test_a_whole_record_counts() -> None:
+    assert is_record(RECORD)
+    assert is_record({"task": "a", "status": "failed", "error": "why"})
+    assert not is_record({"task": "a", "status": "made"})
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in DAMAGE.items() for value in values])
+def test_a_damaged_record_does_not(key: str, value: object) -> None:
+    damaged = parsed(json.dumps({**RECORD, key: value}).encode())
+    assert damaged is None or not is_record(damaged)
+    assert damaged is None or not is_outcome(damaged) or key in ("task", "status")
+
+
+def test_records_of_others_end_no_run(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    damaged = [{**one, key: value} for one in lines_of(show / "state") for key in DAMAGE for value in DAMAGE[key]]
+    texts = ["null", "3", '"text"', "[" * 100_000, "{" * 100_000, '{"task": "mixed/ada"', "\0" * 3_000_000]
+    (show / "state" / FILE).write_text("\n".join([*texts, *map(json.dumps, damaged), ""]))
+    assert dict(run_plan().counts) == {"made": 6}
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize(
+    "writes",
+    [
+        {},
+        {"heads/ada.bin": [[3, 0], "sha256:0"]},
+        {"../outside.bin": [[3, 0], "sha256:0"]},
+        {"http://h/a": [[3, "t"], ""]},
+    ],
+)
+def test_a_record_without_its_result_counts_for_nothing(
+    show: Path, run_plan: Runner, writes: dict[str, Any], resume: bool
+) -> None:
+    run_plan(PLAN)
+    change(show / "state", "mixed/ada", writes=writes)
+    report = run_plan(resume=resume)
+    assert report.counts["made"] + report.counts["kept"] == 6
+    assert (
+        "built/mixed/ada.bin"
+        in next(one for one in lines_of(show / "state")[::-1] if one["task"] == "mixed/ada")["writes"]
+    )
+
+
+def test_resume_wants_the_results_to_be_there(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    (show / "built/mixed/ada.bin").unlink()
+    assert dict(run_plan(resume=True).counts) == {"kept": 5, "made": 1}
+
+
+def test_verify_finds_results_that_others_changed_unseen(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    result = show / "built/mixed/ada.bin"
+    good, state = result.read_bytes(), result.stat()
+    result.write_bytes(b"x" * len(good))
+    os.utime(result, ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert dict(run_plan().counts) == {"kept": 6}
+    assert result.read_bytes() != good
+    assert run_plan(verify=True).counts["made"] >= 1
+    assert result.read_bytes() == good
+    assert dict(run_plan(verify=True).counts) == {"kept": 6}
+
+
+def _entry(cache: Path) -> Path:
+    return next(one for one in cache.iterdir() if "mixed/ada" in (one / "record.json").read_text())
+
+
+def _renamed(entry: Path) -> None:
+    text = (entry / "record.json").read_text()
+    (entry / "record.json").write_text(text.replace("built/mixed/ada.bin", "base.bin"))
+
+
+def _as_link(entry: Path) -> None:
+    (entry / "0").rename(entry / "00")
+    (entry / "0").symlink_to(entry / "00")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
+@pytest.mark.parametrize(
+    "damage",
+    [
+        _renamed,  # a source would be written over
+        _as_link,
+        lambda entry: (entry / "record.json").write_text('{"writes": []}'),
+        lambda entry: (entry / "record.json").write_text('{"writes": {}}'),
+        lambda entry: (entry / "record.json").write_text("null"),
+        lambda entry: ((entry / "record.json").unlink(), os.mkfifo(entry / "record.json")),
+    ],
+)
+def test_a_cache_of_others_gives_the_result_of_the_task_or_nothing(
+    show: Path, run_plan: Runner, tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    cache = tmp_path / "cache"
+    run_plan(PLAN, cache=cache)
+    damage(_entry(cache))
+    (show / "built/mixed/ada.bin").unlink()
+    (show / "state" / FILE).unlink()
+    counts = run_plan(cache=cache).counts
+    assert counts["made"] == 1, counts
+    assert (show / "base.bin").read_text() == "base"
+    assert (show / "built/mixed/ada.bin").read_bytes() == b"adabase"
+
+
+def test_processes_are_at_most_four_a_core(show: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    (show / "plan.toml").write_text(PLAN)
+    monkeypatch.chdir(show)
+    assert "expected at most" in failed(capsys, "batch", "plan.toml", "--processes", "1000000", folder=show)
+    with pytest.raises(InputError, match="expected at most 1024"):
+        batch(read_plan(show / "plan.toml"), show / "state", processes=1025, cluster="tcp://127.0.0.1:9")
+
+
+def test_typed_urls_allow_their_folder() -> None:
+    words = ("s3://b/heads/*.glb", "gs://c/{name}/x.glb", "http://h/x", "plain", "s3://b/heads/a.usda", "s3://d/f.usda")
+    assert typed_roots(words) == ("s3://b/heads", "gs://c", "s3://d")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_names_in_records_reach_what_lies_below_the_roots(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir(), outside.mkdir()
+    (inside / "lib").symlink_to(outside)
+    (inside / "a").symlink_to(outside / "a")
+    (inside / "b").symlink_to(inside / "c")
+    reach = Reach(inside, (inside,), ("s3://b/f",))
+    assert all(map(reach, ("x", "deep/x", "b", str(inside / "x"), "../in/x", "s3://b/f/x")))
+    assert not any(map(reach, ("../out/x", "lib/x", "a", "..", "/etc/passwd", "s3://b/x", "http://h/f", "a\0b")))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_outputs_go_where_they_are_typed_but_by_no_link_of_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work, big = tmp_path / "work", tmp_path / "big"
+    (work / "own").mkdir(parents=True), big.mkdir()
+    (work / "lib").symlink_to(big)
+    (work / "here").symlink_to(work / "own")
+    (tmp_path / "mine").symlink_to(big)
+    monkeypatch.chdir(work)
+    for fine in ("x.glb", "here/x.glb", big / "x.glb", tmp_path / "mine/x.glb", "../mine/x.glb"):
+        check_output(Path(fine))
+    for wrong in ("lib", "lib/x.glb", "lib/deep/x.glb", work / "lib/x.glb", "own/../lib/x.glb"):
+        with pytest.raises(InputError, match=f"leads outside the roots .*expected --root {big}"):
+            check_output(Path(wrong))
+    with trusting(Trust(roots=(work, big))):
+        check_output(Path("lib/x.glb"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes are others there")
+def test_copies_in_the_folder_of_a_user_are_of_that_user_alone(tmp_path: Path) -> None:
+    place = tmp_path / "cache/facepipe"
+    place.parent.mkdir()
+    place.mkdir(mode=0o755)
+    assert stat.S_IMODE(private_folder(place).stat().st_mode) == 0o700
+    (tmp_path / "link").symlink_to(place)
+    with pytest.raises(InputError, match="is a link"):
+        private_folder(tmp_path / "link")
