@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from solids import ball
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places
+from facepipe.geometry.closest_points import CORNER, EDGE, INSIDE, closest_places, place_shares
 
 
 def _one_by_one(points: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -77,6 +77,20 @@ def test_a_corner_is_named_as_one_from_either_of_its_edges() -> None:
     points = surface[:, None] + np.linspace(0.01, 1.0, 50)[:, None] * outwards[:, None]
     found = closest_places(points.reshape(-1, 3), surface, np.array([[0, 1, 2]]))
     np.testing.assert_array_equal(found.features, CORNER + np.repeat([0, 1, 2], 50))
+
+
+def test_shares_of_the_corners_make_the_place() -> None:
+    surface, triangles = ball(5)
+    surface = surface * [1.0, 2.0, 0.5] + [7.0, -3.0, 1.0]
+    points = np.concatenate([np.random.default_rng(2).normal(size=(300, 3)) * 3 + surface.mean(axis=0), surface])
+    found = closest_places(points, surface, triangles)
+    shares = place_shares(found, surface, triangles)
+    np.testing.assert_allclose(np.einsum("mc,mci->mi", shares, surface[triangles[found.triangles]]), found.places)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    assert shares.min() >= 0
+    on = found.features < INSIDE
+    assert 0 < on.sum() < len(on)
+    np.testing.assert_array_equal((shares[on] == 0).sum(axis=1), np.where(found.features[on] < EDGE, 2, 1))
 
 
 def test_points_of_the_surface_lie_at_distance_0() -> None:

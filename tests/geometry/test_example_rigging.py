@@ -200,6 +200,7 @@ def test_a_loose_piece_moves_with_the_scans() -> None:
 def test_shapes_that_always_go_together_are_named() -> None:
     found = split(personal())
     assert found.together == ((3, 4),)  # 0 and 1 are never alone either, but move other points
+    assert [line for line in found.warnings if "separate" in line and "s3 and s4" in line]
     assert found.rank == 4
     apart = np.concatenate([WEIGHTS, np.eye(SHAPES)[3:4]])
     assert split(personal(), apart).together == ()

@@ -62,6 +62,15 @@ def test_hosvd_gives_the_tensor_back_of_orthonormal_factors() -> None:
         assert (np.diff(np.diag(products)) <= 1e-9).all()
 
 
+@pytest.mark.parametrize("size", [1e-9, 1e9])
+def test_hosvd_has_the_same_directions_in_any_unit(size: float) -> None:
+    tensor = np.random.default_rng(1).standard_normal((5, 4, 30))
+    tensor[:, 3] = tensor[:, 0] - tensor[:, 1]
+    one, other = hosvd(tensor), hosvd(size * tensor)
+    np.testing.assert_allclose(other.core / size, one.core, atol=1e-9)
+    np.testing.assert_allclose(other.second, one.second, atol=1e-9)
+
+
 def test_hosvd_of_no_numbers_has_no_directions() -> None:
     found = hosvd(np.zeros((3, 2, 0)))
     assert (found.first.shape, found.second.shape, found.core.shape) == ((3, 0), (2, 0), (0, 0, 0))

@@ -52,6 +52,14 @@ def test_points_without_a_ball_are_refused() -> None:
             fit_ball(points)
 
 
+def test_the_nearer_direction_counts_by_the_inverse_square_of_its_angle() -> None:
+    near, far = np.radians([10.0, 20.0])
+    surface = np.array([[np.cos(near), np.sin(near), 0.0], [2 * np.cos(far), 0.0, 2 * np.sin(far)]])
+    radius = (1.0 / np.sin(near / 2) ** 2 + 2.0 / np.sin(far / 2) ** 2) / (np.sin([near / 2, far / 2]) ** -2.0).sum()
+    depth = RadialSurface(surface, np.zeros(3)).depths(np.array([[0.5, 0.0, 0.0]]))
+    assert depth == pytest.approx(radius - 0.5)
+
+
 @pytest.mark.parametrize("rings", [4, 9, 20])
 def test_depth_in_a_ball_is_radius_less_distance_however_coarse(rings: int) -> None:
     surface, _ = ball(rings, 2.0)

@@ -178,6 +178,8 @@ def test_a_scan_of_something_else_is_refused() -> None:
     start = Similarity(rotation=np.eye(3), translation=np.zeros(3))
     with pytest.raises(FitError, match=r"scan: 0 points of the face find a place on it, expected 50 or more"):
         register(surface, target, _anchors(), start)
+    with pytest.raises(FitError, match=r"expected 6 or more"):  # half of them
+        register(_surface(seen=np.arange(12)), target, _anchors(), start)
 
 
 def test_a_cloud_does_as_well_as_a_surface() -> None:

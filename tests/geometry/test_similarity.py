@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.similarity import fit_similarities, fit_similarity
+from facepipe.geometry.similarity import Similarity, fit_similarities, fit_similarity
 
 LINE = np.outer([-1.0, 0.0, 0.5, 2.0], [1.0, 2.0, -0.5])
 
@@ -53,6 +53,13 @@ def test_a_similarity_is_found_again(seed: int, count: int, flat: bool, far: flo
     np.testing.assert_allclose(found.rotation, turn, atol=tolerance)
     assert found.scale == pytest.approx(scale, rel=tolerance)
     np.testing.assert_allclose(found.apply(source), scale * source @ turn.T + shift, atol=tolerance)
+
+
+def test_undo_moves_points_back() -> None:
+    rng = np.random.default_rng(7)
+    points, turn, shift = rng.normal(size=(2, 5, 3)), rotation(rng), rng.normal(size=3)
+    known = Similarity(rotation=turn, translation=shift, scale=2.5)
+    np.testing.assert_allclose(known.undo(2.5 * points @ turn.T + shift), points, atol=1e-12)
 
 
 @pytest.mark.parametrize("scale", [True, False])

@@ -52,6 +52,18 @@ def test_the_optimality_conditions_hold(problem: ProblemArrays) -> None:
     assert fit.residual <= 1e-9
 
 
+def test_small_regions_of_sources_that_are_alike_are_fitted_as_well() -> None:
+    """Shares that gradients and the first steps put at 0 are found again: their slopes are those of a small region."""
+    for seed in range(1, 6):
+        rng = np.random.default_rng(seed)
+        basis = (rng.normal(size=(300, 100)) + 3 * rng.normal(size=(300, 1))) * np.repeat(np.logspace(0, -2, 10), 10)
+        goal = basis @ rng.dirichlet(np.full(10, 0.4), 10).ravel() + 0.1 * rng.normal(size=300)
+        gram, linear = basis.T @ basis, basis.T @ goal
+        fit = fit_simplex(gram, linear, 10, 10)
+        slopes = (gram @ fit.weights.ravel() - linear).reshape(10, 10) / np.abs(gram).max()
+        assert (fit.weights * (slopes - slopes.min(axis=1, keepdims=True))).max() <= 1e-9
+
+
 @settings(deadline=None, max_examples=15)
 @given(problems(4))
 def test_no_general_solver_does_better(problem: ProblemArrays) -> None:

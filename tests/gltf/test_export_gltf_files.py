@@ -19,7 +19,7 @@ from textures import COLORS, picture, textured
 
 import facepipe
 from facepipe.core.errors import ExportError, FacepipeError, InputError
-from facepipe.parts import Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Slider, UvSet
+from facepipe.parts import Animation, Blendshape, FaceParts, Landmarks, Material, MaterialFaces, Slider, UvSet
 
 __all__ = ["writing", "written"]
 
@@ -215,6 +215,12 @@ def test_a_failed_write_leaves_the_old_files_and_no_others(
     read(path).evaluate()
 
 
+def blink(*times: float) -> Animation:
+    """A clip of a shape."""
+    weights = np.zeros((len(times), 1))
+    return Animation(name="blink", times=np.array(times), shapes=("jawOpen",), shape_weights=weights)
+
+
 def broken(name: str) -> FaceParts:
     """A face with one defect."""
     face = tiny_face()
@@ -255,6 +261,7 @@ def broken(name: str) -> FaceParts:
         ),
         "metersPerUnit": lambda: replace(face, meters_per_unit=0.0),
         "not among the face's materials": lambda: with_head(face, material="skin"),
+        "blink -> times": lambda: replace(face, animations=(blink(0.5, 0.5 + 1e-9),)),
     }
     return changes[name]()
 
@@ -278,12 +285,13 @@ def broken(name: str) -> FaceParts:
         "root/jaw -> bind transform",
         "metersPerUnit",
         "not among the face's materials",
+        "blink -> times",
     ],
 )
 def test_what_gltf_cannot_hold_is_refused_with_its_place(name: str, tmp_path: Path) -> None:
     path = tmp_path / "face.glb"
     with pytest.raises(ExportError) as caught:
-        export(Parts(broken(name)), path, Options())
+        export(Parts(broken(name)), path, Options(animations=True))
     assert name in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())

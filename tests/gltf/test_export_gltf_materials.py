@@ -121,7 +121,7 @@ def test_occlusion_has_the_strength_that_scale_and_bias_stand_for(
 
 
 def test_separate_metallic_and_roughness_are_packed(writing: Writing) -> None:
-    small = MASK[::2, ::2]
+    small = MASK[::2, ::4]
     material = Material(
         name="skin",
         metallic=textured(picture("m.png", small), "r"),

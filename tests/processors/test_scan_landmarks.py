@@ -119,6 +119,8 @@ def test_discs_lie_across_the_normals() -> None:
     corners = look.points.reshape(len(points), -1, 3)
     assert np.abs(np.linalg.norm(corners - points[:, None], axis=2) - 0.2).max() < 1e-12
     assert np.abs(np.einsum("nki,ni->nk", corners - points[:, None], points)).max() < 1e-12
+    np.testing.assert_array_equal(look.normals, np.repeat(points, corners.shape[1], axis=0))
+    np.testing.assert_array_equal(look.colors, np.abs(look.normals))
     a, b, c = look.points[look.triangles].transpose(1, 0, 2)
     assert (np.einsum("ti,ti->t", np.cross(b - a, c - a), a) > 0).all()
 

@@ -172,6 +172,19 @@ def test_transforms_split_and_join_again() -> None:
     np.testing.assert_allclose(compose(*decompose(matrices)[:3]), matrices, atol=1e-12)
 
 
+@pytest.mark.parametrize("scales", [(1, 1e-3, 1), (1e-8, 1e-3, 1), (5, 1, 0.4)])
+def test_no_joint_turns_with_the_length_of_its_axes(scales: tuple[float, float, float]) -> None:
+    """Nor where they are not quite at right angles, as rounding to float32 leaves them."""
+    matrices = np.tile(np.eye(4), (20, 1, 1))
+    matrices[:, :3, :3] = Rotation.random(20, random_state=4).as_matrix()
+    matrices[:, :3, 1] += 3e-7 * matrices[:, :3, 0]
+    scaled = matrices * [*scales, 1]
+    before, after = decompose(matrices), decompose(scaled)
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-12)
+    np.testing.assert_allclose(after.scale, before.scale * scales, rtol=1e-12)
+    assert not after.sheared.any()
+
+
 def test_a_rotation_has_one_quaternion() -> None:
     """The one with w of at least 0, so that equal rotations are equal bytes in files."""
     rotations = Rotation.random(200, random_state=3)

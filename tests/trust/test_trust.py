@@ -12,11 +12,13 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import (
     Trust,
+    check_beside,
     check_copied,
     check_model,
     check_readable,
     check_writable,
     is_below,
+    is_writable,
     roots_of,
     trust,
     trusting,
@@ -50,6 +52,38 @@ def test_given_roots_are_the_only_ones(show: Path, monkeypatch: pytest.MonkeyPat
         assert roots_of(show / "a.usda") == (show.parent / "other",)
 
 
+def test_roots_of_the_environment_are_folders_and_urls(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FACEPIPE_ROOTS", os.pathsep.join([str(show), "s3://show/a", str(show / "shots")]))
+    assert trust() == Trust(roots=(show, show / "shots"), urls=("s3://show/a",))
+
+
+def test_the_project_one_works_in_is_the_root_of_the_files_in_it_alone(show: Path) -> None:
+    (show / "shots/facepipe.toml").touch()
+    with trusting(Trust(project=(show / "assets", show))):
+        assert roots_of(show / "shots/a.usda") == (show / "assets", show)
+        assert roots_of(show.parent / "other/a.usda") == (show.parent / "other",)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_the_project_is_that_of_the_folder_that_a_link_means(show: Path) -> None:
+    (show / "facepipe.toml").touch()
+    (show / "shots/facepipe.toml").mkdir()  # marks nothing
+    (show.parent / "link").symlink_to(show / "shots")
+    (show / "shots/a.usda").symlink_to(show.parent / "other/a.usda")
+    assert roots_of(show.parent / "link/a.usda") == (show,)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_paths_that_mean_nothing_are_below_nothing(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (show / "round").symlink_to("round")
+    assert is_below(show / "a.usda", [show / "round", show / "a\0b", show])
+    assert not is_below(show / "a\0b", [show])
+    (show / "gone").mkdir()
+    monkeypatch.chdir(show / "gone")
+    (show / "gone").rmdir()
+    assert not is_below(Path("a.usda"), [show])
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 def test_links_are_followed_before_paths_are_compared(show: Path) -> None:
     (show / "shots/out").symlink_to(show.parent / "other")
@@ -78,13 +112,34 @@ def test_a_link_outside_is_not_written_though_it_leads_inside(show: Path) -> Non
     (show.parent / "other/c.usda").symlink_to(show / "shots/c.usda")
     with pytest.raises(InputError, match="outside the roots"):
         check_writable("a", show.parent / "other/c.usda", show / "shots/a.usda")
+    with pytest.raises(InputError, match="leads outside the roots"):
+        check_beside(show.parent / "other/c.usda", show / "shots/a.usda")
+    assert not is_writable(show.parent / "other/c.usda", iter([show]))
+    assert is_writable(show / "shots/c.usda", iter([show]))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_what_is_written_beside_a_file_follows_no_link_out_of_its_folder_and_roots(show: Path) -> None:
+    (show / "shots/c.usda").symlink_to(show.parent / "other/c.usda")
+    (show / "shots/out").symlink_to(show.parent / "other")
+    with trusting(Trust(roots=(show / "assets",))):
+        check_beside(show / "shots/b.usda", show / "shots/a.usda")
+        check_beside(show / "assets/b.usda", show / "shots/a.usda")
+        for led in ("c.usda", "out/c.usda"):
+            with pytest.raises(InputError, match="leads outside the roots"):
+                check_beside(show / "shots" / led, show / "shots/a.usda")
+    with pytest.raises(InputError, match="outside the roots"):
+        check_writable("a", show / "shots/c.usda", show / "shots/a.usda")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
 def test_a_link_to_a_model_with_code_is_one(show: Path) -> None:
-    (show / "start.onnx").symlink_to(show / "start.pt2")
-    with pytest.raises(InputError, match="can run code"):
-        check_model(show / "start.onnx")
+    for name, meant in {"start.onnx": "start.pt2", "net.pt": "net.onnx"}.items():
+        (show / name).symlink_to(show / meant)
+        with pytest.raises(InputError, match="can run code"):
+            check_model(show / name)
+    (show / "round.onnx").symlink_to("round.onnx")
+    check_model(show / "round.onnx")
 
 
 def test_copied_files_come_from_roots_or_the_folder_that_names_them(show: Path) -> None:
@@ -96,20 +151,30 @@ def test_copied_files_come_from_roots_or_the_folder_that_names_them(show: Path) 
             check_copied("a", show.parent / "other/skin.png", layer)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_copied_files_lie_below_the_folder_of_a_linked_layer_not_beside_what_it_leads_to(show: Path) -> None:
+    (show / "assets/face.usda").symlink_to(show.parent / "other/face.usda")
+    check_copied("a", show / "assets/skin.png", show / "assets/face.usda")
+    with pytest.raises(InputError, match="outside the roots"):
+        check_copied("a", show.parent / "other/skin.png", show / "assets/face.usda")
+
+
 def test_reads_are_confined_where_the_caller_says_so(show: Path) -> None:
     check_readable(show.parent / "other/a.usda")
     with trusting(Trust(roots=(show,), confined=True)):
         check_readable(show / "shots/a.usda")
         check_readable(Path(facepipe.__file__).parent / "learn/networks/face_features.onnx")  # what comes with facepipe
-        with pytest.raises(InputError, match="outside the roots"):
-            check_readable(show.parent / "other/a.usda")
+        for path in (show.parent / "other/a.usda", Path(facepipe.__file__).parents[1] / "a.usda"):
+            with pytest.raises(InputError, match="outside the roots"):
+                check_readable(path)
     check_readable(show.parent / "other/a.usda")
 
 
 def test_models_with_code_are_loaded_only_where_the_caller_says_so() -> None:
     check_model(Path("net.onnx"))
-    with pytest.raises(InputError, match="--trust-models"):
-        check_model(Path("net.PT2"))
+    for kind in ("PT2", "pt", "pth", "ckpt", "pkl", "pickle", "joblib"):
+        with pytest.raises(InputError, match="--trust-models"):
+            check_model(Path(f"net.{kind}"))
     with trusting(Trust(models=True)):
         check_model(Path("net.pt2"))
 
