@@ -12,11 +12,11 @@ from pxr import Usd, UsdSkel
 
 from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.policy.bounds import MOST_OF
 from facepipe.importers import load
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.blendshapes import MOST_INBETWEENS
 from facepipe.stage.files import open_stage
-from facepipe.stage.prims import MOST_OF
 from facepipe.stage.stage_counts import MOST_STEPS
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
