@@ -297,6 +297,18 @@ def array_header(text: bytes) -> bytes:
     return struct.pack("<Q", len(text)) + text
 
 
+def table(data: bytes) -> Callable[[Path], Words]:
+    """A table of weights or sliders."""
+
+    def build(folder: Path) -> Words:
+        from facepipe.core.reading import read_csv
+
+        (folder / "a.csv").write_bytes(data)
+        return lambda: read_csv(folder / "a.csv", 1 << 29)
+
+    return build
+
+
 def objects(folder: Path) -> Words:
     """JSON of many values."""
     from facepipe.importers.landmark_file import read_landmarks
@@ -372,6 +384,55 @@ def many_targets(count: int, **target: int) -> Callable[[dict[str, Any]], None]:
         document["meshes"][0]["primitives"][0]["targets"] = [target] * count
 
     return change
+
+
+def stage(words: str, repeat: Callable[[Any, int], None], count: int = 3000) -> Callable[[Path], Words]:
+    """A command given a face stage in which a prim or an array of 720 kB comes again and again."""
+
+    def build(folder: Path) -> Words:
+        from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+        (folder / "a.usdc").unlink(missing_ok=True)
+        made = Usd.Stage.CreateNew("a.usdc")
+        face = UsdSkel.Root.Define(made, "/F").GetPrim()
+        made.SetDefaultPrim(face)
+        UsdGeom.SetStageUpAxis(made, UsdGeom.Tokens.y)
+        face.SetMetadata("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FacepipeFaceAPI"]))
+        UsdSkel.Skeleton.Define(made, "/F/Skeleton")
+        points = Vt.Vec3fArray.FromNumpy(np.random.default_rng(0).random((POINTS, 3), dtype=np.float32))
+        source = UsdGeom.Mesh.Define(made, "/Source/Mesh")
+        source.CreatePointsAttr(points)
+        source.CreateFaceVertexCountsAttr([3])
+        source.CreateFaceVertexIndicesAttr([0, 1, 2])
+        shape = UsdSkel.BlendShape.Define(made, "/Source/Shape")
+        shape.CreateOffsetsAttr(points)
+        shape.CreatePointIndicesAttr(list(range(POINTS)))
+        for number in range(count):
+            repeat(made, number)
+        made.Save()
+        return words.split()
+
+    return build
+
+
+def refer(path: str, instanceable: bool = False) -> Callable[[Any, int], None]:
+    """A prim of the face refers to another."""
+
+    def repeat(made: Any, number: int) -> None:
+        prim = made.DefinePrim(f"/F/p{number}")
+        prim.GetReferences().AddInternalReference(path)
+        prim.SetInstanceable(instanceable)
+
+    return repeat
+
+
+def same_points(made: Any, number: int) -> None:
+    """A mesh of the face has points that another has: the file holds them once."""
+    from pxr import UsdGeom
+
+    source, mesh = made.GetPrimAtPath("/Source/Mesh"), UsdGeom.Mesh.Define(made, f"/F/p{number}")
+    for name in ("points", "faceVertexCounts", "faceVertexIndices"):
+        mesh.GetPrim().GetAttribute(name).Set(source.GetAttribute(name).Get())
 
 
 def many_packed_views(document: dict[str, Any]) -> None:
@@ -493,6 +554,17 @@ GROUPS: dict[str, dict[str, tuple[Callable[[Path], Words], str]]] = {
         "sparse targets": (repeated(many_targets(2000, POSITION=1)), "more data than it holds"),
         "packed views": (repeated(many_packed_views), "more data than it holds"),
         "accessors to check": (repeated(many_accessors, "validate a.gltf"), "more numbers to check"),
+    },
+    "stages": {
+        "references to a mesh": (stage("inspect a.usdc", refer("/Source/Mesh")), "more data than it holds"),
+        "instances of a mesh": (stage("import usd a.usdc -o out.usda", refer("/Source", True)), "more data than it"),
+        "references to a shape": (stage("validate a.usdc", refer("/Source/Shape")), "more data than it holds"),
+        "equal points": (stage("export a.usdc -o out.glb", same_points, 1000), "more data than it holds"),
+        "meshes": (stage("inspect a.usdc", refer("/Source/Mesh"), 4097), "4097 prims of type Mesh"),
+    },
+    "tables": {
+        "columns": (table(b"a," * 5000 + b"a\n" + b"0," * 5000 + b"0\n"), "line 1: more than 4096 columns"),
+        "rows": (table(b"a\n" * (1 << 21)), "line 1048577: over 1048576 rows"),
     },
     "pictures": {
         "gigapixels": (photo(lambda: png(60_000, 60_000, 8, 2, bytes(99))), "exceeds limit"),

@@ -48,6 +48,9 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     )
 
 
+_COPIES = 4  # that what is made of a mesh takes at once, at least
+
+
 class _Built(NamedTuple):
     """A mesh of the document for one skin, before a node shows it."""
 
@@ -112,7 +115,7 @@ class Assembly:
             document.warn(value, "its mesh has no triangles: left out")
             return None
         mesh, geometry = built.mesh, built.geometry
-        document.budget.spend(built.size, value.error)  # of a mesh that is shown again too: each is written out
+        document.budget.spend(_COPIES * built.size, value.error)  # of a mesh shown again too: each is written out
         if built.roles:
             self.roles[node] = built.roles
             if any(value.get_or("weights", []).numbers()):
