@@ -19,9 +19,13 @@ _SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
 def primitives(document: RawDocument) -> Iterator[tuple[str, Json]]:
     """Every primitive and where it is."""
     for i, mesh in enumerate(document.items("meshes")):
-        for j, one in enumerate(as_list(mesh.get("primitives"))):
-            if isinstance(one, dict):
-                yield f"/meshes/{i}/primitives/{j}", one
+        for j, one in primitives_of(mesh):
+            yield f"/meshes/{i}/primitives/{j}", one
+
+
+def primitives_of(mesh: Json) -> Iterator[tuple[int, Json]]:
+    """The primitives of a mesh, and their numbers."""
+    yield from ((j, one) for j, one in enumerate(as_list(mesh.get("primitives"))) if isinstance(one, dict))
 
 
 def targets(primitive: Json) -> list[Json]:
@@ -106,7 +110,7 @@ def target_names(document: RawDocument) -> Iterator[Problem]:
     """extras.targetNames, weights and the targets of every primitive of a mesh have one count."""
     for i, mesh in enumerate(document.items("meshes")):
         where = f"/meshes/{i}"
-        counts = [len(targets(one)) for place, one in primitives(document) if place.startswith(f"{where}/")]
+        counts = [len(targets(one)) for _, one in primitives_of(mesh)]
         count = counts[0] if counts else 0
         if len(set(counts)) > 1:
             yield where, f"primitives with {sorted(set(counts))} targets, expected as many on each"

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import FacepipeError, InputError
 from facepipe.records import Json
 from facepipe.rig.trs import rotation_matrices
 from facepipe_gltf.read.accessors import Accessor, accessor, numbers
 from facepipe_gltf.read.document import Document, read_document
 from facepipe_gltf.read.values import Value
+
+_FREE_NUMBERS, _NUMBERS_PER_BYTE = 1 << 29, 256  # that checks look at: these, and as many for each byte of the buffers
 
 
 def as_object(value: object) -> Json:
@@ -40,8 +42,8 @@ class RawDocument:
     def from_json(cls, path: Path, document: Json, buffer: bytes) -> RawDocument:
         """A document that is not yet the file at `path`, and what its buffer 0 holds."""
         self = cls.__new__(cls)
-        self._take(Document(root=Value(document, path.name, root=True), path=path, loaded={0: buffer}))
-        self._document.budget.grant(len(buffer))
+        self._take(Document(root=Value(document, path.name, root=True), path=path, loaded={0: memoryview(buffer)}))
+        self._document.budget.grant(len(buffer), 0)
         return self
 
     def _take(self, document: Document) -> None:
@@ -49,26 +51,34 @@ class RawDocument:
         self.path, self.binary = document.path, document.binary
         self.json: Json = document.root.members()
         self._accessors: dict[str, Accessor] = {}  # by index
+        self._items: dict[str, list[Json]] = {}
+        self._looked = 0  # numbers of accessors, as often as they were asked for
         self.notes = tuple(document.warnings)  # on its container
 
     def items(self, name: str) -> list[Json]:
         """The objects of a top-level array; what is no object is an empty one."""
-        return [as_object(one) for one in as_list(self.json.get(name))]
+        if name not in self._items:
+            self._items[name] = [as_object(one) for one in as_list(self.json.get(name))]
+        return self._items[name]
 
     def item(self, name: str, index: object) -> Json | None:
         """One object of a top-level array; None where there is none of that index."""
-        objects = as_list(self.json.get(name))
-        return as_object(objects[index]) if is_index(index) and index < len(objects) else None
+        objects = self.items(name)
+        return objects[index] if is_index(index) and index < len(objects) else None
 
     def accessor(self, index: object) -> FloatArray:
         """(count, width) float64 values, integers as they are unless normalised.
 
         :raises InputError: it is not there, or asks for bytes that its buffer doesn't have
+        :raises FacepipeError: accessors of the same bytes come too often
         """
         checked = self._accessors.get(str(index))
         if checked is None:
             checked = accessor(self._document, Value(index, self._document.root.trail))
             self._accessors[str(index)] = checked
+        self._looked += checked.count * checked.components
+        if self._looked > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self._document.budget.held:
+            raise FacepipeError(self.path.name, "more numbers to check than a file of its size can have")
         return numbers(self._document, checked)
 
     def maybe(self, index: object) -> FloatArray | None:
@@ -136,9 +146,14 @@ def _numbers(value: Any, count: int) -> FloatArray | None:
     return np.array(value, dtype=np.float64)
 
 
-def world_matrix(document: RawDocument, node: int, above: dict[int, list[int]]) -> FloatArray:
-    """(4, 4) world matrix of a node at rest; a cycle ends where it closes."""
-    result = np.eye(4)
-    for one in path_above(node, lambda child: above.get(child, [None])[0]):
-        result = local_matrix(document.item("nodes", one) or {}) @ result
-    return np.asarray(result)
+def world_matrices(document: RawDocument, nodes: Sequence[int]) -> list[FloatArray]:
+    """(4, 4) world matrices of nodes at rest, each node computed once; a cycle ends where it closes."""
+    above = parents(document)
+    worlds: dict[int, FloatArray] = {}
+    for node in nodes:
+        path = path_above(node, lambda child: None if child in worlds else above.get(child, [None])[0])
+        for one in reversed(path):
+            if one not in worlds:
+                parent = worlds.get(above.get(one, [-1])[0], np.eye(4))
+                worlds[one] = parent @ local_matrix(document.item("nodes", one) or {})
+    return [worlds[node] for node in nodes]

@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.records import Json
-from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, world_matrix
+from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, world_matrices
 
 Problem = tuple[str, str]  # JSON path, message
 
 _WEIGHT_SUM_TOLERANCE = 1e-3
 _REST_TOLERANCE = 1e-3
+_COMPARED = 256  # joints of a skin whose matrices are tried against all others'
 
 
 def joints_of(skin: Json) -> list[int]:
@@ -23,11 +24,13 @@ def joints_of(skin: Json) -> list[int]:
 
 
 def skinned(document: RawDocument) -> Iterator[tuple[str, Json, list[int]]]:
-    """Every primitive that a node shows with a skin: where, the primitive, the skin's joints."""
+    """Every primitive that nodes show with a skin, once: where, the primitive, the skin's joints."""
+    shown: dict[tuple[object, object], None] = {}
     for node in document.items("nodes"):
         skin, mesh = document.item("skins", node.get("skin")), document.item("meshes", node.get("mesh"))
-        if skin is None or mesh is None:
+        if skin is None or mesh is None or (node["skin"], node["mesh"]) in shown:
             continue
+        shown[node["skin"], node["mesh"]] = None
         for i, primitive in enumerate(as_list(mesh.get("primitives"))):
             if isinstance(primitive, dict):
                 yield f"/meshes/{node['mesh']}/primitives/{i}", primitive, joints_of(skin)
@@ -96,7 +99,6 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
     joints of the skin, they were permuted. A rest pose that is not the bind pose passes. Files written here have
     their joints in ascending node order.
     """
-    above = parents(document)
     by_facepipe = str(as_object(document.json.get("asset")).get("generator")).startswith("facepipe ")
     for i, skin in enumerate(document.items("skins")):
         joints, matrices = joints_of(skin), _inverse_binds(document, skin)
@@ -106,7 +108,7 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
             late = next(a for a, b in zip(joints[1:], joints, strict=False) if a < b)
             yield f"/skins/{i}/joints", f"node {late} stands after a later one, expected the order they were written in"
         elif matrices is not None and len(matrices) == len(joints) and np.isfinite(matrices).all():
-            worlds = np.stack([world_matrix(document, joint, above) for joint in joints])
+            worlds = np.stack(world_matrices(document, joints))
             permuted = _permuted_joints(worlds, matrices)
             if permuted.any():
                 names = [
@@ -127,13 +129,14 @@ def _permuted_joints(worlds: FloatArray, inverse_binds: FloatArray) -> npt.NDArr
     def close(one: FloatArray, other: FloatArray) -> npt.NDArray[np.bool_]:
         return np.asarray((np.abs(one - other) * weight).max(axis=(-1, -2)) < _REST_TOLERANCE)
 
-    agreeing = [int(close(at_rest, one).sum()) for one in at_rest]
-    for common in (np.eye(4), at_rest[int(np.argmax(agreeing))]):
+    some = at_rest[:: -(-len(at_rest) // _COMPARED)]
+    agreeing = [int(close(at_rest, one).sum()) for one in some]
+    for common in (np.eye(4), some[int(np.argmax(agreeing))]):
         wrong = ~close(at_rest, common)
         if not wrong.any():
             return wrong
         places = np.flatnonzero(wrong)
-        if all(close(worlds[places] @ inverse_binds[k], common).any() for k in places):
+        if len(places) <= _COMPARED and all(close(worlds[places] @ inverse_binds[k], common).any() for k in places):
             return wrong
     return np.zeros(len(worlds), dtype=bool)
 

@@ -61,6 +61,7 @@ def plausible(face: FaceView) -> Iterator[Problem]:
 
 def textures(face: FaceView) -> Iterator[Problem]:
     """Every texture that a UsdUVTexture names is there and begins as an image does."""
+    images: set[str] = set()
     for prim in face.of_type(UsdShade.Shader):
         given = prim.GetAttribute("inputs:file").Get() if prim.GetAttribute("inputs:file") else None
         if not isinstance(given, Sdf.AssetPath) or not given.path:
@@ -69,8 +70,9 @@ def textures(face: FaceView) -> Iterator[Problem]:
             yield at(prim, f"texture @{given.path}@ can't be found")
             continue
         try:
-            if read_image(given) is None:
+            if given.resolvedPath not in images and read_image(given) is None:
                 yield at(prim, f"@{given.path}@ is no image")
+            images.add(given.resolvedPath)
         except InputError as error:
             yield at(prim, error.what)
 

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 from facepipe.stage.api_schemas import is_applied
+from facepipe.stage.array_counts import check_arrays
 from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.prims import check_kinds, prims_below
@@ -195,6 +196,7 @@ class FaceView:
         self.prim: Usd.Prim | None = default if default in found else next(iter(found), None)
         self.prims = list(prims_below(self.prim, where)) if self.prim else everything[1:]
         check_kinds(self.prims, where)
+        check_arrays(self.prims, where)
 
     def of_type(self, schema: Any) -> Iterator[Usd.Prim]:
         """Prims of a schema class, in stage order."""

@@ -17,6 +17,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
+_MOST_COLUMNS, _MOST_ROWS = 4096, 1 << 20  # of a table: each cell becomes an object
 _MOST_DOTS = 100  # of a line: tomllib takes the square of a key's length
 _KEY_DOT = re.compile(rb"[^\d\s]\s*\.|\.\s*[^\d\s]|\.\s*\d+\s*\.")  # no decimal point
 
@@ -141,7 +142,7 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
 def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
     """The delimiter (comma, semicolon or tab) of a file of at most `most` bytes; line and stripped cells of each row.
 
-    :raises InputError: not readable, no UTF-8 or UTF-16, or not CSV
+    :raises InputError: not readable, no UTF-8 or UTF-16, not CSV, or too many columns or rows
     """
     data = read_bytes(path, most)
     wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")  # what spreadsheets call Unicode text
@@ -152,10 +153,17 @@ def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
     delimiter = max(",;\t", key=text.lstrip().partition("\n")[0].count)
     try:
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-        rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+        rows: list[tuple[int, list[str]]] = []
+        for cells in reader:
+            if len(cells) > _MOST_COLUMNS or len(rows) == _MOST_ROWS:
+                what = f"more than {_MOST_COLUMNS} columns" if len(cells) > _MOST_COLUMNS else f"over {_MOST_ROWS} rows"
+                raise InputError(f"{path} -> line {reader.line_num}", what)
+            row = [cell.strip() for cell in cells]
+            if any(row):
+                rows.append((reader.line_num, row))
     except csv.Error as error:
         raise InputError(path, f"is not CSV ({str(error)[:120]})") from None
-    return delimiter, [(line, cells) for line, cells in rows if any(cells)]
+    return delimiter, rows
 
 
 class _TwiceError(Exception):

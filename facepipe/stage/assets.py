@@ -23,7 +23,7 @@ def read_image(asset: Sdf.AssetPath) -> bytes | None:
     """
     if not asset.resolvedPath:
         return None
-    file = _file_of(asset.resolvedPath)
+    file = file_of(asset.resolvedPath)
     check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_BYTES)
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
     data = bytes(opened.GetBuffer() or b"") if opened else b""  # an empty file has no buffer
@@ -39,7 +39,7 @@ def copy_refusal(
     namer = _naming_file(attribute, time)
     try:
         if namer is not None:
-            check_copied(where, _file_of(asset.resolvedPath), namer)
+            check_copied(where, file_of(asset.resolvedPath), namer)
     except InputError as error:
         return error
     return None
@@ -71,7 +71,7 @@ def _asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCod
                     yield from _values(attribute)
 
 
-def _file_of(path: str) -> Path:
+def file_of(path: str) -> Path:
     """The file that a resolved path is in: the outer package, where it is packed."""
     return Path(Ar.SplitPackageRelativePathOuter(path)[0])
 
@@ -94,7 +94,7 @@ def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
     if layer is None or layer.anonymous:  # a repair in memory of what a file says
         below = [one for one in attribute.GetStage().GetLayerStack() if not one.anonymous]
         layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
-    return None if layer is None else _file_of(layer.realPath or layer.identifier)
+    return None if layer is None else file_of(layer.realPath or layer.identifier)
 
 
 def _layer(attribute: Usd.Attribute, time: Usd.TimeCode, *, files: bool = False) -> Sdf.Layer | None:

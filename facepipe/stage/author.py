@@ -12,6 +12,7 @@ from facepipe.core import __version__, tokens
 from facepipe.core.arrays import require_finite
 from facepipe.core.atomic import together
 from facepipe.core.names import identifier, unique_identifiers
+from facepipe.core.policy.bounds import check_counts
 from facepipe.parts import FaceParts
 from facepipe.stage.animations import author_animation, author_source, author_time_range
 from facepipe.stage.api_schemas import apply_schema, put_value
@@ -55,6 +56,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
 
     :param textures: asset path by texture name; names themselves where not given
     """
+    _check_counts(parts)
     require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
@@ -79,6 +81,18 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     if parts.recipe:
         author_recipe(prim, parts.recipe)
     return stage
+
+
+def _check_counts(parts: FaceParts) -> None:
+    """:raises InputError: more of a kind than a face that is read can have"""
+    counts = {
+        "Mesh": len(parts.meshes),
+        "BlendShape": sum(len(mesh.blendshapes) for mesh in parts.meshes),
+        "GeomSubset": sum(len(mesh.material_faces) + len(mesh.point_subsets) for mesh in parts.meshes),
+        "Material": len(parts.materials),
+        "Shader": sum(1 + 2 * len(material.textured) for material in parts.materials),
+    }
+    check_counts(parts.name, counts)
 
 
 def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textures: dict[str, str]) -> None:

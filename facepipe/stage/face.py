@@ -39,9 +39,10 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.stage.api_schemas import is_applied
+from facepipe.stage.array_counts import check_arrays
 from facepipe.stage.files import check_units, open_stage, over
 from facepipe.stage.guard import errors_below, usd_errors
-from facepipe.stage.materials import read_material
+from facepipe.stage.materials import Images, read_material
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
@@ -71,6 +72,7 @@ class Face:
         _check_metadata(self)
         below = list(self._below())
         check_kinds(below, self.where)
+        check_arrays(below, self.where)
         skeletons = [one for one in below if one.IsA(UsdSkel.Skeleton)]
         if len(skeletons) != 1:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
@@ -175,7 +177,9 @@ class Face:
     def materials(self) -> tuple[Material, ...]:
         """Its UsdPreviewSurface materials, with their textures."""
         with errors_below(self.where):
-            read = (read_material(self.stage.GetPrimAtPath(path), name) for path, name in self.material_names.items())
+            images: Images = {}
+            named = ((self.stage.GetPrimAtPath(path), name) for path, name in self.material_names.items())
+            read = [read_material(prim, name, images) for prim, name in named]
             return self._finite(tuple(material for material in read if material is not None))
 
     @cached_property

@@ -14,6 +14,7 @@ from facepipe.stage.assets import copy_refusal, name_of, read_image
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.prims import author_name, editable, label
 
+Images = dict[str, bytes | None]  # by resolved path
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
     "repeat": "repeat",
@@ -25,8 +26,10 @@ _WRAPS: dict[str, Wrap] = {
 
 
 @reads_prim
-def read_material(prim: Usd.Prim, name: str) -> Material | None:
+def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """The UsdPreviewSurface of a Material prim; None where it has none.
+
+    :param images: that were read before, filled in: one that many materials name is read once
 
     :raises InputError: a texture that is missing or no image
     """
@@ -35,17 +38,17 @@ def read_material(prim: Usd.Prim, name: str) -> Material | None:
         return None
     return Material(
         name=name,
-        diffuse_color=_color(surface, "diffuseColor", (0.18, 0.18, 0.18)),
-        emissive_color=_color(surface, "emissiveColor", (0.0, 0.0, 0.0)),
-        metallic=_number(surface, "metallic", 0.0),
-        roughness=_number(surface, "roughness", 0.5),
-        opacity=_number(surface, "opacity", 1.0),
+        diffuse_color=_color(surface, "diffuseColor", (0.18, 0.18, 0.18), images),
+        emissive_color=_color(surface, "emissiveColor", (0.0, 0.0, 0.0), images),
+        metallic=_number(surface, "metallic", 0.0, images),
+        roughness=_number(surface, "roughness", 0.5, images),
+        opacity=_number(surface, "opacity", 1.0, images),
         opacity_threshold=float(_value(surface, "opacityThreshold", 0.0)),
-        occlusion=_number(surface, "occlusion", 1.0),
-        normal=_texture(surface, "normal"),
+        occlusion=_number(surface, "occlusion", 1.0, images),
+        normal=_texture(surface, "normal", images),
         ior=float(_value(surface, "ior", 1.5)),
-        clearcoat=_number(surface, "clearcoat", 0.0),
-        clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01),
+        clearcoat=_number(surface, "clearcoat", 0.0, images),
+        clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01, images),
         label=label(prim, name),
     )
 
@@ -63,19 +66,19 @@ def _attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
     return attributes[0] if attributes else None
 
 
-def _color(shader: UsdShade.Shader, name: str, otherwise: Color) -> Color | TextureInput:
-    textured = _texture(shader, name)
+def _color(shader: UsdShade.Shader, name: str, otherwise: Color, images: Images) -> Color | TextureInput:
+    textured = _texture(shader, name, images)
     if textured:
         return textured
     red, green, blue = _value(shader, name, otherwise)
     return (float(red), float(green), float(blue))
 
 
-def _number(shader: UsdShade.Shader, name: str, otherwise: float) -> float | TextureInput:
-    return _texture(shader, name) or float(_value(shader, name, otherwise))
+def _number(shader: UsdShade.Shader, name: str, otherwise: float, images: Images) -> float | TextureInput:
+    return _texture(shader, name, images) or float(_value(shader, name, otherwise))
 
 
-def _texture(shader: UsdShade.Shader, name: str) -> TextureInput | None:
+def _texture(shader: UsdShade.Shader, name: str, images: Images) -> TextureInput | None:
     given = _attribute(shader, name)
     if given is None or UsdShade.Utils.GetType(given.GetName()) != UsdShade.AttributeType.Output:
         return None
@@ -87,7 +90,7 @@ def _texture(shader: UsdShade.Shader, name: str) -> TextureInput | None:
     if asset is None:
         return None
     return TextureInput(
-        texture=_image(source, file, asset),
+        texture=_image(source, file, asset, images),
         channels=given.GetName().rpartition(":")[2],
         uv_set=_uv_set(source),
         scale=_four(_value(source, "scale", (1, 1, 1, 1))),
@@ -113,11 +116,13 @@ def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
     return str(_value(reader, "varname", "st"))
 
 
-def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any) -> Texture:
+def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any, images: Images) -> Texture:
     where = f"{shader.GetPath()}.inputs:file"
     if not isinstance(asset, Sdf.AssetPath):
         raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
-    data = read_image(asset)
+    if asset.resolvedPath not in images:
+        images[asset.resolvedPath] = read_image(asset)
+    data = images[asset.resolvedPath]
     if data is None:
         missing = not asset.resolvedPath
         raise InputError(where, f"texture @{asset.path}@ can't be found" if missing else f"@{asset.path}@ is no image")

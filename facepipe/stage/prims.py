@@ -10,12 +10,10 @@ from pxr import Sdf, Usd, UsdGeom
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.names import unique_identifiers
+from facepipe.core.policy.bounds import check_counts
 from facepipe.parts import Mesh, Named, exact
 
 MOST_PRIMS = 200_000  # a few lines of instances of instances make more prims than memory holds
-
-# of a face, of the kinds that each take a good part of a millisecond to read
-MOST_OF = {"BlendShape": 10_000, "Shader": 8192, "NodeGraph": 8192, "Material": 4096, "Mesh": 4096, "GeomSubset": 4096}
 
 INSTANCES = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
 
@@ -34,9 +32,7 @@ def prims_below(prim: Usd.Prim, where: object) -> Iterator[Usd.Prim]:
 
 def check_kinds(prims: Iterable[Usd.Prim], where: object) -> None:
     """:raises InputError: more prims of a kind than a face can have"""
-    for kind, count in Counter(str(prim.GetTypeName()) for prim in prims).items():
-        if count > MOST_OF.get(kind, MOST_PRIMS):
-            raise InputError(where, f"{count} prims of type {kind}, expected at most {MOST_OF[kind]}")
+    check_counts(where, Counter(str(prim.GetTypeName()) for prim in prims))
 
 
 def editable(prim: Usd.Prim, *, below: bool = False) -> Usd.Prim:

@@ -709,6 +709,18 @@ def test_gltf_with_files_reads_as_the_glb_does(tmp_path: Path) -> None:
     assert np.array_equal(inline.meshes[0].points, whole.meshes[0].points)
 
 
+def test_images_of_one_file_are_one_texture(tmp_path: Path) -> None:
+    """Written once, however often a document names it."""
+    builder = build(make_model())
+    textured(builder)
+    builder.root["images"] = [{"uri": "skin.png"}, {"uri": "./skin.png", "name": "other"}]
+    (tmp_path / "skin.png").write_bytes(PNG)
+    parts = read(tmp_path, builder).parts
+    textures = [used.texture for material in parts.materials for used in material.textured.values()]
+    assert len(textures) > 2
+    assert {(one.name, id(one.data)) for one in textures} == {("skin.png", id(textures[0].data))}
+
+
 def test_reading_twice_gives_the_same(tmp_path: Path) -> None:
     builder, *_ = animated(make_model())
     textured(builder)

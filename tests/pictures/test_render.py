@@ -55,6 +55,15 @@ def colored(name: str, color: tuple[float, float, float], **changes: object) -> 
     return replace(Material(name=name, diffuse_color=color, roughness=1.0), **changes)  # type: ignore[arg-type]
 
 
+def test_a_material_that_the_face_lacks_is_drawn_as_none() -> None:
+    """As where its surface is connected to a prim instead of a property."""
+    subset = (MaterialFaces(material="gone", faces=np.zeros(1, np.int32)),)
+    meshes = [square("one", 0.0), square("one", 0.0, material="gone"), square("one", 0.0, material_faces=subset)]
+    plain, whole, some = (drawn(FaceParts(meshes=(mesh,))) for mesh in meshes)
+    np.testing.assert_array_equal(whole, plain)
+    np.testing.assert_array_equal(some, plain)
+
+
 def drawn(parts: FaceParts, points: np.ndarray | None = None, **options: object) -> np.ndarray:
     """(h, w, 3) pixels as integers."""
     made = PictureOptions(**{"size": 64, "samples": 2, **options})  # type: ignore[arg-type]

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from faces import tiny_face
 from layers import prim, write
+from photo_files import png_of
 from pxr import Usd, UsdSkel
 
 from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError, SchemaError
+from facepipe.core.policy.bounds import MOST_OF
 from facepipe.importers import load
+from facepipe.parts import Material, Texture, TextureInput
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.blendshapes import MOST_INBETWEENS
 from facepipe.stage.files import open_stage
-from facepipe.stage.prims import MOST_OF
 from facepipe.stage.stage_counts import MOST_STEPS
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
+
+
+def test_an_image_that_many_materials_name_is_read_once(tmp_path: Path) -> None:
+    face, texture = tiny_face(), Texture(name="skin.png", data=png_of(np.full((8, 8, 3), 90, np.uint8)))
+    source = TextureInput(texture=texture, channels="rgb")
+    materials = tuple(Material(name=name, diffuse_color=source, normal=source) for name in ("one", "two"))
+    save_parts(replace(face, materials=materials), tmp_path / "face.usda")
+    read = [used.texture.data for one in open_face(tmp_path / "face.usda").materials for used in one.textured.values()]
+    assert len(read) == 4
+    assert len({id(data) for data in read}) == 1
 
 
 def schemas(count: int = 6000) -> str:

@@ -297,6 +297,18 @@ def array_header(text: bytes) -> bytes:
     return struct.pack("<Q", len(text)) + text
 
 
+def table(data: bytes) -> Callable[[Path], Words]:
+    """A table of weights or sliders."""
+
+    def build(folder: Path) -> Words:
+        from facepipe.core.reading import read_csv
+
+        (folder / "a.csv").write_bytes(data)
+        return lambda: read_csv(folder / "a.csv", 1 << 29)
+
+    return build
+
+
 def objects(folder: Path) -> Words:
     """JSON of many values."""
     from facepipe.importers.landmark_file import read_landmarks
@@ -311,6 +323,135 @@ def packed_view(count: int) -> str:
         f'{{"buffer":0,"byteLength":{256 * count},"byteStride":256,"extensions":{{"EXT_meshopt_compression":'
         f'{{"buffer":0,"byteOffset":0,"byteLength":4096,"count":{count},"byteStride":256,"mode":"ATTRIBUTES"}}}}}}'
     )
+
+
+POINTS = 60_000  # of a document whose data is named again and again: 720 kB
+
+
+def repeated(change: Callable[[dict[str, Any]], None], words: str = "import gltf a.gltf -o out.usda") -> Any:
+    """A command given a document of one mesh of many points, changed; its buffer is a file of points and zeros."""
+
+    def build(folder: Path) -> Words:
+        points = np.random.default_rng(0).random((POINTS, 3), dtype=np.float32)
+        (folder / "one.bin").write_bytes(
+            points.tobytes() + np.arange(POINTS, dtype="<u4").tobytes() + bytes(12 * POINTS)
+        )
+        parts = ((0, 12 * POINTS), (12 * POINTS, 4 * POINTS), (16 * POINTS, 12 * POINTS))
+        document: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "scenes": [{}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "accessors": [{"type": "VEC3", "componentType": 5126, "count": POINTS, "bufferView": 0}],
+            "bufferViews": [{"buffer": 0, "byteOffset": start, "byteLength": size} for start, size in parts],
+            "buffers": [{"uri": "one.bin", "byteLength": 28 * POINTS}],
+        }
+        change(document)
+        document["scenes"][0]["nodes"] = list(range(len(document["nodes"])))
+        (folder / "a.gltf").write_text(json.dumps(document))
+        return words.split()
+
+    return build
+
+
+def many_buffers(name: str) -> Callable[[dict[str, Any]], None]:
+    """Each primitive has a buffer of its own, of a file that all of them name."""
+
+    def change(document: dict[str, Any]) -> None:
+        count = 5000
+        if name != "one.bin":
+            for number in range(count):
+                Path(name.format(number)).hardlink_to("one.bin")
+        document["buffers"] = [{"uri": name.format(i), "byteLength": 12 * POINTS + i} for i in range(count)]
+        document["bufferViews"] = [{"buffer": i, "byteLength": 12 * POINTS} for i in range(count)]
+        document["accessors"] = [document["accessors"][0] | {"bufferView": i} for i in range(count)]
+        document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": i}} for i in range(count)]
+
+    return change
+
+
+def many_nodes(count: int) -> Callable[[dict[str, Any]], None]:
+    """One mesh that many nodes show."""
+    return lambda document: document.update(nodes=[{"mesh": 0}] * count)
+
+
+def many_targets(count: int, **target: int) -> Callable[[dict[str, Any]], None]:
+    """A mesh of many morph targets that move nothing, by sparse data that they share."""
+
+    def change(document: dict[str, Any]) -> None:
+        sparse = {"indices": {"bufferView": 1, "componentType": 5125}, "values": {"bufferView": 2}, "count": POINTS}
+        document["accessors"].append({"type": "VEC3", "componentType": 5126, "count": POINTS, "sparse": sparse})
+        document["meshes"][0]["primitives"][0]["targets"] = [target] * count
+
+    return change
+
+
+def stage(words: str, repeat: Callable[[Any, int], None], count: int = 3000) -> Callable[[Path], Words]:
+    """A command given a face stage in which a prim or an array of 720 kB comes again and again."""
+
+    def build(folder: Path) -> Words:
+        from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
+
+        (folder / "a.usdc").unlink(missing_ok=True)
+        made = Usd.Stage.CreateNew("a.usdc")
+        face = UsdSkel.Root.Define(made, "/F").GetPrim()
+        made.SetDefaultPrim(face)
+        UsdGeom.SetStageUpAxis(made, UsdGeom.Tokens.y)
+        face.SetMetadata("apiSchemas", Sdf.TokenListOp.Create(prependedItems=["FacepipeFaceAPI"]))
+        UsdSkel.Skeleton.Define(made, "/F/Skeleton")
+        points = Vt.Vec3fArray.FromNumpy(np.random.default_rng(0).random((POINTS, 3), dtype=np.float32))
+        source = UsdGeom.Mesh.Define(made, "/Source/Mesh")
+        source.CreatePointsAttr(points)
+        source.CreateFaceVertexCountsAttr([3])
+        source.CreateFaceVertexIndicesAttr([0, 1, 2])
+        shape = UsdSkel.BlendShape.Define(made, "/Source/Shape")
+        shape.CreateOffsetsAttr(points)
+        shape.CreatePointIndicesAttr(list(range(POINTS)))
+        for number in range(count):
+            repeat(made, number)
+        made.Save()
+        return words.split()
+
+    return build
+
+
+def refer(path: str, instanceable: bool = False) -> Callable[[Any, int], None]:
+    """A prim of the face refers to another."""
+
+    def repeat(made: Any, number: int) -> None:
+        prim = made.DefinePrim(f"/F/p{number}")
+        prim.GetReferences().AddInternalReference(path)
+        prim.SetInstanceable(instanceable)
+
+    return repeat
+
+
+def same_points(made: Any, number: int) -> None:
+    """A mesh of the face has points that another has: the file holds them once."""
+    from pxr import UsdGeom
+
+    source, mesh = made.GetPrimAtPath("/Source/Mesh"), UsdGeom.Mesh.Define(made, f"/F/p{number}")
+    for name in ("points", "faceVertexCounts", "faceVertexIndices"):
+        mesh.GetPrim().GetAttribute(name).Set(source.GetAttribute(name).Get())
+
+
+def many_packed_views(document: dict[str, Any]) -> None:
+    """Primitives whose indices are all packed in the same bytes."""
+    count, packed = 20, 300_000
+    Path("one.bin").write_bytes(Path("one.bin").read_bytes() + b"\xd1" + bytes(packed + 4))
+    document["buffers"][0]["byteLength"] += packed + 5
+    where = {"buffer": 0, "byteOffset": 28 * POINTS, "byteLength": packed + 5}
+    extension = where | {"count": packed, "byteStride": 2, "mode": "INDICES"}
+    view = {"buffer": 0, "byteLength": 2 * packed, "extensions": {"EXT_meshopt_compression": extension}}
+    document["bufferViews"] += [view] * count
+    indices = {"type": "SCALAR", "componentType": 5123, "count": packed}
+    document["accessors"] += [indices | {"bufferView": 3 + i} for i in range(count)]
+    document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0}, "indices": 1 + i} for i in range(count)]
+
+
+def many_accessors(document: dict[str, Any]) -> None:
+    """Accessors of the same bytes."""
+    document["accessors"] *= 20_000
 
 
 IMPORT = "import gltf a.glb -o out.usda"
@@ -403,6 +544,27 @@ GROUPS: dict[str, dict[str, tuple[Callable[[Path], Words], str]]] = {
             "is not TOML",
         ),
         "a payload": (payload, "14000 frames of 1000 joints, expected 1"),
+    },
+    "repeated": {
+        "buffers of one file": (repeated(many_buffers("one.bin")), "more data than it holds"),
+        "links to one file": (repeated(many_buffers("{}.bin")), "more data than it holds"),
+        "instances": (repeated(many_nodes(3000)), "more data than it holds"),
+        "meshes": (repeated(many_nodes(5000)), "5000 prims of type Mesh, expected at most 4096"),
+        "targets": (repeated(many_targets(20_000)), "20000 prims of type BlendShape, expected at most 10000"),
+        "sparse targets": (repeated(many_targets(2000, POSITION=1)), "more data than it holds"),
+        "packed views": (repeated(many_packed_views), "more data than it holds"),
+        "accessors to check": (repeated(many_accessors, "validate a.gltf"), "more numbers to check"),
+    },
+    "stages": {
+        "references to a mesh": (stage("inspect a.usdc", refer("/Source/Mesh")), "more data than it holds"),
+        "instances of a mesh": (stage("import usd a.usdc -o out.usda", refer("/Source", True)), "more data than it"),
+        "references to a shape": (stage("validate a.usdc", refer("/Source/Shape")), "more data than it holds"),
+        "equal points": (stage("export a.usdc -o out.glb", same_points, 1000), "more data than it holds"),
+        "meshes": (stage("inspect a.usdc", refer("/Source/Mesh"), 4097), "4097 prims of type Mesh"),
+    },
+    "tables": {
+        "columns": (table(b"a," * 5000 + b"a\n" + b"0," * 5000 + b"0\n"), "line 1: more than 4096 columns"),
+        "rows": (table(b"a\n" * (1 << 21)), "line 1048577: over 1048576 rows"),
     },
     "pictures": {
         "gigapixels": (photo(lambda: png(60_000, 60_000, 8, 2, bytes(99))), "exceeds limit"),

@@ -78,7 +78,7 @@ def floats(document: Document, reference: Value, *types: str, count: int | None 
     """
     checked = accessor(document, reference, *types)
     _expect_count(checked, reference, count)
-    document.budget.spend(checked.count * checked.components * 8, checked.value)
+    document.budget.spend(checked.count * checked.components * 8, checked.value.error)
     if checked.base is None:
         result = np.zeros((checked.count, checked.components), np.float32)
     else:
@@ -93,7 +93,7 @@ def numbers(document: Document, checked: Accessor) -> FloatArray:
 
     :raises InputError: far more numbers than the file holds
     """
-    document.budget.check(checked.count * checked.components * 8, checked.value)
+    document.budget.check(checked.count * checked.components * 8, checked.value.error)
     result = np.zeros((checked.count, checked.components)) if checked.base is None else checked.base.astype(np.float64)
     if checked.sparse is not None:
         result[checked.sparse[0]] = checked.sparse[1]
@@ -109,7 +109,7 @@ def integers(document: Document, reference: Value, kind: str, *, count: int | No
     _expect_count(checked, reference, count)
     if checked.dtype.kind != "u":
         raise checked.value.error("signed or float components, expected unsigned integers")
-    document.budget.spend(checked.count * checked.components * 8, checked.value)
+    document.budget.spend(checked.count * checked.components * 8, checked.value.error)
     shape = (checked.count, checked.components)
     result: npt.NDArray[Any] = np.zeros(shape, checked.dtype) if checked.base is None else np.array(checked.base)
     if checked.sparse is not None:
@@ -129,7 +129,7 @@ def deltas(document: Document, reference: Value, count: int) -> Deltas:
         values = floats(document, reference, "VEC3")
         indices = np.arange(count)
     moved = np.any(values != 0.0, axis=1)
-    document.budget.spend(16 * int(np.count_nonzero(moved)), checked.value)
+    document.budget.spend(16 * int(np.count_nonzero(moved)), checked.value.error)
     return Deltas(np.asarray(indices)[moved].astype(np.int64), values[moved])
 
 
@@ -185,6 +185,7 @@ def _sparse(
     entries = sparse.require("count").integer(1)
     if entries > count:
         raise sparse.error(f"{entries} entries of {count} elements")
+    document.budget.spend(8 * entries, sparse.error)
     at = sparse.require("indices")
     index_dtype = _dtype(at.require("componentType"))
     if index_dtype.kind != "u":

@@ -82,10 +82,10 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
     """When to sample an animation; warns of what this does to its keys."""
     if fps is not None:
         ends = [channel.sampler.times[[0, -1]] for channel in channels]
-        document.budget.spend(int(min(8.0 * fps * float(np.ptp(ends)), 1e15)), value)
+        document.budget.spend(int(min(8.0 * fps * float(np.ptp(ends)), 1e15)), value.error)
     times = sample_times(channels, fps)
     curves = [channel for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    document.budget.spend(8 * len(times), value)
+    document.budget.spend(8 * len(times), value.error)
     if fps is not None:
         document.warn(value, f"sampled at {fps:g} frames per second: off by at most {lines_error(channels, times)}")
         return times
@@ -134,7 +134,7 @@ def _animation(
     moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _PATHS})
     weights = [channel for channel in channels if channel.path == "weights"]
     width = 24 * len(moved) + 2 * sum(len(shapes[channel.node]) for channel in weights)
-    document.budget.spend(8 * len(times) * width, value)
+    document.budget.spend(8 * len(times) * width, value.error)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
     label = given_name(value)

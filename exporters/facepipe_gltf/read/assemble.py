@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
+from facepipe.core.policy.bounds import check_counts
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import Mesh, Skin, identity
 from facepipe_gltf.read import materials, meshes, morphs, primitives
@@ -45,6 +48,28 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     )
 
 
+_COPIES = 4  # that what is made of a mesh takes at once, at least
+
+
+class _Built(NamedTuple):
+    """A mesh of the document for one skin, before a node shows it."""
+
+    mesh: Mesh
+    geometry: Geometry
+    roles: tuple[Role, ...]
+    size: int  # bytes of its arrays
+
+
+def _size(mesh: Mesh) -> int:
+    arrays = [mesh.points, mesh.face_vertex_counts, mesh.face_vertex_indices, mesh.normals, mesh.colors]
+    arrays += [array for uvs in mesh.uv_sets for array in (uvs.values, uvs.indices)]
+    arrays += [] if mesh.skin is None else [mesh.skin.joint_indices, mesh.skin.joint_weights]
+    for shape in mesh.blendshapes:
+        arrays += [shape.point_indices]
+        arrays += [array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)]
+    return sum(array.nbytes for array in arrays if array is not None)
+
+
 @dataclass
 class Assembly:
     """Turns mesh nodes into meshes; a glTF mesh shown several times is read once."""
@@ -57,14 +82,25 @@ class Assembly:
     recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
-    _built: dict[tuple[int, int], tuple[Mesh, Geometry] | None] = field(default_factory=dict)
+    _built: dict[tuple[int, int], _Built | None] = field(default_factory=dict)
 
     def meshes(self) -> tuple[Mesh, ...]:
         """All meshes of the scene, in its order."""
-        built = [self._show(node) for node in self.nodes.shown if self.nodes.values[node].get("mesh") is not None]
+        shown = [node for node in self.nodes.shown if self.nodes.values[node].get("mesh") is not None]
+        check_counts(self.document.root.trail, {"Mesh": len(shown), "BlendShape": self._targets(shown)})
+        built = [self._show(node) for node in shown]
         meshes = [mesh for mesh in built if mesh is not None]
         names = handles([_exact(mesh) or "" for mesh in meshes], "mesh")
         return tuple(_named(mesh, name) for mesh, name in zip(meshes, names, strict=True))
+
+    def _targets(self, shown: list[int]) -> int:
+        """How many morph targets the nodes show, those of a mesh that they share each time."""
+        times = Counter(self.document.index("meshes", self.nodes.values[node].require("mesh")) for node in shown)
+        total = 0
+        for mesh, count in times.items():
+            primitives = self.document.entries("meshes")[mesh].require("primitives").items()
+            total += count * max((len(one.get_or("targets", []).items()) for one in primitives), default=0)
+        return total
 
     def _show(self, node: int) -> Mesh | None:
         document, value = self.document, self.nodes.values[node]
@@ -78,10 +114,10 @@ class Assembly:
         if built is None:
             document.warn(value, "its mesh has no triangles: left out")
             return None
-        mesh, geometry = built
-        if geometry.vertices.targets:
-            count = len(geometry.vertices.targets)
-            self.roles[node] = morphs.roles(document, geometry.value, count, self.shape_names)
+        mesh, geometry = built.mesh, built.geometry
+        document.budget.spend(_COPIES * built.size, value.error)  # of a mesh shown again too: each is written out
+        if built.roles:
+            self.roles[node] = built.roles
             if any(value.get_or("weights", []).numbers()):
                 document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
@@ -91,7 +127,7 @@ class Assembly:
             return _placed(named, self.joints.skins[skin].geom_bind)
         return self._unskinned(node, named)
 
-    def _build(self, mesh_index: int, skin: int) -> tuple[Mesh, Geometry] | None:
+    def _build(self, mesh_index: int, skin: int) -> _Built | None:
         document = self.document
         geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
         if geometry is None:
@@ -102,7 +138,9 @@ class Assembly:
         sides = [materials.is_double_sided(document, number) for number in used]
         if len(set(sides)) > 1 and not self.recorded:
             document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
-        return replace(mesh, double_sided=any(sides)), geometry
+        count = len(geometry.vertices.targets)
+        roles = morphs.roles(document, geometry.value, count, self.shape_names) if count else ()
+        return _Built(replace(mesh, double_sided=any(sides)), geometry, roles, _size(mesh))
 
     def _unskinned(self, node: int, mesh: Mesh) -> Mesh:
         """A mesh without skin: carried by the joint it hangs on, or placed once and for all."""
@@ -111,7 +149,7 @@ class Assembly:
             return replace(mesh, transform=self.nodes.worlds[node])
         joint, to_joint = held
         count = len(mesh.points)
-        self.document.budget.spend(64 * count, self.nodes.values[node])
+        self.document.budget.spend(64 * count, self.nodes.values[node].error)
         skin = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
         bind = self.joints.skeleton.bind_transforms[joint]
         return _placed(replace(mesh, skin=skin), bind @ to_joint)

@@ -13,11 +13,13 @@ import base64
 import binascii
 import re
 import struct
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.bounds import Budget, same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import read_bytes
 from facepipe_gltf.read.meshopt import EXTENSION, decode
@@ -40,36 +42,9 @@ _SUPPORTED_EXTENSIONS = frozenset(
 )
 _MAX_FILE_BYTES = 2**32
 """Largest file read; a GLB can't be longer, as its header counts in 32 bits."""
+_FREE_BYTES, _PER_BYTE = 1 << 26, 32  # that a document may unfold to: these, and as many for each byte of its buffers
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 _DATA = re.compile(r"^data:[^,]{0,200};base64,", re.IGNORECASE)
-
-
-@dataclass
-class Budget:
-    """Bytes that reading may still allocate: a small file must not unfold into gigabytes by naming data repeatedly."""
-
-    left: int = 64 * 2**20
-    per_byte: int = 32
-
-    def grant(self, size: int) -> None:
-        """Allow for data of `size` bytes that the file really holds."""
-        self.left += self.per_byte * size
-
-    def check(self, size: int, value: Value) -> None:
-        """Check that `size` bytes are left for temporary data, on behalf of `value`.
-
-        :raises InputError: fewer
-        """
-        if self.left < size:
-            raise value.error("the file asks for far more data than it holds")
-
-    def spend(self, size: int, value: Value) -> None:
-        """Take `size` bytes, on behalf of `value`.
-
-        :raises InputError: nothing left
-        """
-        self.check(size, value)
-        self.left -= size
 
 
 @dataclass
@@ -79,12 +54,14 @@ class Document:
     root: Value
     path: Path
     binary: bytes | None = None
-    budget: Budget = field(default_factory=Budget)
+    budget: Budget = field(default_factory=lambda: Budget(_FREE_BYTES, _PER_BYTE))  # of all that data unfolds to
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
-    loaded: dict[int, bytes] = field(default_factory=dict)  # buffers
+    loaded: dict[int, memoryview] = field(default_factory=dict)  # buffers
+    _contents: dict[Hashable, bytes] = field(default_factory=dict)  # of files beside it, by `same_file`
     _decoded: dict[int, bytes] = field(default_factory=dict)  # of compressed bufferViews
     _entries: dict[str, list[Value]] = field(default_factory=dict)
+    _warned: set[str] = field(default_factory=set)
 
     def entries(self, kind: str) -> list[Value]:
         """All of one kind (``accessors``, ``nodes`` ...)."""
@@ -107,23 +84,24 @@ class Document:
     def warn(self, value: Value | str, what: str) -> None:
         """Note something that could not be brought over, once."""
         line = f"{value.trail if isinstance(value, Value) else value}: {what}"
-        if line not in self.warnings:
+        if line not in self._warned:
+            self._warned.add(line)
             self.warnings.append(line)
 
-    def buffer(self, reference: Value) -> bytes:
+    def buffer(self, reference: Value) -> memoryview:
         """The bytes of a buffer, its byteLength at least."""
         number = self.index("buffers", reference)
         if number not in self.loaded:
             self.loaded[number] = self._load(number)
         return self.loaded[number]
 
-    def view(self, reference: Value) -> tuple[bytes, int, int]:
+    def view(self, reference: Value) -> tuple[memoryview, int, int]:
         """The buffer, first byte and length of a bufferView."""
         value = self.entry("bufferViews", reference)
         compressed = value.extension(EXTENSION)
         if compressed is not None:
             decoded = self._decode(self.index("bufferViews", reference), compressed)
-            return decoded, 0, len(decoded)
+            return memoryview(decoded), 0, len(decoded)
         data = self.buffer(value.require("buffer"))
         start = value.get_or("byteOffset", 0).integer()
         length = value.require("byteLength").integer(1)
@@ -137,28 +115,47 @@ class Document:
             data = self.buffer(packed.require("buffer"))
             start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
             count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
-            self.budget.spend(count * size, packed)
             mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
+            steps = 4 * length if mode == "ATTRIBUTES" else 4 * length + 16 * count  # of Python, as bytes
+            self.budget.spend(count * size + steps, packed.error)
             try:
-                self._decoded[number] = decode(data[start : start + length], count, size, mode, filtered)
+                self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
             except ValueError as error:
                 raise packed.error(f"can't be decoded: {error}") from None
         return self._decoded[number]
 
-    def _load(self, number: int) -> bytes:
+    def content(self, uri: Value) -> bytes:
+        """The bytes behind a URI: base64 data, or a file beside the document or in its roots, each file read once.
+
+        :raises InputError: other schemes, absolute paths, paths out of the roots (by ``..`` or link), bad base64
+        """
+        text = uri.text()
+        if text[:5].lower() == "data:":
+            return _base64(uri, text)
+        path = _beside(uri, text, self.path)
+        if path not in self.files:
+            self.files.append(path)
+        key = same_file(path)
+        if key not in self._contents:
+            self._contents[key] = _read_whole(path, f"{uri.trail} -> {quote(text)}")
+            self.budget.grant(len(self._contents[key]), key)
+        return self._contents[key]
+
+    def _load(self, number: int) -> memoryview:
         value = self.entries("buffers")[number]
         length = value.require("byteLength").integer(1)
         uri = value.get("uri")
         if uri is not None:
-            data = read_uri(uri, self.path, self.files)
+            data = self.content(uri)
         elif number == 0 and self.binary is not None:
             data = self.binary
         else:
             raise value.error("no uri, expected one (only the first buffer of a GLB goes without)")
         if len(data) < length:
             raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
-        self.budget.grant(length)
-        return data[:length] if len(data) > length else data
+        if uri is None or uri.text()[:5].lower() == "data:":
+            self.budget.grant(length, number)
+        return memoryview(data)[:length]
 
 
 def open_document(source: Path) -> Document:
@@ -247,21 +244,6 @@ def _read_whole(path: Path, where: str) -> bytes:
         return read_bytes(path, _MAX_FILE_BYTES)
     except InputError as error:
         raise InputError(where, error.what) from None
-
-
-def read_uri(uri: Value, document: Path, files: list[Path]) -> bytes:
-    """The bytes behind a URI of the document: base64 data, or a file beside it or in its roots, which joins `files`.
-
-    :raises InputError: other schemes, absolute paths, paths out of the roots (by ``..`` or link), bad base64
-    """
-    text = uri.text()
-    if text[:5].lower() == "data:":
-        return _base64(uri, text)
-    path = _beside(uri, text, document)
-    data = _read_whole(path, f"{uri.trail} -> {quote(text)}")
-    if path not in files:
-        files.append(path)
-    return data
 
 
 def uri_name(uri: str) -> str:

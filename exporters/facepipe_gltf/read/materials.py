@@ -12,7 +12,7 @@ from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, read_uri, uri_name
+from facepipe_gltf.read.document import Document, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.names import Names, file_name, given_name
 from facepipe_gltf.read.values import Value
@@ -64,6 +64,7 @@ class _Textures:
     def __init__(self, document: Document) -> None:
         self._document = document
         self._images: dict[int, Texture] = {}
+        self._read: dict[bytes, Texture] = {}  # an image that others repeat is one
         self._names = Names()
 
     def input(
@@ -106,21 +107,24 @@ class _Textures:
             kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
             if kind is None:
                 raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")
-            uri = value.get("uri")
-            named = uri_name(uri.text()) if uri is not None else ""
-            stem = PurePosixPath(named).stem or given_name(value) or ""
-            self._images[index] = Texture(name=f"{self._names.new(file_name(stem, 'texture'))}.{kind}", data=data)
+            if data not in self._read:
+                uri = value.get("uri")
+                named = uri_name(uri.text()) if uri is not None else ""
+                stem = PurePosixPath(named).stem or given_name(value) or ""
+                name = f"{self._names.new(file_name(stem, 'texture'))}.{kind}"
+                self._read[data] = Texture(name=name, data=data)
+            self._images[index] = self._read[data]
         return self._images[index]
 
     def _bytes(self, value: Value) -> bytes:
         uri, view = value.get("uri"), value.get("bufferView")
         if uri is not None:
-            return read_uri(uri, self._document.path, self._document.files)
+            return self._document.content(uri)
         if view is None:
             raise value.error("neither uri nor bufferView, expected one")
         data, start, length = self._document.view(view)
-        self._document.budget.spend(length, value)
-        return data[start : start + length]
+        self._document.budget.spend(length, value.error)
+        return bytes(data[start : start + length])
 
 
 def _material(document: Document, textures: _Textures, value: Value, name: str) -> Material:

@@ -258,7 +258,7 @@ def _material(document: Document, primitive: Value) -> int:
 def _triangles(document: Document, primitive: Value, mode: int, count: int) -> IntArray:
     reference = primitive.get("indices")
     if reference is None:
-        document.budget.spend(8 * count, primitive)
+        document.budget.spend(8 * count, primitive.error)
         corners = np.arange(count)
     else:
         corners = accessors.integers(document, reference, "SCALAR")[:, 0].astype(np.int64)

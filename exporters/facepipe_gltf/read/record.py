@@ -44,8 +44,8 @@ def read_record(document: Document) -> Record | None:
             raise ours.error("another program has changed the file since facepipe wrote it")
         data, start, length = document.view(ours.require("bufferView"))
         size = ours.require("inflated").integer(4)
-        document.budget.spend(4 * size, ours)
-        return unpacked(data[start : start + length], size, ours.trail)
+        document.budget.spend(4 * size, ours.error)
+        return unpacked(bytes(data[start : start + length]), size, ours.trail)
     except InputError as error:
         document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
         return None

@@ -123,7 +123,7 @@ def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int
     for node, parent in zip(order, parents, strict=True):
         name = siblings.setdefault(parent, Names()).new(joint_identifier(given_name(nodes.values[node]) or ""))
         path = name if parent < 0 else f"{paths[parent]}/{name}"
-        document.budget.spend(len(path), nodes.values[node])  # a chain's paths grow with the square of its length
+        document.budget.spend(len(path), nodes.values[node].error)  # a chain's paths grow with the square of its length
         paths.append(path)
     return tuple(paths)
 

@@ -13,8 +13,17 @@ import numpy as np
 from facepipe.core.reports import Finding
 from facepipe.records import Json
 from facepipe_gltf import validation as gltf
-from facepipe_gltf.mesh_validation import primitives, targets
-from facepipe_gltf.raw import RawDocument, as_list, as_object, is_index, local_matrix, parents, path_above, world_matrix
+from facepipe_gltf.mesh_validation import primitives_of, targets
+from facepipe_gltf.raw import (
+    RawDocument,
+    as_list,
+    as_object,
+    is_index,
+    local_matrix,
+    parents,
+    path_above,
+    world_matrices,
+)
 from facepipe_gltf.skin_validation import Problem
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
@@ -88,10 +97,10 @@ def _scales(document: RawDocument, vrm: Json) -> Iterator[Problem]:
 
 def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """The model stands upright, looks along +Z and holds its arms out (tpose.md)."""
-    above = parents(document)
     count = len(document.items("nodes"))
     known = {bone: node for bone, node in _human_bones(vrm).items() if is_index(node) and node < count}
-    place = {bone: world_matrix(document, node, above)[:3, 3] for bone, node in known.items()}
+    worlds = world_matrices(document, list(known.values()))
+    place = {bone: world[:3, 3] for bone, world in zip(known, worlds, strict=True)}
     where = f"/extensions/{EXTENSION}/humanoid/humanBones"
     if {"hips", "head"} <= place.keys() and place["head"][1] <= place["hips"][1]:
         yield f"{where}/head", "not above the hips, expected a standing model"
@@ -114,24 +123,27 @@ def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """Binds name morph targets that are there, presets are VRM's and other names are not."""
     expressions = as_object(vrm.get("expressions"))
     presets = table()["preset"]
+    counts = [
+        min((len(targets(one)) for _, one in primitives_of(mesh)), default=None) for mesh in document.items("meshes")
+    ]
     for group in ("preset", "custom"):
         for name, expression in as_object(expressions.get(group)).items():
             where = f"/extensions/{EXTENSION}/expressions/{group}/{name}"
             if (name in presets) != (group == "preset"):
                 yield where, "is no preset of VRM 1.0" if group == "preset" else "has the name of a preset"
             for i, bind in enumerate(as_list(as_object(expression).get("morphTargetBinds"))):
-                yield from _bind(document, f"{where}/morphTargetBinds/{i}", as_object(bind))
+                yield from _bind(document, f"{where}/morphTargetBinds/{i}", as_object(bind), counts)
 
 
-def _bind(document: RawDocument, where: str, bind: Json) -> Iterator[Problem]:
-    node = document.item("nodes", bind.get("node"))
-    mesh = node.get("mesh") if node is not None else None
-    counts = [len(targets(one)) for at, one in primitives(document) if at.startswith(f"/meshes/{mesh}/")]
+def _bind(document: RawDocument, where: str, bind: Json, target_counts: list[int | None]) -> Iterator[Problem]:
+    node = document.item("nodes", bind.get("node")) or {}
+    mesh = node.get("mesh")
+    count = target_counts[mesh] if is_index(mesh) and mesh < len(target_counts) else None
     index, weight = bind.get("index"), bind.get("weight")
-    if not counts:
+    if count is None:
         yield f"{where}/node", f"{str(bind.get('node'))[:40]}, expected a node with a mesh"
-    elif not is_index(index) or index >= min(counts):
-        yield f"{where}/index", f"{str(index)[:40]}, expected a target below {min(counts)}"
+    elif not is_index(index) or index >= count:
+        yield f"{where}/index", f"{str(index)[:40]}, expected a target below {count}"
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 <= weight <= 1:
         yield f"{where}/weight", f"{str(weight)[:40]}, expected 0 to 1"
 

@@ -13,7 +13,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import Material
 from facepipe.stage.foreign.scene import Scene
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.materials import read_material
+from facepipe.stage.materials import Images, read_material
 from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
@@ -195,7 +195,8 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
     names = dict(
         zip(bound, distinct_names([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True)
     )
-    read = {path: _read(scene, prim, names[path]) for path, prim in bound.items()}
+    images: Images = {}
+    read = {path: _read(scene, prim, names[path], images) for path, prim in bound.items()}
     materials = tuple(material for material in read.values() if material is not None)
     return {path: names[path] for path, material in read.items() if material is not None}, materials
 
@@ -206,11 +207,11 @@ def _refusal(material: Material | None) -> InputError | None:
     return next((used.texture.refusal for used in inputs if used.texture.refusal), None)
 
 
-def _read(scene: Scene, prim: Usd.Prim, name: str) -> Material | None:
+def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """One material; a texture that can't be had is left out of it."""
     while True:
         try:
-            material = read_material(prim, name)
+            material = read_material(prim, name, images)
             if refusal := _refusal(material):
                 raise refusal
             break

@@ -9,6 +9,7 @@ from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
+from facepipe.stage.array_counts import check_arrays
 from facepipe.stage.bindings import authored_skel_properties
 from facepipe.stage.files import open_stage
 from facepipe.stage.prims import check_kinds, prims_below
@@ -30,6 +31,7 @@ class Scene:
         self._open_instances()
         self.prims = list(self._below())
         check_kinds(self.prims, self.path)
+        check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
         self._default_values()
