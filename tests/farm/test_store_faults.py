@@ -1,4 +1,4 @@
-"""Plans whose cluster, store or neighbours fail on the way: nothing is lost, and the bytes are the same."""
+"""A store whose connections are cut, stall, or answer wrongly: files are whole there and here, or the task fails."""
 
 from __future__ import annotations
 
