@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import os
+import re
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
+from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import trust, trusting
 from facepipe.farm import remote
 from facepipe.farm.mirror import mirror
 from facepipe.farm.remote import Store, StoreError
@@ -165,3 +170,34 @@ def test_a_listing_that_is_disturbed_is_whole_or_fails(files: Any, proxy: Faulty
         assert tried(ask) in (None, count)
         proxy.faults.clear()
         assert ask() == count
+
+
+@pytest.mark.slow
+def test_a_batch_over_a_disturbed_store_loses_nothing(
+    files: Any, proxy: FaultyProxy, show: Path, run_plan: Runner
+) -> None:
+    run_plan(PLAN)
+    expected = {one.relative_to(show).as_posix(): one.read_bytes() for one in (show / "built").rglob("*.bin")}
+    for path in (*show.glob("*.bin"), *show.glob("heads/*.bin")):
+        files.put_file(str(path), f"show/{path.relative_to(show).as_posix()}")
+    text = re.sub(r"(?<=[\" ])(built|heads|base)", r"s3://show/\1", PLAN)
+    proxy.faults = {
+        "PUT /show/built/mixed/ada.bin": [body_cut] * 10,  # more than its library tries, and less than that twice
+        "PUT /show/built/mixed/bea.bin": [refused(500, "InternalError")],
+        "GET /show/heads/cyd.bin": [answer_cut_unseen],
+        "PUT /show/built/game/cyd.bin": [refused(503, "ServiceUnavailable")] * 2,
+    }
+    with trusting(replace(trust(), urls=("s3://show",))):
+        report = run_plan(text, failures=1)
+        assert dict(report.counts) == {"made": 5, "failed": 1}, report.failures
+        assert report.failures[0].startswith("s3://show/built/game/cyd.bin: OSError")
+        lines = map(json.loads, (show / "state/tasks.jsonl").read_text().splitlines())
+        records = {one["task"]: one for one in lines}
+        done = {name: state for one in records.values() for name, (state, _) in one.get("writes", {}).items()}
+        assert {f"s3://{name}": files.info(name)["size"] for name in files.find("show/built")} == {
+            name: size for name, (size, _) in done.items()
+        }
+        lost = {"mixed/bea": 1, "mixed/cyd": 1, "game/bea": 0, "game/cyd": 2}
+        assert {name: records[name]["lost"] for name in lost} == lost
+        assert dict(run_plan().counts) == {"kept": 5, "made": 1}
+    assert {name.removeprefix("show/"): files.cat_file(name) for name in files.find("show/built")} == expected
