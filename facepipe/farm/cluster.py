@@ -11,6 +11,7 @@ import hashlib
 import json
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from typing import Any
@@ -24,6 +25,7 @@ from facepipe.farm.ledger import Record
 _CONNECT = 10.0  # seconds for a scheduler to answer
 _PATIENCE = 30.0  # seconds for all workers
 _WORKERS = 120.0  # seconds for a first worker
+_LOOK, _ABSENT = 10.0, 600.0  # seconds between two looks for workers, and without any, after which it is over
 _IDLE = "10 minutes"  # after these a scheduler that was started by ssh ends, and its workers: who started it was killed
 _children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and its setting
 
@@ -45,6 +47,8 @@ class Cluster:
         _quieten()
         self._setting = dict(setting)
         self._refused: dict[str, str] = {}  # worker -> why
+        self._last: tuple[str, Done] | None = None  # a task, and whom to call
+        self._over = threading.Event()
         with contextlib.ExitStack() as ends:
             try:
                 over_ssh = address.startswith("ssh://")
@@ -57,17 +61,34 @@ class Cluster:
             except Exception as error:
                 raise InputError(f"--cluster {address}", f"can't be used: {_brief(error)}") from None
             self._ends = ends.pop_all()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
         """Do a task, before those of a higher order."""
+        self._last = request["task"], done
         self._client.loop.add_callback(self._follow, request, order, done)
 
     def close(self) -> None:
         """End; what is being done is lost."""
-        if self._client.status == "running":  # else it is gone
+        gone = self._over.is_set() or self._client.status != "running"
+        self._over.set()
+        if not gone:
             with contextlib.suppress(Exception):
                 self._on_all(_end_children, self._setting)
-        self._ends.close()
+        with contextlib.suppress(Exception):  # of a scheduler that hangs
+            self._ends.close()
+
+    def _watch(self) -> None:
+        """A scheduler that hangs, or has no workers and gets none, is gone too: Dask waits for it without an end."""
+        seen = time.monotonic()
+        while not self._over.wait(_LOOK):
+            with contextlib.suppress(Exception):  # tasks hear of a scheduler that was lost themselves
+                if self._client.sync(self._client.scheduler.ncores, callback_timeout=_PATIENCE):
+                    seen = time.monotonic()
+            if self._last is not None and time.monotonic() - seen > _ABSENT:
+                self._over.set()
+                task, done = self._last
+                done({"task": task, "gone": f"no scheduler with workers has answered for {_ABSENT:g} seconds"})
 
     def _on_all(self, function: Callable[..., object], *arguments: object) -> dict[str, Any]:
         """What a function gives on each worker, or the error that it raises there."""
@@ -113,6 +134,8 @@ class Cluster:
         except CancelledError:
             return {**record, "gone": "the cluster is gone"}
         except Exception as error:
+            if self._client.status in ("closing", "closed"):
+                return {**record, "gone": "the cluster is gone"}
             return {**record, "error": f"{request['task']}: its workers were lost ({_brief(error)})"}
         return found
 

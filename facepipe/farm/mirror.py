@@ -22,7 +22,7 @@ from facepipe.core.policy.urls import SCHEMES, checked, is_url
 from facepipe.core.reading import digest
 from facepipe.farm import contents
 from facepipe.farm.cache import Cache
-from facepipe.farm.remote import State, Store, state_in
+from facepipe.farm.remote import State, Store, check_size, state_in
 from facepipe.stage.files import SUFFIXES, named_in
 
 T = TypeVar("T")
@@ -127,7 +127,8 @@ class Mirror:
             store, path = self._store(checked(name, self._urls)), self.path(name)
             store.put(path, name)
             info = store.info(name)
-            self._states[name] = None if info is None else state_in(info)
+            self._states[name] = state = (0, "") if info is None else state_in(info)
+            check_size(name, state[0], path.stat().st_size)
             self._keep(name, content)
         return self.state(name)
 
@@ -193,6 +194,7 @@ class Mirror:
             info = store.info(url)
             after = None if info is None else state_in(info)
             if after == state:
+                check_size(url, path.stat().st_size, state[0])
                 self._keep(url, digest([path]))
                 return
             state = after

@@ -14,6 +14,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy.urls import SCHEMES, is_url
 
 State = tuple[int, str]  # bytes, and a mark of the version
+_PATIENCE, _SLOWEST = 60.0, 20e3  # seconds for an upload, and bytes in each of those that it takes longer
 _VERSIONS = ("ETag", "etag", "generation", "created", "LastModified", "mtime")  # as the stores call it
 
 
@@ -31,7 +32,7 @@ class Store:
             import fsspec
 
             with _asked(url):
-                self._files = fsspec.filesystem(self._scheme, use_listings_cache=False)
+                self._files = _strict(fsspec.filesystem(self._scheme, use_listings_cache=False), self._scheme)
         except ImportError:
             raise InputError(url, f"needs {SCHEMES[self._scheme]}: pip install {SCHEMES[self._scheme]}") from None
 
@@ -57,20 +58,42 @@ class Store:
     def read(self, url: str, most: int) -> bytes:
         """:raises InputError: there is no such file, or it is larger than that [bytes]"""
         with _asked(url):
+            size = int(self._files.size(url))
             data = bytes(self._files.cat_file(url, end=most + 1))
         if len(data) > most:
             raise InputError(url, f"larger than {most} bytes")
+        check_size(url, len(data), size)
         return data
 
     def get(self, url: str, path: Path) -> None:
-        """Copy a file to a path."""
+        """Copy a file to a path; where the connection ends early, less of it may come."""
+        # s3fs fetches parts at once into a file that has its full size before: a part cut short would not be seen
+        options = {"max_concurrency": 1} if self._scheme == "s3" else {}
         with _asked(url):
-            self._files.get_file(url, str(path))
+            self._files.get_file(url, str(path), **options)
 
     def put(self, path: Path, url: str) -> None:
-        """Copy a file to a URL, where it is seen whole or not at all."""
+        """Copy a file to a URL, where it is seen whole or not at all.
+
+        :raises FacepipeError: there is no bucket, or it took too long: libraries wait for ever where a server stops
+            reading
+        """
+        size = path.stat().st_size
+        seconds = _PATIENCE + size / _SLOWEST
         with _asked(url):
-            self._files.put_file(str(path), url)
+            try:
+                if self._files.async_impl:
+                    from fsspec.asyn import sync
+
+                    sync(self._files.loop, self._files._put_file, str(path), url, timeout=seconds)
+                else:
+                    self._files.put_file(str(path), url)
+            except FileNotFoundError as error:
+                if "NoSuchUpload" in str(error.__cause__):  # it came to an end that the store could not confirm
+                    raise StoreError(url, f"can't be written: {_line(error)}") from error
+                raise InputError(url, "can't be written: no such bucket") from error
+            except TimeoutError as error:
+                raise StoreError(url, f"was not written in time ({seconds:.0f} seconds at most)") from error
 
     def remove(self, url: str) -> None:
         """Remove a file."""
@@ -79,6 +102,31 @@ class Store:
 
     def _url(self, name: str) -> str:
         return f"{self._scheme}://{str(name).lstrip('/')}"
+
+
+def check_size(url: str, size: int, expected: int) -> None:
+    """:raises StoreError: fewer or more bytes than the store has: a connection that ended early is not always seen"""
+    if size != expected:
+        raise StoreError(url, f"{size} bytes came, expected {expected}")
+
+
+def _strict(files: Any, scheme: str) -> Any:
+    """A file system whose walks fail where a listing does: fsspec takes such a folder for an empty one."""
+    listed = getattr(files, "_ls", None)
+    if listed is None or hasattr(listed, "strict"):
+        return files
+
+    async def strict(path: str, *args: Any, **options: Any) -> Any:
+        try:
+            return await listed(path, *args, **options)
+        except (FileNotFoundError, PermissionError):
+            raise
+        except OSError as error:
+            raise StoreError(f"{scheme}://{path}", f"can't be listed: {_line(error)}") from error
+
+    strict.strict = True  # type: ignore[attr-defined]
+    files._ls = strict
+    return files
 
 
 def state_in(info: Mapping[str, Any]) -> State:

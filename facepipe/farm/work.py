@@ -20,7 +20,7 @@ from facepipe.core.policy.paths import is_writable, trust
 from facepipe.core.policy.urls import is_url
 from facepipe.core.reading import digest
 from facepipe.farm.cache import Cache
-from facepipe.farm.contents import Contents
+from facepipe.farm.contents import Contents, named
 from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Record
 from facepipe.farm.mirror import Mirror
 from facepipe.farm.remote import StoreError
@@ -132,6 +132,7 @@ def _made(line: Line, mirror: Mirror) -> Record:
     """What a line came to; of what it wrote the digests, its result last."""
     outcome = line.run()
     files = {file for path in line.writes for place in _places(path) for file in _files(place)}
+    files |= {beside for path in files for beside in _buffers(path)}
     for path in files:
         mirror.check_named(path)
     ordered = sorted(files, key=lambda path: (path == line.writes[0], path))
@@ -154,6 +155,13 @@ def _brief(value: Any) -> Any:
 def _places(path: Path) -> tuple[Path, ...]:
     """Where a result is written: itself, and the textures beside a stage."""
     return (path, texture_folder(path)) if path.suffix.lower() in SUFFIXES else (path,)
+
+
+def _buffers(path: Path) -> set[Path]:
+    """What a .gltf holds in files beside it, which are called by their content."""
+    if path.suffix.lower() != ".gltf":
+        return set()
+    return {one for one in named(path) if one.is_relative_to(path.parent) and one.is_file()}
 
 
 def _files(path: Path) -> list[Path]:

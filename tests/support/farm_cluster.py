@@ -26,19 +26,28 @@ class Farm:
         self._made_up = made_up
         self._folder = folder
         self.workers: list[subprocess.Popen[bytes]] = []
-        said = folder / "scheduler.json"
-        self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(said)
-        )
-        self.address: str = until(lambda: _address(said))
+        self.scheduler, self.address = self._scheduler("0")
 
-    def worker(self, **environment: str) -> subprocess.Popen[bytes]:
+    def worker(self, *, nanny: bool = False, **environment: str) -> subprocess.Popen[bytes]:
         """One more, of one thread."""
-        words = [self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "10"]
+        words = [self.address, "--nthreads", "1", "--no-dashboard", "--death-timeout", "10"]
+        words += [] if nanny else ["--no-nanny"]
         words += ["--local-directory", str(self._folder), *(["--preload", "farm_worker"] if self._made_up else [])]
         worker = self._start("worker", *words, **environment)
         self.workers.append(worker)
         return worker
+
+    def restart(self) -> None:
+        """Kill the scheduler, and start another at its address."""
+        self.scheduler.kill()
+        self.scheduler.wait()
+        self.scheduler, _ = self._scheduler(self.address.rpartition(":")[2])
+
+    def _scheduler(self, port: str) -> tuple[subprocess.Popen[bytes], str]:
+        said = self._folder / "scheduler.json"
+        said.unlink(missing_ok=True)
+        words = ["--host", "127.0.0.1", "--port", port, "--no-dashboard", "--scheduler-file", str(said)]
+        return self._start("scheduler", *words), until(lambda: _address(said))
 
     def _start(self, what: str, *words: str, **environment: str) -> subprocess.Popen[bytes]:
         with (self._folder / f"{what}.log").open("ab") as log:
