@@ -9,7 +9,7 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -40,10 +40,10 @@ class Cache:
         except OSError as error:
             raise InputError(folder, f"can't be made: {error.strerror or error}") from error
 
-    def fetch(self, key: str, places: Collection[Path]) -> dict[str, Any] | None:
+    def fetch(self, key: str, is_own: Callable[[Path], bool]) -> dict[str, Any] | None:
         """Put the files of a key in their places: the record that was kept; None where it isn't here, or is damaged.
 
-        :param places: files and folders, which the files must be or lie below: the folder may be of others
+        :param is_own: whether a path is of the results that are asked for: the folder may be of others
         """
         entry = self._folder / key
         try:
@@ -54,7 +54,7 @@ class Cache:
                 raise InputError(entry / _RECORD, "is damaged")
             writes = [(self._place(name), own) for name, (_, own) in record["writes"].items()]
             for path, _ in writes:
-                if not any(path.is_relative_to(place) for place in places) or ".." in path.parts:
+                if ".." in path.parts or not is_own(path):
                     raise InputError(entry, f"is of {path}, expected the results of the task")
                 if not is_writable(path, trust().roots):
                     raise InputError(entry, "is of files outside the roots")

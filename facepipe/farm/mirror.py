@@ -188,7 +188,7 @@ class Mirror:
         path.parent.mkdir(parents=True, exist_ok=True)
         for _ in range(_TRIES):
             self._states[url] = state
-            if state is None or self._cache().fetch(self._key(url), [path]):
+            if state is None or self._cache().fetch(self._key(url), path.__eq__):
                 return
             store.get(url, path)
             info = store.info(url)

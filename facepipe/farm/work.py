@@ -117,7 +117,7 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    known = None if cache is None else cache.fetch(key, [place for path in line.writes for place in _places(path)])
+    known = None if cache is None else cache.fetch(key, lambda path: _is_own(path, line))
     record = known or _made(line, mirror)
     if cache is not None and known is None:
         cache.keep(key, record)
@@ -155,6 +155,14 @@ def _brief(value: Any) -> Any:
 def _places(path: Path) -> tuple[Path, ...]:
     """Where a result is written: itself, and the textures beside a stage."""
     return (path, texture_folder(path)) if path.suffix.lower() in SUFFIXES else (path,)
+
+
+def _is_own(path: Path, line: Line) -> bool:
+    """Whether a line could have written a file: a result, what lies in one, or what a .gltf has beside it."""
+    if any(path.is_relative_to(place) for one in line.writes for place in _places(one)):
+        return True
+    beside = {(one.parent, one.stem) for one in line.writes if one.suffix.lower() == ".gltf"}
+    return path not in line.reads and (path.parent, path.name.partition(".")[0]) in beside
 
 
 def _buffers(path: Path) -> set[Path]:

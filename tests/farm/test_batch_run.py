@@ -210,7 +210,10 @@ def test_reads_and_writes_stay_below_the_roots(show: Path, run_plan: Runner, tmp
     rows = 'rows = [{ name = "x", face = "../secret.usda" }]'
     text = PLAN.replace('glob = "heads/*.bin"', rows).replace("copy {face} base.bin", "export {face}")
     assert "is outside the roots" in run_plan(text.replace("mixed/{name}.bin", "mixed/{name}.glb")).failures[0]
-    assert "is outside the roots" in run_plan(PLAN.replace('"built"', '"../elsewhere"')).failures[0]
+    with pytest.raises(InputError, match=r"out: .*elsewhere/face is outside the roots"):
+        run_plan(PLAN.replace('"built"', '"../elsewhere"'))
+    outward = PLAN.replace('out = "mixed/{name}.bin"', 'out = "../../elsewhere/{name}.bin"')
+    assert "is outside the roots" in run_plan(outward).failures[0]
     assert not (tmp_path / "elsewhere").exists()
 
 
