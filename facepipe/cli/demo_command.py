@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_links
 from facepipe.processors.inspect_action import report_of
 
 if TYPE_CHECKING:
@@ -94,6 +95,7 @@ def _folder(arguments: argparse.Namespace) -> Path:
     there = [name for name in (*FILES, TEXTURES) if (folder / name).exists()]
     if there and not arguments.force:
         raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
+    check_links(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -29,7 +29,7 @@ from facepipe.core.placing import (
     undo,
     write_journal,
 )
-from facepipe.core.policy.paths import PREFIX, check_beside
+from facepipe.core.policy.paths import PREFIX, check_beside, check_links
 
 AnyPath = str | os.PathLike[str]
 _log = logging.getLogger(__name__)
@@ -272,11 +272,12 @@ def _refused(path: AnyPath) -> Iterator[None]:
 def _real(path: AnyPath) -> Path:
     """`path` in a folder without links; where it is one itself, what it points at.
 
-    :raises InputError: it points at nothing, or out of the roots
+    :raises InputError: it points at nothing, or it or a folder around it leads out of the roots
     """
     target = Path(path)
     if target.name.casefold().startswith(PREFIX):  # systems may not distinguish case
         raise InputError(path, f"names of '{PREFIX}...' are for facepipe's temporary files, expected another")
+    check_links(target)
     if target.is_symlink():
         if not target.exists():
             raise InputError(path, "is a link to nothing, expected a file or a link to one")

@@ -11,7 +11,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import check_beside, check_output, roots_of, trust
+from facepipe.core.policy.paths import check_beside, check_links, roots_of, trust
 from facepipe.core.policy.urls import checked, is_url
 from facepipe.declare import check_ranges
 from facepipe.farm.child import Engine, Processes
@@ -58,8 +58,8 @@ def batch(
     most = _MOST_ON_HOSTS if cluster else _MOST_A_CORE * (os.cpu_count() or 1)
     if processes is not None and processes > most:
         raise InputError("--processes", f"is {processes}, expected at most {most}")
-    if state is not None:
-        check_output(Path(state))
+    for named in (one for one in (state, options.cache, options.local) if one is not None):
+        check_links(Path(named))
     if not isinstance(plan, Plan):
         state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
         plan = read_plan(Path(plan))

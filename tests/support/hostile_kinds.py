@@ -364,4 +364,25 @@ _PLANS = (
         for escape, name in (("http URL", _HTTP), ("S3 URL", "s3://bucket/x.glb"))
     ),
 )
-HOSTILE = (*_SINGLE, *_PLANS)
+_FLATTEN = ("regions", "face.usda", "--map", "map.png", "--legend", "legend.json", "--flatten", "--force", "-o")
+_OUTPUTS = tuple(
+    Hostile(f"{what}, {field}: linked folder", linked("lib", "../private"), (line,))
+    for what, field, line in (
+        ("export", "glb", ("export", "face.usda", "-o", "lib/out.glb")),
+        ("export", "gltf", ("export", "face.usda", "-o", "lib/out.gltf")),
+        ("export", "onnx", ("export", "face.usda", "-o", "lib/out.onnx")),
+        ("export", "vrm", ("export", "face.usda", "-o", "lib/out.vrm", "--stub-body", "--authors", "me")),
+        ("regions", "stage", (*_FLATTEN, "lib/out.usda")),
+        ("regions", "package", (*_FLATTEN, "lib/out.usdz")),
+        ("regions", "picture", (*_FLATTEN, "out.usda", "--picture", "lib/out.png")),
+        ("render", "picture", ("render", "face.usda", "-o", "lib/out.png", "--size", "64")),
+        ("import", "stage", ("import", "usd", "face.usda", "lib/out.usda")),
+        ("blend", "heatmap", ("blend", "a.usda", "b.usda", "-o", "out.usda", "--heatmap", "lib/out.png")),
+        ("sliders", "stage", ("sliders", "face.usda", "--set", "open=0.5", "-o", "lib/out.usda")),
+        ("apply-bones", "points", ("apply-bones", "face.usda", "pose.fpb", "-o", "lib/out.npz")),
+        ("database", "file", ("database", "create", "a.usda", "b.usda", "-o", "lib/out.fpdb")),
+        ("demo", "folder", ("demo", "lib/demo")),
+        ("batch", "state", ("batch", "show.toml", "--state", "lib/state", "--thumbnails", "0", "-q")),
+    )
+)
+HOSTILE = (*_SINGLE, *_PLANS, *_OUTPUTS)

@@ -136,21 +136,23 @@ def check_copied(where: object, path: Path, file: Path) -> None:
         raise InputError(where, f"{path} is outside the roots ({_shown(folders)}), expected --root")
 
 
-def check_output(path: Path) -> None:
-    """Check a file or folder that the caller names to be written, as it is typed.
+def check_links(path: Path) -> None:
+    """Check a file or folder that is written: links of somebody else's folder don't lead it elsewhere.
 
-    It is written where it says; but links of somebody else's folder don't lead it elsewhere: one that lies below the
-    roots (given ones, else those of the project, else of the working folder) must not lead out of them.
+    What the caller names is written where it says. But a link on the way that lies below the roots (given ones, else
+    those of the project, else of the working folder) must not lead out of them; other links are the caller's own.
 
     :raises InputError: one does
     """
     place = Path(os.path.abspath(path))  # noqa: PTH100  (links stay)
+    links = [one for one in (place, *place.parents) if os.path.islink(one)]  # noqa: PTH114  (never raises)
+    if not links:
+        return
     folders = trust().roots or trust().project or roots_of(Path.cwd() / "any")
-    for one in (place, *place.parents):
-        if os.path.islink(one) and is_below(one.parent, folders) and not is_below(one, folders):  # noqa: PTH114
-            raise InputError(
-                path, f"{one} leads outside the roots ({_shown(folders)}), expected --root {one.resolve()}"
-            )
+    for one in links:
+        if is_below(one.parent, folders) and not is_below(one, folders):
+            meant = _meant(one) or one
+            raise InputError(path, f"{one} leads outside the roots ({_shown(folders)}), expected --root {meant}")
 
 
 def private_folder(path: Path) -> Path:
