@@ -15,6 +15,7 @@ from typing import Any
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
+from facepipe.core.locks import discard_lock
 from facepipe.core.policy.urls import is_url
 from facepipe.farm.child import LOST, Engine
 from facepipe.farm.contents import unchanged
@@ -182,7 +183,9 @@ class Run:
     def _tidy(self, task: Task) -> None:
         """Remove what a process that was lost left beside its result."""
         with contextlib.suppress(FacepipeError, OSError):
-            collect((self.plan.folder / result_of(self.plan, task)).parent)
+            if result := result_of(self.plan, task):
+                collect((self.plan.folder / result).parent)
+                discard_lock(self.plan.folder / result)
 
     def _tidy_made(self) -> None:
         """Remove what processes of workers left that a cluster lost and replaced by itself."""
