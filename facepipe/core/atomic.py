@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from facepipe.core import hidden_folders
-from facepipe.core.errors import InputError
+from facepipe.core.errors import ChangedError, InputError
 from facepipe.core.hidden_folders import HiddenFolder
 from facepipe.core.placing import (
     Move,
@@ -86,7 +86,7 @@ def replacing_folder(path: AnyPath) -> Iterator[Path]:
             if group is not None:
                 _finish_folder(temporary, target)
                 if identity(target) != former:
-                    raise InputError(path, "was changed meanwhile, expected no other process to write there")
+                    raise ChangedError(path, "was changed meanwhile, expected no other process to write there")
                 group.add(target)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)

@@ -31,6 +31,10 @@ class InputError(FacepipeError):
     """A file or value given by the user can't be used."""
 
 
+class ChangedError(InputError):
+    """A file that another process changes at this moment; later it may be whole."""
+
+
 class TopologyError(FacepipeError):
     """Meshes, shapes or weights whose counts don't fit each other."""
 

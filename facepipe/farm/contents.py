@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import ChangedError, InputError
 from facepipe.core.reading import digest, read_bytes, read_json_object
 from facepipe.importers.materials_mtl import texture_name
 from facepipe.stage.files import SUFFIXES, dependencies, named_in
@@ -61,7 +61,7 @@ def _read(path: Path) -> Content:
     content = digest(files)
     states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
     if len(states) != len(files):
-        raise InputError(path, "changes while it is read, expected a file that nobody writes")
+        raise ChangedError(path, "changes while it is read, expected a file that nobody writes")
     return Content(content, states)
 
 

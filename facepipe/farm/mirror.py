@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
-from facepipe.core.errors import InputError
+from facepipe.core.errors import ChangedError, InputError
 from facepipe.core.policy.paths import private_folder
 from facepipe.core.policy.urls import SCHEMES, checked, is_url
 from facepipe.core.reading import digest
@@ -198,7 +198,7 @@ class Mirror:
                 self._keep(url, digest([path]))
                 return
             state = after
-        raise InputError(url, "changes while it is read, expected a file that nobody writes")
+        raise ChangedError(url, "changes while it is read, expected a file that nobody writes")
 
     def _key(self, url: str) -> str:
         return hashlib.sha256(json.dumps([url, self._states[url]]).encode()).hexdigest()

@@ -16,6 +16,7 @@ from typing import Any
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError
+from facepipe.core.locks import discard_lock
 from facepipe.core.policy.paths import trust
 from facepipe.core.policy.urls import Reach, is_url
 from facepipe.farm.child import LOST, Engine
@@ -202,8 +203,9 @@ class Run:
         """Remove what a process that was lost left beside its result."""
         with contextlib.suppress(FacepipeError, OSError):
             result = result_of(self.plan, task)
-            if not is_url(result) and self._reach(result):
+            if result and not is_url(result) and self._reach(result):
                 collect((self.plan.folder / result).parent)
+                discard_lock(self.plan.folder / result)
 
     def _tidy_made(self) -> None:
         """Remove what processes of workers left that a cluster lost and replaced by itself."""

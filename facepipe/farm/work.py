@@ -5,17 +5,19 @@ The key is a digest of the line, of all that it reads, and of the version: tasks
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from facepipe.core import __version__
-from facepipe.core.errors import FacepipeError, InputError, printable
+from facepipe.core.errors import ChangedError, FacepipeError, InputError, printable
+from facepipe.core.locks import locked
 from facepipe.core.policy.paths import is_writable, trust
 from facepipe.core.policy.urls import is_url
 from facepipe.core.reading import digest
@@ -117,15 +119,32 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    known = None if cache is None else cache.fetch(key, lambda path: _is_own(path, line))
-    record = known or _made(line, mirror)
-    if cache is not None and known is None:
-        cache.keep(key, record)
+    with _one_at_a_time(line.writes):
+        known = None if cache is None else cache.fetch(key, lambda path: _is_own(path, line))
+        record = known or _made(line, mirror)
+        if cache is not None and known is None:
+            cache.keep(key, record)
     writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
     folders = tuple(f"{mirror.name(place)}/" for path in line.writes for place in _places(path))
     before = (request.get("last") or {}).get("writes", {})
     mirror.remove(name for name in before if name not in writes and name.startswith(folders))
     return {**record, "status": CACHED if known else MADE, "writes": writes}
+
+
+@contextlib.contextmanager
+def _one_at_a_time(writes: Sequence[Path]) -> Iterator[None]:
+    """Batches with other states may make the same result, of which several files have to belong together.
+
+    :raises ChangedError: another makes it for long
+    """
+    with contextlib.ExitStack() as ends:
+        for path in writes[:1]:
+            try:
+                ends.enter_context(locked(path))
+            except InputError as error:
+                if not isinstance(error.__cause__, OSError):  # else its storage has no locks
+                    raise ChangedError(path, "is made by another batch, expected one at a time") from error
+        yield
 
 
 def _made(line: Line, mirror: Mirror) -> Record:
@@ -179,10 +198,8 @@ def _files(path: Path) -> list[Path]:
 def _is_passing(error: FacepipeError) -> bool:
     """Whether it may succeed later or elsewhere, as after a full disk, but not after a bad file."""
     cause: BaseException | None = error
-    if isinstance(error, StoreError):
-        return True
     while cause is not None:
-        if isinstance(cause, OSError) and cause.errno in _PASSING:
+        if isinstance(cause, StoreError | ChangedError) or (isinstance(cause, OSError) and cause.errno in _PASSING):
             return True
         cause = cause.__cause__ or cause.__context__
     return False

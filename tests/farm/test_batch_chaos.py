@@ -11,19 +11,23 @@ import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from conftest import PLAN, Runner
-from faces import tiny_face
+from faces import tiny_face, with_meshes
 from farm_cluster import Farm, children, farm_in, until
 from places import SUPPORT
+from textures import COLORS, picture, textured
 
+from facepipe.core.locks import try_lock
 from facepipe.farm import cluster
 from facepipe.farm.batch import batch
 from facepipe.farm.plan import read_plan
+from facepipe.parts import Material
 from facepipe.stage import save_parts
 
 FACES = 12
@@ -33,8 +37,11 @@ REAL = """
 out = "built"
 [faces]
 glob = "heads/*.usda"
+[steps.mixed]
+run = "blend --flatten {face} base.usda"
+out = "mixed/{name}.usda"
 [steps.game]
-run = "export {face}"
+run = "export {mixed}"
 out = "game/{name}.gltf"
 [steps.rig]
 run = "export {face}"
@@ -186,8 +193,11 @@ def test_a_second_batch_of_one_state_is_refused_at_once(show: Path, expected: di
 def test_batches_of_other_states_may_make_the_same_files_at_once(tmp_path: Path) -> None:
     """With one cache of results; another plan has the same folders. Several files of a result come from the cache."""
     (tmp_path / "heads").mkdir()
+    skin = Material(name="Skin", diffuse_color=textured(picture("skin.png", COLORS)))
     for seed in range(2):
-        save_parts(tiny_face(seed), tmp_path / f"heads/{seed}.usda")
+        face = replace(with_meshes(tiny_face(seed), material="Skin"), materials=(skin,))
+        save_parts(face, tmp_path / f"heads/{seed}.usda")
+    save_parts(tiny_face(2), tmp_path / "base.usda")
     (tmp_path / "plan.toml").write_text(REAL)
     (tmp_path / "other.toml").write_text(REAL.replace("{name}", "{name}_other"))
     words = "--cache", str(tmp_path / "cache"), "--processes", "1"
@@ -201,7 +211,7 @@ def test_batches_of_other_states_may_make_the_same_files_at_once(tmp_path: Path)
         assert [process.returncode for process in started] == [0] * len(plans), said
         return [out.splitlines()[0].partition(": ")[2] for out, _ in said]
 
-    assert run("plan.toml") == ["4 made"]
+    assert run("plan.toml") == ["6 made"]
     expected = results(tmp_path)
     assert {name for record in recorded(tmp_path, "0").values() for name in record["writes"]} == set(expected)
     for folder in ("built", "0", "cache"):
@@ -211,4 +221,21 @@ def test_batches_of_other_states_may_make_the_same_files_at_once(tmp_path: Path)
     shutil.rmtree(tmp_path / "built")
     assert "made" not in "".join(run("plan.toml", "plan.toml"))
     assert results(tmp_path) == expected
-    assert run("plan.toml", "plan.toml") == ["4 kept"] * 2
+    assert run("plan.toml", "plan.toml") == ["6 kept"] * 2
+
+
+def test_a_result_is_made_by_one_batch_at_a_time(show: Path, run_plan: Runner, expected: dict[str, bytes]) -> None:
+    """Its place is locked while it is made, and a batch that was killed meanwhile leaves no lock behind in the end."""
+    mark = show / "mark"
+    text = PLAN.replace("copy {face}", f"wait {mark} {{face}}")
+    (show / "plan.toml").write_text(text)
+    first = start(show, "--processes", "1")
+    until((show / "waits").exists)
+    (lock,) = (show / "built/mixed").glob(".*.lock")
+    with pytest.raises(BlockingIOError):
+        try_lock(lock)
+    first.kill()
+    first.wait()
+    mark.touch()
+    assert dict(run_plan().counts) == {"made": 2 * FACES}
+    assert results(show) == expected
