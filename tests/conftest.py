@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import needs
 import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
@@ -46,9 +47,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--minutes", type=float, default=np.inf, help="after so many, skip what has not begun")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
+    """Files that can't be imported without an extra that is missing are read, not imported."""
+    return needs.left_out(module_path, parent)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """How many tests were left out, and what runs them too."""
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = [one.longrepr[2].removeprefix("Skipped: ") for one in reports if isinstance(one.longrepr, tuple)]
+    for line in needs.summary(reasons):
+        terminalreporter.write_line(line)
+
+
 @pytest.hookimpl(trylast=True)  # of what markers left
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave the other cases out."""
+    """Leave out what needs what is missing, and other cases where the first is enough."""
+    needs.skip(items)
     if config.getoption("first_cases"):
         first: dict[str, pytest.Item] = {}
         others = [item for item in items if first.setdefault(item.nodeid.partition("[")[0], item) is not item]

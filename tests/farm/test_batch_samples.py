@@ -21,6 +21,8 @@ import facepipe
 from facepipe.processors.database import save_database
 from facepipe.stage import save_parts
 
+pytestmark = pytest.mark.needs_torch
+
 WATCHED = """
 out = "game"
 [faces]
@@ -92,7 +94,6 @@ run = "validate {lods}"
 
 @pytest.mark.slow
 def test_rebuilds_photo_fits_levels_and_training_are_steps(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     put_scans(tmp_path)
     save_database(scan_domes.database(), tmp_path / "faces.fpdb")
     (tmp_path / "anna.toml").write_text(PROJECT)

@@ -123,9 +123,9 @@ def test_bone_fit_benchmark_measures_a_sample_where_ict_is_not_there(tmp_path: P
         assert rigid["plain"]["rms_mm"] <= (1 + 1e-4) * rigid["dem-bones"]["rms_mm"], "the same least squares"
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_photo_fit_benchmark_measures_the_sample(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     out = tmp_path / "out.json"
     words = ("--runs", "1", "--size", "64", "--threads", "1", "--fits", "0", "--json", out)
     printed = run(*words, benchmark="photo_fit.py")
@@ -153,10 +153,10 @@ def test_photo_texture_benchmark_finds_known_skin(tmp_path: Path) -> None:
     assert mean["error"] < mean["template"] / 2
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
     """By landmarks alone, which is quick; two people."""
-    pytest.importorskip("torch")
     out = tmp_path / "out.json"
     words = ("--faces", "2", "--iterations", "0", "--modes", "neutral", "expression", "--processes", "1", "--json", out)
     printed = run(*words, benchmark="photo_recovery.py")
@@ -170,10 +170,10 @@ def test_photo_recovery_benchmark_finds_known_people(tmp_path: Path) -> None:
         assert means["slider"] < means["nothing_slider"]
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_photo_geometry_benchmark_fits_nearer_than_the_mean_head(tmp_path: Path) -> None:
     """One person, one photo."""
-    pytest.importorskip("torch")
     out = tmp_path / "out.json"
     run("--people", "1", "--three", "0", "--processes", "1", "--json", out, benchmark="photo_geometry.py")
     rows = json.loads(out.read_text(encoding="utf-8"))["rows"]

@@ -25,8 +25,8 @@ def test_people_are_off_the_nearest_of_the_modes_by_what_no_modes_hold() -> None
     assert apart(who.nearest, who.narrow, narrow_triangles()).points < RESIDUAL_MM
 
 
+@pytest.mark.needs_torch
 def test_people_who_are_not_fitted_are_counted() -> None:
-    pytest.importorskip("torch")
     from photo_geometry import MEAN, ONE, THREE, Measured, report, summarised
 
     far = {ONE: Apart(0.5, 1.0), THREE: Apart(0.75, 1.0), MEAN: Apart(1.0, 2.0)}

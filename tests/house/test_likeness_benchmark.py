@@ -13,6 +13,8 @@ from likeness_bound import distances
 from likeness_pictures import CAMERA, LOOKS, MASKED, MEAN, PHOTO, TEXTURED, UNTEXTURED, YAWS, Made
 from likeness_portraits import Portrait
 
+pytestmark = pytest.mark.needs_torch
+
 GRID = np.stack(np.meshgrid(np.arange(4.0), np.arange(4.0), [0.0]), axis=-1).reshape(-1, 3)
 TRIANGLES = np.array([(i, j, i + 5) for i in (0, 1, 2, 4, 5, 6, 8, 9, 10) for j in (i + 1, i + 4)])
 

@@ -77,10 +77,10 @@ def test_the_tutorials_run(tmp_path: Path, name: str, result: str) -> None:
     assert result in run_lines(tmp_path / "project", (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8"))
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     """Its lines as they stand, on a real photo, with landmarks by the project's own network."""
-    pytest.importorskip("torch")
     photo = SHARED / "data" / "photos" / "astronaut.png"
     if not photo.exists():
         pytest.skip("the shared data is not beside the project")

@@ -9,9 +9,6 @@ from functools import cache
 import numpy as np
 import pytest
 from places import REPOSITORY
-
-pytest.importorskip("torch", reason="landmarks are cropped with torch")
-
 from small_head import make
 from with_torch import torch
 
@@ -20,6 +17,8 @@ from facepipe.learn.networks import FoundFace, find_landmarks
 from facepipe.learn.networks.files import DenseLandmarkSession, dense_landmark_model, landmark_model
 from facepipe.learn.photo.landmark_rig import dense_points
 from facepipe.processors.photo_fit.gaze import pupil_points
+
+pytestmark = pytest.mark.needs_torch
 
 SIZE, YAW = 320, 0.25
 

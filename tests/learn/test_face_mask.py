@@ -6,9 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="landmarks of renders are found with torch")
-
 from baked_face import camera_at
 from with_torch import torch
 
@@ -19,6 +16,8 @@ from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Light, Studio
 from facepipe.processors.photo_fit import FaceMask, face_mask
 from facepipe.rig import build
+
+pytestmark = pytest.mark.needs_torch
 
 SIZE, LONG_HAIR = 320, 4  # pixels, and a seed
 LAMP = Light(direction=(0.5, 0.4, 0.75), color=(0.7, 0.68, 0.6))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import onnx
 import onnxruntime
+import pytest
 from onnx import numpy_helper
 from PIL import Image, ImageDraw
 from with_torch import torch
@@ -28,6 +29,8 @@ from facepipe.learn.rasterise import rasterise
 from facepipe.learn.surfaces import opaque_surfaces
 from facepipe.parts import FaceParts
 from facepipe.pictures.camera import portrait
+
+pytestmark = pytest.mark.needs_torch
 
 FILE = Path(str(files("facepipe.learn.networks") / "face_features.onnx"))
 SEED = 41  # of a sample that training does not draw

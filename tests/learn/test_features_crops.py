@@ -13,6 +13,8 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import ARCFACE_TEMPLATE, TEMPLATE, arcface_crop, face_crop, from_crop, to_crop
 from facepipe.learn.features.crops import sample_crop
 
+pytestmark = pytest.mark.needs_torch
+
 PHOTO = SHARED / "photos" / "astronaut.landmarks.json"
 KNOWN = np.array([[1.2, -0.7, 31.0], [0.7, 1.2, -12.0]])  # crop pixels to image pixels: turned, 1.39 times as large
 

@@ -27,6 +27,8 @@ from facepipe.learn.features.description import (
 from facepipe.learn.features.extractor import load_extractor
 from facepipe.learn.features.operators import OPERATORS
 
+pytestmark = pytest.mark.needs_torch
+
 TEXT = (REPOSITORY / "docs/features.md").read_text(encoding="utf-8")
 EXAMPLES = blocks(TEXT, "json")
 

@@ -19,6 +19,8 @@ from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
 from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix
 from facepipe.learn.features.extractor import load_extractor
 
+pytestmark = pytest.mark.needs_torch
+
 MEAN, STD = (0.4, 0.5, 0.6), (0.2, 0.25, 0.3)
 
 

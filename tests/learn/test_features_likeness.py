@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 from feature_graphs import coarse_picture, save
 from scipy.ndimage import gaussian_filter
 
@@ -14,6 +11,8 @@ from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.face_crops import TEMPLATE
 from facepipe.learn.features.extractor import Extractor, load_extractor
 from facepipe.learn.features.likeness import similarity
+
+pytestmark = pytest.mark.needs_torch
 
 SIDE = 96
 LANDMARKS = 20 + TEMPLATE * 56

@@ -17,6 +17,8 @@ from facepipe.core.errors import InputError
 from facepipe.learn.features.onnx_file import read_model
 from facepipe.learn.features.onnx_module import OnnxModule
 
+pytestmark = pytest.mark.needs_torch
+
 NETWORKS = {"arcface": arcface_like, "bisenet": bisenet_like, "attributes": attribute_net}
 
 

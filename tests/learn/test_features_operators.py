@@ -14,6 +14,8 @@ from with_torch import torch
 from facepipe.learn.features.onnx_module import OnnxModule
 from facepipe.learn.features.operators import OPERATORS
 
+pytestmark = pytest.mark.needs_torch
+
 Case = tuple[str, Sequence[np.ndarray | None], dict[str, Any], dict[str, Any]]
 
 RNG = np.random.default_rng(7)

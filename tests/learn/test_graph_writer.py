@@ -8,6 +8,8 @@ from with_torch import torch
 
 from facepipe.learn.networks.graph_writer import Block, GraphWriter
 
+pytestmark = pytest.mark.needs_torch
+
 
 def given(write: GraphWriter, output: str, shape: tuple[int, ...], images: torch.Tensor) -> np.ndarray:
     """The value `output` in onnxruntime."""

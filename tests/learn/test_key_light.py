@@ -13,6 +13,8 @@ from with_torch import torch
 from facepipe.learn.light import DARK, KeyLight, hue_cost
 from facepipe.pictures.lighting import Light, Samples, Studio
 
+pytestmark = pytest.mark.needs_torch
+
 DIRECTION, COLOR, SHINE, ROUGHNESS = (0.4, 0.5, 0.8), (0.9, 0.7, 0.5), 0.7, 0.5
 NUMBERS = torch.tensor([*DIRECTION, *COLOR, SHINE, math.log(2 / ROUGHNESS**4 - 2)], dtype=torch.float64)
 BLACK = (0.0, 0.0, 0.0)

@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from places import REPOSITORY, SHARED
-
-pytest.importorskip("torch", reason="the landmark network's search needs torch")
-
 from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.learn.networks import FoundFace, find_landmarks, follow_face, landmark_model
 from facepipe.learn.networks.files import LandmarkSession
+
+pytestmark = pytest.mark.needs_torch
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -18,6 +18,8 @@ from facepipe.learn.surfaces import PointNormals
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import Scene, build_scene
 
+pytestmark = pytest.mark.needs_torch
+
 QUAD = np.array([[0, 1, 2], [0, 2, 3]])
 
 

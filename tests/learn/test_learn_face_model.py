@@ -24,6 +24,8 @@ from facepipe.parts import FaceParts, Material, MaterialFaces, Texture, TextureI
 from facepipe.pictures.camera import portrait
 from facepipe.rig import build
 
+pytestmark = pytest.mark.needs_torch
+
 WHITE = ambient(torch.ones(3))
 BLUE = (0.1, 0.3, 0.6)
 

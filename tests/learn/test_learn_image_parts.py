@@ -15,6 +15,8 @@ from facepipe.learn.surfaces import PointNormals, bilinear
 from facepipe.pictures import textures
 from facepipe.pictures.camera import portrait
 
+pytestmark = pytest.mark.needs_torch
+
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.0099, 0.0101, 1.0, 3.0, 7.0])
 def test_rotations_of_every_angle(size: float) -> None:

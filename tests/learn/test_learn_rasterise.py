@@ -16,6 +16,8 @@ from facepipe.parts import FaceParts
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import build_scene
 
+pytestmark = pytest.mark.needs_torch
+
 HEIGHT, WIDTH = 20, 26
 
 

@@ -20,6 +20,8 @@ from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
 
+pytestmark = pytest.mark.needs_torch
+
 
 @cache
 def sample() -> FaceParts:

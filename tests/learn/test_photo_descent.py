@@ -14,6 +14,8 @@ from facepipe.learn.photo.descent import Descent, Unknowns, descend
 from facepipe.learn.photo.landmark_fit import State
 from facepipe.photo_options import PhotoFitOptions
 
+pytestmark = pytest.mark.needs_torch
+
 Loss = Callable[[Unknowns], dict[str, torch.Tensor]]
 NAMES = ("shares", "expressions", "poses", "light", "key", "tint")
 

@@ -28,6 +28,8 @@ from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.pictures import camera as render_camera
 from facepipe.rig import slide
 
+pytestmark = pytest.mark.needs_torch
+
 SIZE = 256.0
 INNER = slice(CONTOUR.stop, 68)
 EYE = "root/neck/head/eyeLeft"  # moves no landmark

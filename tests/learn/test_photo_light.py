@@ -21,6 +21,8 @@ from facepipe.learn.photo.shadows import Shadows
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo_options import PhotoFitOptions
 
+pytestmark = pytest.mark.needs_torch
+
 LAMP = (-0.6, 0.5, 0.7, 0.8, 0.7, 0.6, 0.6, 3.4)
 
 

@@ -17,6 +17,8 @@ from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, color_los
 from facepipe.learn.photo.landmark_fit import Priors
 from facepipe.learn.photo.pose import FOCAL
 
+pytestmark = pytest.mark.needs_torch
+
 ALONE = {
     "landmarks": 0.0,
     "color": 0.0,

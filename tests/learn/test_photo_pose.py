@@ -17,6 +17,8 @@ from facepipe.learn.photo.landmark_fit import Minimum, Quadratic, levenberg_marq
 from facepipe.learn.photo.pose import FOCAL, PoseSpace
 from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear, to_srgb
 
+pytestmark = pytest.mark.needs_torch
+
 MIDDLE = np.array([0.3, 14.0, -2.0])
 SPACE = PoseSpace(middle=MIDDLE, size=24.0, center=(320.0, 240.0), side=640.0)
 ANGLES = st.floats(-2.0, 2.0)

@@ -15,6 +15,8 @@ from facepipe.learn.photo.fit import fit_result
 from facepipe.learn.photo.result import FittedView
 from facepipe.learn.photo.view_image import view_image
 
+pytestmark = pytest.mark.needs_torch
+
 SIZE = 128
 LAMP = (-1.2, 1.0, 1.4, 0.8, 0.7, 0.6, 0.6, 3.4)
 BEYOND = (-1.2, 1.0, 1.4, -0.2, 0.7, 0.6, -0.1, 3.4)  # what descent may come to, and shading takes for 0

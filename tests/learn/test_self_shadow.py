@@ -6,12 +6,15 @@ import itertools
 import math
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 from solids import ball
 from with_torch import torch
 
 from facepipe.learn.light import ambient, basis, distant, shade
 from facepipe.learn.photo.shadows import sky_visibility, transfer_of, visibility
+
+pytestmark = pytest.mark.needs_torch
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 

@@ -39,6 +39,8 @@ from facepipe.photo_options import PhotoFitOptions, StartOptions
 from facepipe.processors.photo_fit import FitPhoto
 from facepipe.stage import save_parts
 
+pytestmark = pytest.mark.needs_torch
+
 TINY = StartOptions(people=4096, renders=16, epochs=2, steps=2)
 LEAST = ("--people", "0", "--renders", "8", "--epochs", "0", "--steps", "1")
 

@@ -38,6 +38,8 @@ from facepipe.pictures.scene import build_scene
 from facepipe.pictures.shade import Shader
 from facepipe.processors.photo_fit.masks import MaskNetwork
 
+pytestmark = pytest.mark.needs_torch
+
 PARTS = {"leftBrow": slice(22, 27), "rightBrow": slice(17, 22), "nose": slice(27, 36), "lowerLip": slice(54, 60)}
 
 

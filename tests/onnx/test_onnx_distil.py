@@ -24,6 +24,8 @@ from facepipe.processors.sliders.distil import LEVER_MM, _driven
 from facepipe.rig import build, slide
 from facepipe.stage import save_parts
 
+pytestmark = pytest.mark.needs_torch
+
 ALLOWED = {"Clip", "Gemm", "MatMul", "Add", "Sub", "Mul", "Relu", "Tanh", "Sin", "Cos"} | {
     "Concat", "Slice", "Reshape", "Transpose", "Gather",
 }  # fmt: skip

@@ -29,9 +29,9 @@ def view(parts: FaceParts) -> PhotoView:
     return view_of(camera_at(build(parts).points, 0.2, SIZE), "photo", SIZE)
 
 
+@pytest.mark.needs_torch
 def test_it_is_what_the_fit_sees(parts: FaceParts, view: PhotoView) -> None:
     """Another renderer: edges, textures and shadows are sampled otherwise."""
-    pytest.importorskip("torch")
     from scipy.spatial.transform import Rotation
 
     from facepipe.learn.face_model import FaceModel

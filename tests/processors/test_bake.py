@@ -101,8 +101,8 @@ def test_sweeps_and_random_frames_are_apart_and_the_same_as_for_training(
     assert np.array_equal(box, [points.min(axis=0), points.max(axis=0)])
 
 
+@pytest.mark.needs_torch
 def test_rigs_are_trained_and_carried_from_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("torch")
     baked(tmp_path, capsys, second_face(), "--spread", 60, "--sweep", 0, "--together", 0)
     own = TrainNeuralRig(options=replace(OPTIONS, steps=200))(
         SampleMotion(options=SampleMotionOptions(spread=100, sweep=5, together=40))(turning_face(), "first")
@@ -193,11 +193,11 @@ def test_a_face_that_an_animation_moves_is_frames_with_bones(frames: Motion, tmp
     assert np.abs(judged - found.points[[0, 7]]).max() < 2e-3 * height  # SkelAnimation rounds scales to half
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_rigs_are_learned_from_faces_that_an_animation_moves(
     frames: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("torch")
     path = moved(tmp_path / "head.usda", frames)
     words = ("--steps", 200, "--width", 16, "--block", 4, "--margin", 0, "--no-encoder", "--json")
     out = done(capsys, "neural-rig", "train", path, "-o", tmp_path / "head.fpnr", *words)

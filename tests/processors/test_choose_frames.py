@@ -32,6 +32,8 @@ av = pytest.importorskip("av")
 
 from turning_clip import RATE, Shot, portrait, put_clip, turned, write_video  # noqa: E402
 
+pytestmark = pytest.mark.needs_torch
+
 COLORS = np.array([(200, 60, 50), (60, 170, 70), (50, 80, 190), (210, 170, 140)], np.uint8)
 FACE = Look(number=0, time=0.0, yaw=0.0, pitch=0.0, sharpness=0.02, lids=0.1, lips=0.01, error=2.5)
 

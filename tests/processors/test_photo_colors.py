@@ -50,7 +50,6 @@ def square(half: float, z: float) -> FloatArray:
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
     """The wall and the screen, grey at their points, with three photos."""
-    pytest.importorskip("cv2", reason="needs the extra [scan]")
     folder = tmp_path_factory.mktemp("photos")
     for name, camera in CAMERAS.items():
         photograph(camera).save(folder / name)
@@ -60,6 +59,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Scan:
     return Scan(name="wall", points=points, triangles=triangles, colors=np.full((8, 3), 0.2), photos=photos)
 
 
+@pytest.mark.needs_scan
 def test_places_have_the_colours_of_the_photos_that_see_them(scan: Scan) -> None:
     assert scan.photos is not None
     places = np.column_stack([np.random.default_rng(0).uniform(-85, 85, (4000, 2)), np.zeros(4000)])
@@ -72,6 +72,7 @@ def test_places_have_the_colours_of_the_photos_that_see_them(scan: Scan) -> None
     assert coarse[:, 0].std() < 0.3 * colors[:, 0].std()
 
 
+@pytest.mark.needs_scan
 def test_samples_take_the_photos_colours_wherever_the_scan_is(scan: Scan) -> None:
     c, s = np.cos(0.7), np.sin(0.7)
     place = Similarity(
@@ -87,9 +88,9 @@ def test_samples_take_the_photos_colours_wherever_the_scan_is(scan: Scan) -> Non
     np.testing.assert_allclose(scan_samples(turned, place, np.full(3, -99.0), np.full(3, 99.0), 0.02).colors, 0.2)
 
 
+@pytest.mark.needs_scan
 @pytest.mark.slow
 def test_photos_show_pores_that_colours_at_points_do_not(tmp_path: Path) -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=480, height=576)
     truth = Actor(5).neutral
     photo_booth.take_photos(tmp_path / "photos", truth, cameras)

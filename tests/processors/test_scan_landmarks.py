@@ -224,10 +224,10 @@ def test_the_other_sides_landmarks_are_those_of_a_symmetric_face() -> None:
 
 
 def finder() -> FindScanLandmarks:
-    pytest.importorskip("torch")
     return FindScanLandmarks(draw=draw_surface)
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
@@ -244,6 +244,7 @@ def test_landmarks_of_simulated_scans_are_true(seed: int) -> None:
     assert 0.5 < np.sqrt(np.nanmean((errors / expected) ** 2)) < 1.5
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_mask_has_no_jaw_where_it_ends() -> None:
     """The outline of a piece of a face is not its jaw: what is kept is as true as on the whole head."""
@@ -260,6 +261,7 @@ def test_a_mask_has_no_jaw_where_it_ends() -> None:
     assert any("ends" in line for line in found.report.warnings)
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
@@ -276,6 +278,7 @@ def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     assert np.nanmean(np.linalg.norm(again - points, axis=1)) < 0.015 * eyes
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_what_shows_no_face_is_reported() -> None:
     scan = read_scan(shared("scans/LeePerrySmith.glb"))
@@ -284,9 +287,9 @@ def test_what_shows_no_face_is_reported() -> None:
         finder()(replace(scan, name="back", triangles=back))
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_command_writes_a_file_that_reads_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("torch")
     from PIL import Image
 
     out, picture = tmp_path / "scan.landmarks.json", tmp_path / "scan.png"

@@ -37,8 +37,8 @@ FloatArray = npt.NDArray[np.floating]
 MARKERS = (27, 30, 36, 45, 48, 54)  # landmarks where the actor has dots
 
 
+@pytest.mark.needs_scan
 def test_photos_without_overlap_are_refused(tmp_path: Path) -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     noise_photos(tmp_path / "photos", 5, (256, 256))
     with pytest.raises(FitError, match="degrees apart") as caught:
         ScanPhotos()(tmp_path / "photos")
@@ -58,8 +58,6 @@ class Session:
 
 def session(folder: Path, cameras: dict[str, PhotoCamera], flags: list[str], *, stray: bool = False) -> Session:
     """An actor by `cameras` (photos may be there already), scanned. `stray`: with one of something else, and a note."""
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
-    pytest.importorskip("cv2", reason="needs the extra [scan]")
     truth = Actor(5).neutral
     if not (folder / "photos").exists():
         photo_booth.take_photos(folder / "photos", truth, cameras)
@@ -98,6 +96,7 @@ def placement(one: Session) -> Similarity:
     )
 
 
+@pytest.mark.needs_scan
 @pytest.mark.slow
 def test_a_scan_is_the_head_that_the_photos_show(tmp_path: Path) -> None:
     """Six small photos and one of something else; nothing is known but how far two markers are apart."""
@@ -164,6 +163,7 @@ def test_scans_do_not_overwrite(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert all((tmp_path / name).read_text() == "kept" for name in ("a.ply", "b.landmarks.json", "rig.json"))
 
 
+@pytest.mark.needs_scan
 @pytest.mark.slow
 def test_the_same_photos_give_the_same_bytes(tmp_path: Path) -> None:
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=320, height=384)
@@ -191,6 +191,8 @@ def many_photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.needs_scan
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_cameras_withheld_the_scan_is_within_a_millimetre(many_photos: Path, tmp_path: Path) -> None:
     shutil.copytree(many_photos, tmp_path / "photos")
@@ -204,7 +206,6 @@ def test_cameras_withheld_the_scan_is_within_a_millimetre(many_photos: Path, tmp
 
 
 def has_landmarks(one: Session) -> None:
-    pytest.importorskip("torch", reason="needs the extra [train]")
     found = read_scan_landmarks(one.folder / "scan.landmarks.json")
     assert found.known[17:].mean() > 0.8
     assert not found.known[:17].any()
@@ -221,6 +222,7 @@ def coverage(one: Session, place: Similarity) -> float:
     return float((np.linalg.norm(nearest - face, axis=1) < 1.0).mean())
 
 
+@pytest.mark.needs_scan
 @pytest.mark.slow
 def test_known_cameras_keep_their_coordinates(many_photos: Path, tmp_path: Path) -> None:
     cameras = many_cameras()

@@ -45,8 +45,10 @@ def turned(axis: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(axis).as_matrix())
 
 
+@pytest.mark.needs_scan
 def test_cameras_project_as_opencv_does() -> None:
-    cv2 = pytest.importorskip("cv2", reason="needs the extra [scan]")
+    import cv2
+
     camera = camera_at(np.array([120.0, 60.0, 700.0]), 0.4, distortion=LENS)
     points = np.random.default_rng(0).uniform(-80, 80, (50, 3))
     rotation = cv2.Rodrigues(camera.rotation)[0]
@@ -101,17 +103,17 @@ def test_rectified_photos_show_a_point_in_one_row(first: tuple[int, ...], second
     assert (in_right < pair.size).all()
 
 
+@pytest.mark.needs_scan
 def test_a_view_that_is_the_photos_own_shows_the_photo() -> None:
-    pytest.importorskip("cv2", reason="needs the extra [scan]")
     camera = camera_at(np.array([0.0, 0.0, 700.0]), width=32, height=24, focal=(64.0, 64.0), center=(16.0, 12.0))
     photo = np.random.default_rng(15).integers(0, 256, (24, 32, 3), np.uint8)
     own = RectifiedView(camera=camera, turn=np.eye(3), focal=64.0, origin=np.array([16.0, 12.0]))
     np.testing.assert_array_equal(own.picture(photo, (32, 24)), photo)
 
 
+@pytest.mark.needs_scan
 @pytest.mark.parametrize(("first", "second"), EYES)
 def test_photos_of_a_plane_give_its_depth(first: tuple[int, ...], second: tuple[int, ...]) -> None:
-    pytest.importorskip("cv2", reason="needs the extra [scan]")
     cameras = [camera_at(np.array(eye, float), distortion=LENS).scaled(400, 500) for eye in (first, second)]
     normal, offset = np.array([0.25, 0.1, 1.0]), 12.0  # of the plane normal . x = offset
     photos, truth = zip(*(plane_photo(camera, normal, offset) for camera in cameras), strict=True)
@@ -173,8 +175,8 @@ def put_matches(folder: Path, cameras: dict[str, PhotoCamera], points: FloatArra
     database.close()
 
 
+@pytest.mark.needs_scan
 def test_matches_of_known_cameras_are_places_and_the_cameras_stay(tmp_path: Path) -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     across = (-200.0, -100.0, 0.0, 100.0, 200.0)
     cameras = {f"{x:.0f}.png": camera_at(np.array([x, 0.2 * x, 700.0]), 0.001 * x, distortion=LENS) for x in across}
     points = np.random.default_rng(14).uniform(-80, 80, (30, 3))
@@ -189,8 +191,8 @@ def test_matches_of_known_cameras_are_places_and_the_cameras_stay(tmp_path: Path
         np.testing.assert_allclose(found.cameras[name].project(points), camera.project(points), atol=1e-6)
 
 
+@pytest.mark.needs_scan
 def test_each_photo_of_a_known_camera_has_a_lens_of_its_own() -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     pixels = np.zeros((8, 8, 3), np.uint8)
     photos = [Photo(name=name, pixels=pixels, full_size=(8, 8)) for name in ("a.png", "b.png")]
     known = {photo.name: camera_at(np.array([0.0, 0.0, 700.0])) for photo in photos}
@@ -314,8 +316,8 @@ def test_points_on_a_plane_have_its_normal_on_the_side_of_the_cameras() -> None:
         np.testing.assert_allclose(_normals(plane, towards), np.tile(side * normal, (25, 1)), atol=1e-12)
 
 
+@pytest.mark.needs_scan
 def test_surfaces_go_through_the_points_and_end_where_none_are() -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     cloud = cap()
     scan, again = (make_surface(cloud, "cap", gap=3.0, smallest=0.05) for _ in range(2))
     assert scan.normals is not None

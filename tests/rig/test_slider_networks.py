@@ -77,6 +77,7 @@ def check_graph(parts: Any, graph: Deformer) -> None:
         assert np.abs(found - expected).max() < TOLERANCE * np.ptp(rig.points[:, 1])
 
 
+@pytest.mark.needs_torch
 def test_torch_is_the_rig() -> None:
     from with_torch import torch
 

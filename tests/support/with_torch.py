@@ -1,11 +1,10 @@
-"""torch for tests: skips the file that asks for it where it is not installed."""
+"""torch for tests, of files and functions that are marked `needs_torch`."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
+import torch
 
-torch = pytest.importorskip("torch")
 torch.set_num_threads(1)  # tests run side by side, one on each core
 
 

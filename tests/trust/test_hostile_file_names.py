@@ -104,9 +104,9 @@ def test_expressions_have_names_that_files_can_have(tmp_path: Path, name: str) -
         read_project(project)
 
 
+@pytest.mark.needs_torch
 def test_networks_with_data_in_other_files_are_refused(tmp_path: Path) -> None:
     """In constants of nodes too, which the runtime would read."""
-    pytest.importorskip("torch")
     from facepipe.learn.features.onnx_file import read_model
 
     tensor = helper.make_tensor("t", TensorProto.FLOAT, [1], [1.0])

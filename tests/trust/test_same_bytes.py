@@ -34,9 +34,9 @@ OTHERS = {
 }
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_every_command_writes_the_same_bytes(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     for name in ("ict_facekit/ict_facekit.npz", "makehuman/makehuman_head.npz"):
         shared(name)
     folders = [tmp_path / str(threads) for threads, _ in SETTINGS]

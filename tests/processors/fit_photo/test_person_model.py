@@ -22,7 +22,7 @@ from facepipe.processors.database import whole_points
 from facepipe.processors.photo_fit.person_model import IdentityReport, PersonModel, person_model
 from facepipe.stage import Face, save_parts
 
-pytest.importorskip("torch")
+pytestmark = pytest.mark.needs_torch
 
 NARROW = slice(0, 6706)  # ICT-FaceKit's narrow face
 

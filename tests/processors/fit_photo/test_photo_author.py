@@ -36,6 +36,8 @@ from facepipe.processors.sliders import SetSliders
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
 
+pytestmark = pytest.mark.needs_torch
+
 PHOTOS = ("my photo.png", "my-photo.jpg", "2.png")
 SIZE = (500, 640)  # width and height
 PIXELS = 1e-4

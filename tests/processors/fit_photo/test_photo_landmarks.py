@@ -368,7 +368,7 @@ def test_wrong_models_are_refused_by_mediapipe(tmp_path: Path) -> None:
             mediapipe_landmarks(blank(), file)
 
 
+@pytest.mark.needs_torch
 def test_our_network_finds_no_face_where_there_is_none() -> None:
-    pytest.importorskip("torch")
     with pytest.raises(InputError, match=r"^me\.jpg: no face found, expected one$"):
         own_landmarks(blank(150, 120))

@@ -20,6 +20,8 @@ from facepipe.processors.photo_fit import Photo
 from facepipe.processors.photo_fit.report_folder import report_sheet
 from facepipe.rig import build, slide
 
+pytestmark = pytest.mark.needs_torch
+
 SLIDERS = {"noseWidth": 0.8, "chinLength": -0.5, "eyeSpacing": 0.3}
 SMILE = {"mouthSmileLeft": 0.9, "mouthSmileRight": 0.9, "jawOpen": 0.4}
 SIZE = (160, 120)

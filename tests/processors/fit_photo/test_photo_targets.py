@@ -30,6 +30,8 @@ from facepipe.heads import make
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build
 
+pytestmark = pytest.mark.needs_torch
+
 COUNT, SIZE = 2, 64
 
 
@@ -243,7 +245,6 @@ def test_the_face_is_what_a_viewer_sees(face: tuple[FaceParts, Rig]) -> None:
 
 
 def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: list[RecoveryTarget]) -> None:
-    pytest.importorskip("torch")
     from facepipe.learn.light import DARK
     from facepipe.learn.photo import result
 
@@ -279,7 +280,8 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
 
 
 def test_the_truth_as_unknowns_of_a_fit_shows_the_same_points(smiling: list[RecoveryTarget]) -> None:
-    torch = pytest.importorskip("torch")
+    import torch
+
     from facepipe.learn.photo.fit import pose_space
     from facepipe.learn.photo.subject import Subject
 

@@ -24,7 +24,7 @@ from facepipe.processors.neural_rig import (
 from facepipe.processors.neural_rig.checkpoint import KIND
 from facepipe.stage import save_parts
 
-torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.needs_torch
 ENCODER = TrainEncoderOptions(points=16, encoder_steps=250)
 WORDS = ("--spread", 60, "--sweep", 5, "--together", 20, "--width", 8, "--steps", 130)
 WORDS += ("--points", 16, "--encoder-steps", 250)

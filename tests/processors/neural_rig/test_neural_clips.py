@@ -91,8 +91,8 @@ def test_clips_of_something_else_are_reported(tmp_path: Path) -> None:
         ReadClips()([bad], controls_of(chewing_face()))
 
 
+@pytest.mark.needs_torch
 def test_the_command_learns_from_clips_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("torch")
     head, take = tmp_path / "head.usda", declared(tmp_path / "take.usda", {"chew": (2.0 * AMOUNTS - 1.0).tolist()})
     save_parts(acted(), head)
     words = (

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from command_line import done, failed, run
 from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
@@ -32,7 +33,7 @@ from facepipe.rig.neural_encoder import NeuralEncoder
 from facepipe.rig.neural_rig import NeuralRig, inputs
 from facepipe.stage import save_parts
 
-torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.needs_torch
 OPTIONS = TrainEncoderOptions(points=32, encoder_steps=500)
 FEW = replace(OPTIONS, encoder_steps=30)
 

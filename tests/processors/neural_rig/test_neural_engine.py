@@ -58,6 +58,7 @@ def test_matrices_on_the_glb_are_the_points_are_the_rig(
     assert worst < TOLERANCE * one.height
 
 
+@pytest.mark.needs_torch
 def test_torch_is_onnxruntime(tmp_path: Path) -> None:
     from with_torch import torch
 

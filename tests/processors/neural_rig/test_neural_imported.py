@@ -58,7 +58,6 @@ def ran(*words: object) -> dict[str, Any]:
 @pytest.fixture(scope="module", params=["face", "frames"])
 def delivered(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Delivered:
     """Trained on the face itself, with its bones, or on what `facepipe bake` writes of it, by shapes alone."""
-    pytest.importorskip("torch")
     folder = tmp_path_factory.mktemp("delivered")
     head, rig = folder / "head.usdc", folder / "head.fpnr"
     assert exit_code("import", "makehuman", shared(HEAD), head) == 0
@@ -90,6 +89,7 @@ def millimetres(delivered: Delivered, answer: Mapping[str, Any], positions: np.n
     return worst
 
 
+@pytest.mark.needs_torch
 def test_clips_play_as_the_face_has_them(delivered: Delivered, tmp_path: Path) -> None:
     node_packages()
     face = delivered.face
@@ -105,6 +105,7 @@ def test_clips_play_as_the_face_has_them(delivered: Delivered, tmp_path: Path) -
         assert off < delivered.left_mm + 1e-5 * face.head_height * face.mm_per_unit
 
 
+@pytest.mark.needs_torch
 @pytest.mark.parametrize("values", SETTINGS, ids=lambda values: "+".join(values))
 def test_sliders_play_as_the_face_has_them(delivered: Delivered, values: Mapping[str, float]) -> None:
     node_packages()

@@ -215,8 +215,8 @@ def test_what_is_reported_of_controls_is_least_squares() -> None:
     assert np.allclose(reported, off, rtol=0.25)
 
 
+@pytest.mark.needs_torch
 def test_the_documents_mode_finds_own_frames_and_takes_more_steps(rig: NeuralRig, tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     values = frames(rig)[:8]
     points = rig.points(values)
     adam = InvertNeuralRig(options=InvertNeuralRigOptions(mode="adam", adam_steps=300))

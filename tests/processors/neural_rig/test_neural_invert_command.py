@@ -112,9 +112,9 @@ def with_encoder(path: Path) -> NeuralRig:
     return rig
 
 
+@pytest.mark.needs_torch
 def test_the_encoder_of_the_rig_starts_near_the_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From the defaults frames end in poor valleys; the encoder's guess is in the right one, and fewer steps away."""
-    pytest.importorskip("torch")
     rig = with_encoder(tmp_path / "one.fpnr")
     clip = baked(tmp_path / "clip.usdc", rig.points(frames(rig)), [*np.arange(24.0)])
     words = ("neural-rig", "invert", tmp_path / "one.fpnr", clip, "--starts", 1, "--smoothness", 0, "--json")

@@ -29,7 +29,7 @@ from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, with_own_
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
 
-pytest.importorskip("torch")
+pytestmark = pytest.mark.needs_torch
 FRAMES = SampleMotionOptions(spread=60, sweep=0, together=0, seed=3)
 OTHERS = replace(FRAMES, seed=4)
 

@@ -33,7 +33,7 @@ from facepipe.processors.neural_rig.straight_models import best_blendshapes, rid
 from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 
-torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.needs_torch
 
 
 @pytest.fixture(scope="module")

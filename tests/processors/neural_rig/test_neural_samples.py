@@ -289,8 +289,8 @@ def test_prims_that_have_no_controls_are_reported(sampled: Motion, tmp_path: Pat
             ReadMotion(prims=[prim])(path)
 
 
+@pytest.mark.needs_torch
 def test_controls_that_never_move_are_left_out_and_only_those_are_an_error(tmp_path: Path, sampled: Motion) -> None:
-    pytest.importorskip("torch")
     still = sampled.frames(np.flatnonzero(sampled.values[:, 1] == 0.0))
     found = ReadMotion()(bake(still, tmp_path / "rom.usdc"))
     assert found.constant == ("smile",)
@@ -300,8 +300,8 @@ def test_controls_that_never_move_are_left_out_and_only_those_are_an_error(tmp_p
         TrainNeuralRig()(ReadMotion()(bake(none, tmp_path / "none.usdc")))
 
 
+@pytest.mark.needs_torch
 def test_training_from_a_stage_is_training_from_the_rig_itself(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     motion = SampleMotion(options=SampleMotionOptions(spread=60, sweep=5, together=30))(chewing_face(), "head.usda")
     options = TrainNeuralRigOptions(width=8, steps=200)
     own = TrainNeuralRig(options=options)(replace(motion, bones=None, coefficients=None)).report
@@ -312,10 +312,10 @@ def test_training_from_a_stage_is_training_from_the_rig_itself(tmp_path: Path) -
         assert getattr(read, name) == pytest.approx(getattr(own, name), rel=1e-3)
 
 
+@pytest.mark.needs_torch
 def test_the_command_takes_either_kind_of_stage(
     sampled: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("torch")
     head, rom = tmp_path / "head.usda", bake(sampled, tmp_path / "rom.usdc")
     save_parts(replace(scan_domes.face(), animations=()), head)
     few = (

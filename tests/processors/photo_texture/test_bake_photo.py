@@ -138,10 +138,10 @@ def test_the_command_writes_the_same_again_and_exports_it(fitted: Path, capsys: 
             np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_the_report_shows_the_textured_face_and_how_like_its_photo_it_is(fitted: Path, capsys: Capsys) -> None:
     """The render of the report has the photo's colours where the face is."""
-    pytest.importorskip("torch")
     save(coarse_picture(), fitted / "net.onnx")
     folder = fitted / "report"
     words = ("bake-photo", fitted / "fitted.usda", fitted / "front.png", "--identity-model", fitted / "net.onnx")

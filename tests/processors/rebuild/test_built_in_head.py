@@ -115,10 +115,10 @@ def test_other_templates_need_a_database(tmp_path: Path, capsys: Capsys) -> None
     )
 
 
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_a_real_scan_becomes_a_ready_face_by_one_command(tmp_path: Path, capsys: Capsys) -> None:
     """Its eyes are shut, it has no unit, and nothing but the scan is given."""
-    pytest.importorskip("torch")
     scan = shared("scans/LeePerrySmith.glb")
     out, glb = tmp_path / "face.usda", tmp_path / "face.glb"
     code, printed, err = run(capsys, "fit-neutral", scan, "-o", out, "--json")

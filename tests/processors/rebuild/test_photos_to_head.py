@@ -21,6 +21,7 @@ from facepipe.processors.scan_photos import Cameras, PhotoScan, ScanPhotos, Scan
 from facepipe.scans import Scan, ScanLandmarks
 
 
+@pytest.mark.needs_scan
 def test_folders_that_give_no_scan_leave_nothing_behind(
     tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -30,7 +31,6 @@ def test_folders_that_give_no_scan_leave_nothing_behind(
     photo_booth.noise_photos(tmp_path / "photos", 5)
     assert "--unit mm: photos have no unit" in failed(capsys, *words, "--unit", "mm", folder=tmp_path)
     monkeypatch.chdir(tmp_path / "photos")
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
     assert "degrees apart" in failed(capsys, "fit-neutral", ".", "-o", tmp_path / "person.glb", folder=tmp_path)
     assert failed(capsys, *words, folder=tmp_path).count(f"{tmp_path / 'photos'} -> ") == 1
 
@@ -69,10 +69,10 @@ def test_recipes_know_when_a_photo_changes(tmp_path: Path) -> None:
     assert digests() != before
 
 
+@pytest.mark.needs_scan
+@pytest.mark.needs_torch
 @pytest.mark.slow
 def test_photos_become_a_textured_head_by_one_command(tmp_path: Path, capsys: Capsys) -> None:
-    pytest.importorskip("pycolmap", reason="needs the extra [scan]")
-    pytest.importorskip("torch", reason="needs the extra [train]")
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=480, height=576)
     photo_booth.take_photos(tmp_path / "photos", Actor(5).neutral, cameras)
     glb = tmp_path / "person.glb"
