@@ -22,6 +22,7 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.processors.scan_landmarks import FindScanLandmarks
+from facepipe.processors.scan_landmarks.find import _Search
 from facepipe.processors.scan_landmarks.search import (
     MIRRORED,
     Candidate,
@@ -276,6 +277,21 @@ def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     moved = replace(scan, points=40.0 * scan.points @ turn(6).T + [3.0, -900.0, 20.0])
     again = (finder()(moved).landmarks.points - [3.0, -900.0, 20.0]) / 40.0 @ turn(6)
     assert np.nanmean(np.linalg.norm(again - points, axis=1)) < 0.015 * eyes
+
+
+def test_what_shows_nothing_like_a_face_is_looked_at_once() -> None:
+    """A full search looks at ten times as many crops."""
+    calls: list[int] = []
+
+    def no_face(crops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(len(crops))
+        return np.zeros((len(crops), 68, 2)), np.full(len(crops), 0.2)
+
+    look = surface_look(*ball(12), None)
+    search = _Search(look=look, cloud=False, draw=draw_surface, network=no_face, size=8)
+    with pytest.raises(FitError, match="ball: no face found"):
+        search.face("ball")
+    assert 0 < sum(calls) < 5000
 
 
 @pytest.mark.needs_torch

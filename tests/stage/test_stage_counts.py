@@ -36,6 +36,13 @@ def test_an_image_that_many_materials_name_is_read_once(tmp_path: Path) -> None:
     assert len({id(data) for data in read}) == 1
 
 
+def test_more_meshes_than_a_face_can_have_are_not_written(tmp_path: Path) -> None:
+    face = tiny_face()
+    with pytest.raises(InputError, match="4097 prims of type Mesh, expected at most 4096"):
+        save_parts(replace(face, meshes=face.meshes[:1] * 4097), tmp_path / "face.usda")
+    assert not list(tmp_path.iterdir())
+
+
 def schemas(count: int = 6000) -> str:
     names = ", ".join(f'"CollectionAPI:c{i}"' for i in range(count))
     return prim("a0", f"prepend apiSchemas = [{names}]")

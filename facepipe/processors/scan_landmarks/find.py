@@ -25,6 +25,7 @@ from facepipe.processors.scan_landmarks.search import (
     axis_views,
     candidates,
     face_frame,
+    is_worth_search,
     look_again,
     sphere_views,
 )
@@ -121,8 +122,10 @@ class _Search:
         radius = float(np.linalg.norm(points - middle, axis=1).max())
         small = coarse_look(self.look, float((high - low).max()) / _CELLS)
         searched = 0
-        for views, turns in ((axis_views(middle, radius), 4), (sphere_views(middle, radius), 6)):
+        for views, few, turns in ((axis_views(middle, radius), 1, 4), (sphere_views(middle, radius), 3, 6)):
             searched += len(views)
+            if not is_worth_search(small, views[::few], turns, self.draw, self.network, self.size):
+                continue
             best = self._best(candidates(small, views, turns, self.draw, self.network, self.size, _MOST))
             if best is not None:
                 return best, searched
