@@ -30,6 +30,27 @@ def test_it_runs_on_every_python_and_system_that_the_metadata_names() -> None:
     assert "os: [ubuntu-latest, windows-latest, macos-latest]" in WORKFLOW
 
 
+def test_its_actions_are_pinned_by_commit() -> None:
+    used = re.findall(r"uses: *(\S+)(.*)", WORKFLOW)
+    assert used
+    assert [one for one, note in used if not re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", one) or "# v" not in note] == []
+
+
+def test_continuous_integration_begins_with_the_commands_of_readme() -> None:
+    script = (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
+    program = re.search(r"\| awk -v number=\"\$1\" '(.+?)'\)", script)
+    assert program is not None
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8").partition("## Install\n")[2].partition("\n## ")[0]
+    lines = [line for block in blocks(readme, "sh") for line in block.splitlines()]
+    assert [line.startswith("python3 -m venv .venv && .venv/bin/pip install -e ") for line in lines] == [True, True]
+    assert ('"."' in lines[0] or " -e . " in lines[0], "[dev]" in lines[1], "pytest -n auto" in lines[1]) == (True,) * 3
+    assert (
+        script.index("readme 1 demo")
+        < script.index("readme 2 whole")
+        < script.index('[dev,train,scan]" -c .ci/torch.txt\n')
+    )
+
+
 def test_licences_of_all_that_ships_are_in_the_wheel() -> None:
     texts = {file for pattern in PROJECT["license-files"] for file in REPOSITORY.glob(pattern)}
     names = re.compile(r"LICEN[SC]E|licences")
