@@ -8,7 +8,7 @@ import pytest
 from fuzz_formats import FORMATS
 from fuzzing import fuzz
 
-QUICK = ("usda", "usdc", "usdz", "recipes", "photos")  # the rest is slow
+QUICK = ("usda", "usdc", "usdz", "recipes", "photos", "ledgers", "project files")  # the rest is slow
 SLOW = 60  # cases
 
 
