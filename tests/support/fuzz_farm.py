@@ -12,6 +12,7 @@ import random
 import re
 import shutil
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -77,11 +78,14 @@ class AtOnce:
         """Nothing is left."""
 
 
-def run_plan(rng: Rng) -> list[Line]:
+PLAN = ["batch", "show.toml", "--processes", "1", "--thumbnails", "0"]
+OPTIONS = ("--resume", "--retry-failed", "--verify", "--json")
+
+
+def run_plan(rng: Rng, *words: str) -> list[Line]:
     """The command that runs the plan in this process, with some of its options."""
     batch.Processes = AtOnce  # type: ignore[misc, assignment]
-    more = [one for one in ("--resume", "--retry-failed", "--json") if rng.random() < 0.2]
-    return [["batch", "show.toml", "--processes", "1", "--thumbnails", "0", *more]]
+    return [[*PLAN, *words, *(one for one in OPTIONS if rng.random() < 0.2)]]
 
 
 # ---- a plan that was run
@@ -110,11 +114,32 @@ def put_heads(*names: str) -> None:
         Path("heads", f"{name}.obj").write_text(obj_files.NEUTRAL)
 
 
-def put_run() -> None:
-    """A plan with its results, state and cache."""
+CACHE = {"run": ("--cache", "cache"), "store": ("--root", "memory://b", "--root", ".", "--local", "cache")}
+
+
+def put_run(part: str = "run") -> None:
+    """A plan with its results, its state, and a cache: of results, or of copies of what a store has."""
     put_heads("ada")
-    Path("show.toml").write_text(f'out = "built"\n[faces]\n{TABLES["glob"]}\n{STEPS}')
-    assert main(["batch", "show.toml", "--processes", "1", "--thumbnails", "0", "--cache", "cache"]) == 0
+    table = TABLES["glob"]
+    if part == "store":
+        fill_store()
+        table = table.replace("heads", "memory://b/heads")
+    Path("show.toml").write_text(f'out = "built"\n[faces]\n{table}\n{STEPS}')
+    batch.Processes, processes = AtOnce, batch.Processes  # type: ignore[misc, assignment]
+    try:
+        assert main([*PLAN, *CACHE[part]]) == 0
+    finally:
+        batch.Processes = processes  # type: ignore[misc]
+
+
+def fill_store() -> None:
+    """The head in the memory of this process, of one age in all processes: what is copied has that in its key."""
+    import fsspec
+
+    files = fsspec.filesystem("memory")
+    files.store.clear()
+    files.pipe_file("/b/heads/ada.obj", obj_files.NEUTRAL.encode())
+    files.store["/b/heads/ada.obj"].created = datetime(2026, 1, 1, tzinfo=UTC)
 
 
 def misplaced(rng: Rng, holder: Any) -> Any:
@@ -169,12 +194,14 @@ def damage_ledger(rng: Rng, part: str) -> list[Line]:
 
 
 def _replaced(rng: Rng, path: Path) -> None:
-    """Something else of the name: a folder, a link, nothing."""
+    """Something else of the name: a folder, a pipe, a link, nothing."""
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    way = rng.randrange(4)
+    way = rng.randrange(5)
     if way == 0:
         path.mkdir()
-    elif way < 3:
+    elif way == 1 and hasattr(os, "mkfifo"):
+        os.mkfifo(path)
+    elif way < 4:
         path.symlink_to(rng.choice(["/etc/passwd", "gone", path.name, "../heads/ada.obj", ".", "/dev/zero", "/"]))
 
 
@@ -189,11 +216,14 @@ def _without(rng: Rng, folder: str) -> None:
 
 
 def damage_cache(rng: Rng, part: str) -> list[Line]:
-    entry = rng.choice(sorted(Path("cache").iterdir()))
+    folder = Path("cache/copies" if part == "store" else "cache")
+    if part == "store":
+        fill_store()
+    entry = rng.choice(sorted(folder.iterdir()))
     files = sorted(entry.iterdir())
     way = rng.random()
     if way < 0.12:
-        _replaced(rng, rng.choice([*files, entry, Path("cache")]))
+        _replaced(rng, rng.choice([*files, entry, folder]))
     elif way < 0.3:
         file = rng.choice(files)
         file.write_bytes(damage.damaged_bytes(rng, file.read_bytes()))
@@ -207,7 +237,7 @@ def damage_cache(rng: Rng, part: str) -> list[Line]:
         shutil.rmtree("show_batch")
     for path in Path("built").rglob("*.usda"):
         path.unlink()
-    return [[*line, "--cache", "cache"] for line in run_plan(rng) if not callable(line)]
+    return run_plan(rng, *CACHE[part])
 
 
 # ---- plans
@@ -314,7 +344,7 @@ def damage_project_file(rng: Rng, part: str) -> list[Line]:
 FARM: dict[str, Format] = {
     "ledgers": Format({"run": put_run}, damage_ledger, writes=("built", "show_batch"), keeps=("built", "show_batch")),
     "caches": Format(
-        {"run": put_run},
+        {"run": put_run, "store": lambda: put_run("store")},
         damage_cache,
         writes=("built", "show_batch", "cache"),
         keeps=("built", "show_batch", "cache"),

@@ -27,6 +27,6 @@ def check(name: str, seed: int, cases: int, folder: Path) -> None:
     found = fuzz(name, seed, cases, folder, stages=FORMATS[name].stages)
     assert not found.failures, "\n".join(found.failures)
     assert found.counts["cases"] == cases
-    assert found.counts["refused"]
+    assert found.counts["refused"] or name == "caches"  # what is damaged in a cache is made anew
     assert found.counts["accepted"], "nothing was ever read: the damage is too coarse to show anything"
     assert found.counts["killed in USD"] <= 1 + cases * 0.02
