@@ -22,12 +22,13 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments, and the options of the kind in `words`; of all kinds for --help."""
     from facepipe.importers import kinds, options_of
 
-    parser.add_argument("kind", choices=kinds(), metavar="KIND", help=" ".join(kinds()))
+    known = kinds()  # looks through all that is installed
+    parser.add_argument("kind", choices=known, metavar="KIND", help=" ".join(known))
     parser.add_argument("source", type=Path, metavar="SOURCE", help="file or folder to read")
     add_output(parser, "face stage to write: .usda .usdc .usd .usdz", positional=True)
     add_rename(parser, words)
-    named = [word for word in words if not word.startswith("-") and word in kinds()][:1]
-    for kind in named or kinds():
+    named = [word for word in words if not word.startswith("-") and word in known][:1]
+    for kind in named or known:
         add_options(parser, options_of(kind), f"options of {kind}")
 
 

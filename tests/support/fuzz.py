@@ -1,6 +1,6 @@
 """Fuzzes what facepipe reads.
 
-usage: python tests/support/fuzz.py FORMAT|all --cases N --seed S [--work FOLDER]
+usage: python tests/support/fuzz.py FORMAT ...|all --cases N --seed S [--jobs N] [--work FOLDER]
 
 One table: cases, lines refused and accepted, and what broke the rule. Exit 1 where something did. `cases` and `usd` are
 what it calls itself with (fuzzing.py).
@@ -12,6 +12,8 @@ import argparse
 import contextlib
 import sys
 import tempfile
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 KINDS = ("cases", "refused", "accepted", "traceback", "line", "hang", "death", "partial", "killed in USD")
@@ -51,19 +53,30 @@ def main() -> int:
     parser.add_argument("format", nargs="+", choices=["all", *FORMATS])
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1, help="formats at once")
     parser.add_argument("--work", type=Path)
     arguments = parser.parse_args()
     names = list(FORMATS) if "all" in arguments.format else arguments.format
     work = arguments.work or Path(tempfile.mkdtemp(prefix="fuzz"))
     print("format".ljust(20), *(kind.rjust(max(8, len(kind))) for kind in KINDS), flush=True)
-    failed = False
-    for name in names:
+    failures: list[str] = []
+
+    def one(name: str) -> Counter[str]:
         found = fuzz(name, arguments.seed, arguments.cases, work / name, stages=FORMATS[name].stages)
-        print(name.ljust(20), *(str(found.counts[kind]).rjust(max(8, len(kind))) for kind in KINDS), flush=True)
+        _row(name, found.counts)
         for line in found.failures:
             print(line, file=sys.stderr, flush=True)
-        failed |= bool(found.failures)
-    return int(failed)
+        failures.extend(found.failures)
+        return found.counts
+
+    with ThreadPoolExecutor(arguments.jobs) as pool:  # each waits for a process
+        counts = [*pool.map(one, names)]
+    _row("all", sum(counts, Counter()))
+    return int(bool(failures))
+
+
+def _row(name: str, counts: Counter[str]) -> None:
+    print(name.ljust(20), *(str(counts[kind]).rjust(max(8, len(kind))) for kind in KINDS), flush=True)
 
 
 if __name__ == "__main__":

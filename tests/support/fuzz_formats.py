@@ -29,6 +29,8 @@ import slider_tables
 from bone_faces import save_sources
 from faces import clipped_face, tiny_face
 from full_faces import full_face, good_face
+from fuzz_farm import FARM
+from fuzz_meshes import damaged_off, damaged_ply, damaged_stl
 from fuzz_stage import damaged_stage
 from fuzzing import Format, Line
 from gltf_builder import PNG, glb
@@ -41,7 +43,7 @@ from PIL import Image
 from places import SHARED
 from region_painter import legend_of, paint
 from region_painter import save as save_map
-from scan_files import cube
+from scan_files import SIDES, cube
 from small_head import make as make_sample
 from small_sources import made
 
@@ -534,8 +536,9 @@ def read_obj_scan() -> None:
     read_scan(Path("shapes/neutral.obj"))
 
 
-def put_ply(**form: str) -> Callable[[], None]:
-    return lambda: Path("scan.ply").write_bytes(cube(**form)) and None
+def put_ply(element: bytes = b"face", **form: Any) -> Callable[[], None]:
+    data = cube(**form).replace(b"element face", b"element " + element)
+    return lambda: Path("scan.ply").write_bytes(data) and None
 
 
 def put_box(name: str, kind: str) -> Callable[[], None]:
@@ -550,7 +553,7 @@ def put_box(name: str, kind: str) -> Callable[[], None]:
 
 def damage_scan(rng: Rng, part: str) -> list[Line]:
     (file,) = Path().glob("scan.*")
-    change(file.name, damage.damaged_text, rng)
+    change(file.name, {".ply": damaged_ply, ".stl": damaged_stl, ".off": damaged_off}[file.suffix], rng)
     return [read_the_scan]
 
 
@@ -861,13 +864,23 @@ FORMATS: dict[str, Format] = {
             "glb": put_gltf(".glb"),
             "gltf": put_gltf(".gltf"),
             "quantised": put_gltf(".glb", "--quantize"),
+        },
+        damage_gltf,
+    ),
+    "vrm": Format(
+        {
             "vrm": put_gltf(".vrm", "--stub-body", "--authors", "me", "--license-url", "https://vrm.dev/licenses/1.0/"),
         },
         damage_gltf,
     ),
     "obj": Format({"shapes": put_obj}, damage_obj),
     "ply": Format(
-        {form: put_ply(form=form) for form in ("ascii", "binary_little_endian", "binary_big_endian")}, damage_scan
+        {
+            **{form: put_ply(form=form) for form in ("ascii", "binary_little_endian", "binary_big_endian")},
+            "uneven": put_ply(form="binary_little_endian", faces=[[0, 1, 3], *SIDES[1:]], count="int", color="float"),
+            "strips": put_ply(b"tristrips", form="ascii", position="double", color="ushort"),
+        },
+        damage_scan,
     ),
     "stl": Format({kind: put_box("scan.stl", kind) for kind in ("stl", "stl_ascii")}, damage_scan),
     "off": Format({"off": put_box("scan.off", "off")}, damage_scan),
@@ -901,6 +914,7 @@ FORMATS: dict[str, Format] = {
     "clips": Format({"clips": put_clips}, damage_clip),
     "settings": Format({"settings": put_settings}, damage_settings),
 }
+FORMATS |= FARM
 if importlib.util.find_spec("torch"):
     FORMATS["trainings"] = Format({"training": put_training}, damage_training, writes=("head.training",))
 if (SHARED / PACKED).is_file():

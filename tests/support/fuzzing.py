@@ -11,6 +11,7 @@ import io
 import os
 import queue
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -98,7 +99,7 @@ def _judged(line: Line, root: Path, form: Format) -> tuple[int, str]:
     if any(not one.startswith("facepipe") or not one.isprintable() for one in err) or code not in (0, 1, 2):
         return code, f"exit {code}, stray lines: {err[:4]}"
     allowed = tuple(f"below/case/{one}" for one in (form.keeps if code == 2 else form.writes))
-    partial = [path for path in changed if not path.startswith(allowed) or "/." in path]
+    partial = [path for path in changed if not path.startswith(allowed) or re.search(r"/\.(?!\.)", path)]
     if partial:
         return code, f"partial files after exit {code}: {partial[:4]}, {err}"
     return code, f"took {took:.0f} s" if took > SECONDS else ""

@@ -8,7 +8,7 @@ import pytest
 from fuzz_formats import FORMATS
 from fuzzing import fuzz
 
-QUICK = ("usda", "usdc", "usdz", "recipes", "photos")  # the rest is slow
+QUICK = ("usda", "usdc", "usdz", "recipes", "photos", "ledgers", "project files")  # the rest is slow
 SLOW = 60  # cases
 
 
@@ -27,6 +27,6 @@ def check(name: str, seed: int, cases: int, folder: Path) -> None:
     found = fuzz(name, seed, cases, folder, stages=FORMATS[name].stages)
     assert not found.failures, "\n".join(found.failures)
     assert found.counts["cases"] == cases
-    assert found.counts["refused"]
+    assert found.counts["refused"] or name == "caches"  # what is damaged in a cache is made anew
     assert found.counts["accepted"], "nothing was ever read: the damage is too coarse to show anything"
     assert found.counts["killed in USD"] <= 1 + cases * 0.02
