@@ -12,6 +12,7 @@ from facepipe.heads.assembly import modes
 assert BENCHMARKS.is_dir()
 
 
+@pytest.mark.needs_torch
 def test_people_are_off_the_nearest_of_the_modes_by_what_no_modes_hold() -> None:
     from geometry_people import RESIDUAL_MM, person
 

@@ -45,7 +45,7 @@ OBJ = (("import", "obj", "shapes", "copy.usda", "--force"),)
 RIG = (("neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "rigged.usda"),)
 NET = (("validate", "net.onnx"), ("eval", "net.onnx", "-o", "points.npz"))
 PROJECT = 'template = "a.usda"\ndatabase = "mix.usda"\nwork = "{}"\n[neutral]\nscan = "b.usda"\n'
-LAYER = '(\n    defaultPrim = "Tiny"\n    subLayers = [@{}@, @./face2.usda@]\n)'
+LAYER = '(\n    defaultPrim = "Tiny"\n    subLayers = [@{}@, @./b.usda@]\n)'
 
 
 def _layer(name: str) -> str:

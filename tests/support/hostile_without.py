@@ -178,13 +178,14 @@ def _changed(file: str, old: str, new: str) -> Site:
 
 
 _RECORDS = _changed("facepipe/core/policy/urls.py", "return bool(checked(name, self._urls))", "return True")
-_FLAGS = _changed("facepipe/core/locks.py", 'getattr(os, "O_NONBLOCK", 0)', "0")
-_CLAIMS = _changed("facepipe/core/hidden_folders.py", "if path.is_symlink():\n        return None", "pass")
-_NAMES = _changed("facepipe/core/placing.py", "    if not plain or", "    if")
-_LINKS = _changed("facepipe/core/placing.py", "and not _has_links(move)]", "]")
+_WRITABLE = _changed("facepipe/cooking/graph.py", "and is_writable(nodes[key].path, roots):", ":")
+_LOCK = _changed("facepipe/core/locks.py", "os.open(file, _FLAGS | os.O_CREAT if", "os.open(file, 1 | os.O_CREAT if")
+_LIBRARY = _changed("facepipe/importers/materials_mtl.py", "        if not is_file(path):", "        if False:")
 QUIET: dict[str, tuple[Site, ...]] = {
     f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")
 }
+QUIET |= {f"cook, layer with a recipe: {escape}": (_WRITABLE,) for escape in ("absolute", "above", "linked folder")}
+QUIET |= {"lock, file: pipe": (_LOCK,), "obj, library: pipe": (_LIBRARY,)}
 
 
 def main() -> int:
