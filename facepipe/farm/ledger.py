@@ -100,7 +100,8 @@ def is_record(record: Any) -> bool:
     """Whether a value is what a run writes of a task: a state folder may come from elsewhere."""
     if not is_outcome(record) or not {"task", "status"} <= record.keys() or record["status"] not in STATUSES:
         return False
-    return record["status"] == FAILED or bool({"key", "reads", "writes", "seconds"} <= record.keys())
+    needed = {"error"} if record["status"] == FAILED else {"key", "reads", "writes", "seconds"}
+    return bool(needed <= record.keys())
 
 
 def is_outcome(record: Any) -> bool:

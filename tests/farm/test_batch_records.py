@@ -56,6 +56,7 @@ def test_a_whole_record_counts() -> None:
     assert is_record(RECORD)
     assert is_record({"task": "a", "status": "failed", "error": "why"})
     assert not is_record({"task": "a", "status": "made"})
+    assert not is_record({"task": "a", "status": "failed"})
 
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in DAMAGE.items() for value in values])
