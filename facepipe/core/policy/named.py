@@ -19,7 +19,7 @@ def file_named(where: object, name: str, file: Path) -> Path:
 
     :raises InputError: a URL, or neither below the roots of `file` nor below its folder
     """
-    path = _path(where, name, file)
+    path = path_named(where, name, file)
     check_copied(where, path, file)
     return path
 
@@ -38,7 +38,8 @@ def file_chosen(where: object, name: str, project: Path, folders: Iterable[Path]
     :param folders: of the project, with its roots where the caller trusts it
     :raises InputError: a URL, or outside of these folders and the given roots
     """
-    path = Path(os.path.normpath(_path(where, name, project)))  # as it is shown from elsewhere: without links to follow
+    # the caller shows it from elsewhere, where links before `..` would no longer be followed
+    path = Path(os.path.normpath(path_named(where, name, project)))
     allowed = (*folders, *trust().roots)
     if not is_below(path, allowed):
         shown = ", ".join(dict.fromkeys(map(str, allowed)))
@@ -46,7 +47,11 @@ def file_chosen(where: object, name: str, project: Path, folders: Iterable[Path]
     return path
 
 
-def _path(where: object, name: str, file: Path) -> Path:
+def path_named(where: object, name: str, file: Path) -> Path:
+    """The path that a text in `file` means, for a further check.
+
+    :raises InputError: a URL
+    """
     if is_url(name):
         raise InputError(where, f"{name[:80]} is a URL, expected a file")
     return file.parent / name
