@@ -24,7 +24,7 @@ from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.files import SUFFIXES, relative_path
 from facepipe.stage.outputs import check_output, check_report_folder
-from facepipe.stage.recipes import changed_sources, existing_source, recipe_of, source_digest
+from facepipe.stage.recipes import changed_sources, existing_source, named_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)
 
@@ -318,9 +318,10 @@ def _places(
         for source, _ in words:
             if source not in numbers:
                 raise SchemaError(f"{where} -> {name}", f"{source[:60]}, expected one of the sources")
-            path = instead.get(numbers[source], file.absolute().parent / source)
+            number = numbers[source]
+            path = instead.get(number) or named_source(f"{where} -> source {number}", source, file.absolute())
             given_as = "--replace" if field.several and field.stands_alone else field.shown
-            places[source] = existing_source(f"{where} -> source {numbers[source]}", path, given_as)
+            places[source] = existing_source(f"{where} -> source {number}", path, given_as)
     return places
 
 

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 
 from facepipe.core.atomic import discard_stale, replacing, together, write_bytes
 from facepipe.core.errors import ExportError, InputError
+from facepipe.core.policy.paths import check_written
+from facepipe.core.reading import read_json_object
 from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 _MAGIC, _VERSION, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 2, b"JSON", b"BIN\0"
 _LARGEST = 2**32 - 1
 _ALIGNMENT = 4
+_MOST_BYTES = 1 << 28  # of the JSON of a document that is replaced
 _BLOCK = 1 << 18  # bytes written at once
 
 
@@ -199,6 +202,7 @@ def _write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> 
         stale = _own_sidecars(target) - set(sidecars)
         for name, data in sidecars.items():
             path = target.with_name(name)
+            check_written(path)
             if not (path.is_file() and path.read_bytes() == data):
                 write_bytes(path, data)
         write_bytes(target, _json_bytes(document))
@@ -212,10 +216,10 @@ def _own_sidecars(target: Path) -> set[str]:
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
     named = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
     try:
-        document = json.loads(target.read_bytes())
+        document: Json = read_json_object(target, _MOST_BYTES)
         entries = [*document.get("buffers", []), *document.get("images", [])]
         uris = [entry.get("uri", "") for entry in entries]
-    except (OSError, ValueError, AttributeError, TypeError):
+    except (InputError, AttributeError, TypeError):
         return set()
     return {uri for uri in uris if isinstance(uri, str) and named.fullmatch(uri)}
 

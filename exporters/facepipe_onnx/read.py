@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes
+from facepipe.core.reading import file_beside, read_bytes
 from facepipe.core.reports import Finding
 from facepipe.onnx_graph import IR_VERSION, MAX_BYTES, OPSET
 from facepipe_onnx.metadata import (
@@ -215,10 +215,10 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
 def _sidecar_problems(file: Path, model: Any) -> Iterator[Problem]:
     beside = sidecar_path(file)
-    if not beside.exists():
-        yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
-        return
     try:
+        if file_beside(file, beside.name) is None:
+            yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
+            return
         text = read_bytes(beside, MAX_BYTES)
         same = parse_json(text, beside.name) == model_metadata(model)
     except InputError as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import facepipe
 from facepipe.core.errors import InputError
+from facepipe.core.policy.named import check_found
 from facepipe.core.reading import check_regular
 from facepipe.records import Json
 from facepipe_web import build
@@ -62,7 +63,9 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
     if path.suffix.lower() == ".glb":
         _check_start(path, b"glTF", "a GLB")
         if onnx is not None:
-            _check_start(onnx.with_name(f"{onnx.name}.json"), b"{", "the sidecar of an ONNX file")
+            sidecar = onnx.with_name(f"{onnx.name}.json")
+            check_found(sidecar, onnx)
+            _check_start(sidecar, b"{", "the sidecar of an ONNX file")
             _check_start(onnx, b"", "an ONNX file")
         entry, files = given_assets(path.name, path, onnx, f"faces/{number}")
     else:

@@ -191,7 +191,7 @@ def neural_rig_file(face: FaceView) -> Iterator[Problem]:
         return
     if link.path is None:
         where = _link_path(face, tokens.NEURAL_RIG_FILE)
-        yield at(where, f"@{link.file}@ can't be found, expected a neural rig (.fpnr)")
+        yield at(where, link.refusal or f"@{link.file}@ can't be found, expected a neural rig (.fpnr)")
         return
     try:
         rig = load_neural_rig(link.path)

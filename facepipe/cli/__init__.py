@@ -109,7 +109,7 @@ def _run(words: list[str]) -> int:
     place = words.index(command)
     rest = [*words[:place], *words[place + 1 :]]  # -v and -q may stand before it
     project = None if {"-h", "--help"} & {*rest} else _project()
-    line = rest if project is None else in_project(project, [command, *rest], Path.cwd())[1:]
+    line = rest if project is None else _line_in(project, command, rest)
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, line)
     parsed = parser.parse_args(line)
@@ -121,6 +121,14 @@ def _run(words: list[str]) -> int:
         code = int(module.run(parsed))
         _log.debug("exit code %d", code)
         return code
+
+
+def _line_in(project: Project, command: str, rest: list[str]) -> list[str]:
+    """The words after the command, with what the project says; files that it names may lie below roots of the line."""
+    finder = Parser(add_help=False, common=False, prog=f"facepipe {command}")
+    finder.add_argument("--root", action="append", default=argparse.SUPPRESS)
+    with trusting(_trust_of(finder.parse_known_args(rest)[0], project)):
+        return in_project(project, [command, *rest], Path.cwd())[1:]
 
 
 def _project() -> Project | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import check_links
+from facepipe.core.policy.paths import check_written
 from facepipe.processors.inspect_action import report_of
 
 if TYPE_CHECKING:
@@ -90,12 +90,14 @@ def _made(folder: Path, seed: int) -> int:
 
 def _folder(arguments: argparse.Namespace) -> Path:
     folder = Path(arguments.folder)
+    for name in (*FILES, TEXTURES):
+        check_written(folder / name)
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "is a file, expected a folder")
     there = [name for name in (*FILES, TEXTURES) if (folder / name).exists()]
     if there and not arguments.force:
         raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
-    check_links(folder)
+    check_written(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

@@ -231,6 +231,17 @@ def output_or_edited(arguments: argparse.Namespace, inputs: Sequence[Path]) -> P
     return output_of(argparse.Namespace(output=edited, force=True), inputs)
 
 
+def name_or_file(text: str) -> str:
+    """The type of an argument that names something, or with a suffix a file."""
+    return text
+
+
+def names_file(argument: argparse.Action, value: str) -> bool:
+    """Whether a value of an argument is a path."""
+    kind = getattr(argument.type, "__name__", "")
+    return kind == Path.__name__ or (kind == name_or_file.__name__ and Path(value).suffix != "")
+
+
 def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
     """`--rename NAMES|FILE`; the list of conventions is loaded for --help alone."""
     kinds = ""
@@ -240,6 +251,7 @@ def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
         kinds = " ".join(CONVENTIONS)
     parser.add_argument(
         "--rename",
+        type=name_or_file,
         metavar="NAMES",
         help=f"other names of shapes, in clips and sliders too: {kinds}; or a table of shapes and joints, a .json "
         "({old: new}) or .csv (old,new)",

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from facepipe.actions import find_action, groups, summaries
-from facepipe.cli.parser import Parser, add_field
+from facepipe.cli.parser import Parser, add_field, names_file
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.placing import relative
+from facepipe.core.policy.named import file_chosen
 from facepipe.core.project import Project
 from facepipe.declare import fields_of
 
@@ -30,12 +32,13 @@ def with_project(project: Project, words: Sequence[str], modules: Modules, folde
     :param modules: what configures commands that are no actions
     :param folder: that paths of the line are relative to
     :param out: its result, where the line does not name it
-    :raises InputError: the project names an unknown command or option, or an option that it may not choose
+    :raises InputError: the project names an unknown command or option, an option that it may not choose, or a file
+        outside of its folder and the roots
     """
     _check_commands(project, modules)
     verb, rest = _verb_of(words)
     result = ["-o", out] if out else []
-    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result]))
+    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result], folder))
     return [*verb, *_named(project, [*put, *rest], folder)]
 
 
@@ -51,10 +54,10 @@ def _verb_of(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return list(words[:count]), list(words[count:])
 
 
-def _flags(project: Project, command: str, modules: Modules, words: Sequence[str]) -> Iterator[str]:
+def _flags(project: Project, command: str, modules: Modules, words: Sequence[str], folder: Path) -> Iterator[str]:
     """A project's defaults for a command, those that the format of the line's output has."""
     defaults = project.defaults.get(command, {})
-    known, here = (_known(command, modules, ["--help"]), _known(command, modules, words)) if defaults else ((), ())
+    known, here = (_known(command, modules, ["--help"]), _known(command, modules, words)) if defaults else ({}, {})
     for name, value in defaults.items():
         where, name = f"{project.file} -> defaults.{command}", name.replace("_", "-")
         if name not in known:
@@ -63,12 +66,14 @@ def _flags(project: Project, command: str, modules: Modules, words: Sequence[str
         for item in value if isinstance(value, list) else [value]:
             if not isinstance(item, str | int | float):
                 raise InputError(f"{where}.{name}", f"{str(item)[:40]}, expected a text, a number, or true or false")
+            if isinstance(item, str) and names_file(known[name], item) and item not in project.names:
+                item = _seen(project, f"{where}.{name}", item, folder)
             flag = (f"--{name}" if item else f"--no-{name}") if isinstance(item, bool) else f"--{name}={item}"
             if flag.partition("=")[0].removeprefix("--") in here:
                 yield flag
 
 
-def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[str]:
+def _known(command: str, modules: Modules, words: Sequence[str]) -> Mapping[str, argparse.Action]:
     """The options of a command that a project may choose, of the format that `words` write, or of all (--help)."""
     parser = Parser(add_help=False, common=False)
     kind = find_action(command)
@@ -79,7 +84,13 @@ def _known(command: str, modules: Modules, words: Sequence[str]) -> Collection[s
         for field in fields_of(kind):
             if field.role == "option" and field.name not in kind.own_flags:
                 add_field(parser, field)
-    return {flag.removeprefix("--") for flag in parser._option_string_actions if flag.startswith("--")} - _NEVER
+    found = {flag.removeprefix("--"): one for flag, one in parser._option_string_actions.items()}
+    return {name: one for name, one in found.items() if not name.startswith("-") and name not in _NEVER}
+
+
+def _seen(project: Project, where: str, name: str, folder: Path) -> str:
+    """A file that the project names, as seen from where the line is run."""
+    return relative(file_chosen(where, name, project.file, project.folders), folder)
 
 
 def _named(project: Project, words: list[str], folder: Path) -> list[str]:
@@ -90,7 +101,7 @@ def _named(project: Project, words: list[str], folder: Path) -> list[str]:
         after = number > 0 and words[number - 1] == "--rename"
         name = value if flag == "--rename" and equals else word if after else ""
         if name in project.names:
-            file = relative(project.names[name], folder)
+            file = _seen(project, f"{project.file} -> names.{name}", project.names[name], folder)
             word = f"--rename={file}" if equals and not after else file
         named.append(word)
     return named

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from facepipe.actions import cookable, cookables
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.policy.paths import check_readable, is_writable, roots_of
+from facepipe.core.policy.paths import check_readable, is_writable, real_path, roots_of
 from facepipe.core.reading import digest
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, check_stage_file
-from facepipe.stage.recipes import check_recipe, check_source, file_recipe, is_source, layer_links, source_files
+from facepipe.stage.recipes import check_recipe, file_recipe, is_source, layer_links, named_source, source_files
 
 _IMPORT = "import "  # its faces are taken as they are
 _ENDS = 8  # files at each end of a trail that are named
@@ -188,11 +188,17 @@ def read_node(path: Path) -> Node:
     if kind is None:
         verbs = ", ".join(cookables())
         raise InputError(where, f"is of '{recipe.verb[:40]}', expected one of {verbs}")
-    sources = tuple(Path(os.path.normpath(path.parent / source)) for source in recipe.sources)
-    for number, source in enumerate(sources, 1):
-        check_source(f"{where} -> source {number}", source)
+    named = [named_source(f"{where} -> source {number}", one, path) for number, one in enumerate(recipe.sources, 1)]
+    sources = tuple(map(_plain, named))
+    for source in sources:
         check_readable(source)
     return Node(path=path, recipe=recipe, sources=sources, layers=links.layers)
+
+
+def _plain(path: Path) -> Path:
+    """A path without ``..``, unless links make it another."""
+    plain = Path(os.path.normpath(path))
+    return plain if real_path(plain) == real_path(path) else path
 
 
 def _line(trail: Sequence[Path]) -> str:

@@ -29,7 +29,7 @@ from facepipe.core.placing import (
     undo,
     write_journal,
 )
-from facepipe.core.policy.paths import PREFIX, check_beside, check_links
+from facepipe.core.policy.paths import PREFIX, check_written
 
 AnyPath = str | os.PathLike[str]
 _log = logging.getLogger(__name__)
@@ -156,8 +156,9 @@ def when_placed(call: Callable[[], object]) -> None:
 def hidden_folder(parent: Path) -> Iterator[Path]:
     """A temporary folder in `parent` for files that nobody should see; after a kill the next process removes it.
 
-    :raises InputError: `parent` does not exist or can't be written
+    :raises InputError: `parent` does not exist or can't be written, or a link leads out of the roots
     """
+    check_written(parent / "any")
     if not parent.is_dir():
         raise InputError(parent, "the folder does not exist")
     with _Group(parent.resolve() / "any") as group:
@@ -272,18 +273,15 @@ def _refused(path: AnyPath) -> Iterator[None]:
 def _real(path: AnyPath) -> Path:
     """`path` in a folder without links; where it is one itself, what it points at.
 
-    :raises InputError: it points at nothing, or it or a folder around it leads out of the roots
+    :raises InputError: it points at nothing, or a link leads out of the roots
     """
     target = Path(path)
     if target.name.casefold().startswith(PREFIX):  # systems may not distinguish case
         raise InputError(path, f"names of '{PREFIX}...' are for facepipe's temporary files, expected another")
-    check_links(target)
-    if target.is_symlink():
-        if not target.exists():
-            raise InputError(path, "is a link to nothing, expected a file or a link to one")
-        check_beside(target, target)
-        return target.resolve()
-    return target.parent.resolve() / target.name
+    if target.is_symlink() and not target.exists():
+        raise InputError(path, "is a link to nothing, expected a file or a link to one")
+    check_written(target)
+    return target.resolve() if target.is_symlink() else target.parent.resolve() / target.name
 
 
 def _finish_file(temporary: Path, target: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_written
 
 _PAUSE = 0.05  # seconds between two tries
 _FLAGS = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a link or pipe is no lock
@@ -26,9 +27,11 @@ def locked(
 
     :param patience: seconds to wait for another holder
     :param waiting: called once if there is one
-    :raises InputError: it is held for longer, or the folder does not exist or can't be written
+    :raises InputError: it is held for longer, the folder does not exist or can't be written, or a link leads out of the
+        roots
     """
     target = Path(path)
+    check_written(target)
     if not target.parent.is_dir():
         raise InputError(target, "the folder does not exist")
     file = _file(target)

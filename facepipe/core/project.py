@@ -13,7 +13,8 @@ around the working folder. The latter may be somebody else's, so its roots don't
     [defaults."neural-rig train"]
     steps = 4000
 
-Paths are relative to the file. An empty file marks the folder. Roots come on top of that folder.
+Paths are relative to the file, those of options too. An empty file marks the folder. Roots come on top of that folder.
+Files that it names lie below these, or below the roots that the caller gives.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys
 from facepipe.core.policy.paths import PROJECT
+from facepipe.core.policy.urls import is_url
 from facepipe.core.reading import read_toml
 
 _MOST_BYTES = 1 << 20
@@ -41,7 +43,7 @@ class Project:
     file: Path
     roots: tuple[Path, ...] = ()
     trusted: bool = False  # the caller has named it
-    names: Mapping[str, Path] = field(default_factory=dict)  # tables of other names, by what they are called
+    names: Mapping[str, str] = field(default_factory=dict)  # tables of other names, by what they are called
     defaults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # command -> option -> value
 
     @property
@@ -69,6 +71,8 @@ def _read(file: Path) -> Project:
     roots, names, defaults = (content.get(key, kind()) for key, kind in zip(_KEYS, (list, dict, dict), strict=True))
     if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         raise InputError(f"{file} -> roots", 'expected a list of folders, like ["../library"]')
+    for root in filter(is_url, roots):
+        raise InputError(f"{file} -> roots", f"{root[:80]} is a URL, expected a folder")
     if not isinstance(names, dict) or not all(isinstance(one, str) for one in names.values()):
         raise InputError(f"{file} -> names", 'expected tables, like studio = "names.csv"')
     if not isinstance(defaults, dict) or not all(isinstance(default, dict) for default in defaults.values()):
@@ -76,6 +80,6 @@ def _read(file: Path) -> Project:
     return Project(
         file=file,
         roots=tuple(file.parent / root for root in roots),
-        names={name: file.parent / one for name, one in names.items()},
+        names=names,
         defaults=defaults,
     )

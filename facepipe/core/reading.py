@@ -9,11 +9,12 @@ import json
 import re
 import stat
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.named import check_found
 from facepipe.core.policy.paths import check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
@@ -58,16 +59,34 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def files_in(folder: Path) -> list[Path]:
+def files_in(folder: Path, suffixes: Collection[str] = ()) -> list[Path]:
     """The files of a folder by name, but for hidden ones.
 
-    :raises InputError: it can't be read
+    :param suffixes: in lower case, of those that are wanted; none: all
+    :raises InputError: it can't be read, or a link in it leads outside the roots
     """
     check_readable(folder)
     try:
-        return sorted(one for one in folder.iterdir() if one.is_file() and not one.name.startswith("."))
+        found = sorted(one for one in folder.iterdir() if not one.name.startswith("."))
+        wanted = [one for one in found if not suffixes or one.suffix.lower() in suffixes]
+        for one in wanted:
+            check_found(one, folder)
+        return [one for one in wanted if one.is_file()]
     except OSError as error:
         raise InputError(folder, f"can't be read: {error.strerror or error}") from error
+
+
+def file_beside(path: Path, *names: str) -> Path | None:
+    """The first file of these names that is there, in the folder `path` or beside the file `path`.
+
+    :raises InputError: a link there leads outside the roots
+    """
+    folder = path if path.is_dir() else path.parent
+    for one in (folder / name for name in names):
+        check_found(one, path)
+        if is_file(one):
+            return one
+    return None
 
 
 def read_bytes(path: Path, most: int) -> bytes:

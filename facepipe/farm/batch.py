@@ -11,7 +11,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import check_beside, check_links, roots_of, trust
+from facepipe.core.policy.paths import check_written, roots_of, trust
 from facepipe.core.policy.urls import checked, is_url
 from facepipe.declare import check_ranges
 from facepipe.farm.child import Engine, Processes
@@ -59,13 +59,12 @@ def batch(
     if processes is not None and processes > most:
         raise InputError("--processes", f"is {processes}, expected at most {most}")
     for named in (one for one in (state, options.cache, options.local) if one is not None):
-        check_links(Path(named))
+        check_written(Path(named))
     if not isinstance(plan, Plan):
         state = Path(plan).absolute().parent / f"{Path(plan).stem}_batch" if state is None else state
         plan = read_plan(Path(plan))
     state = plan.folder / "facepipe_batch" if state is None else Path(state)
-    if state.is_symlink():
-        check_beside(state, plan.folder / "plan")
+    check_written(state)
     for root in trust().urls:
         checked(root, [root])
     if is_url(plan.out):

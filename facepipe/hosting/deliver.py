@@ -10,6 +10,7 @@ from pathlib import Path
 from facepipe.checks import validate
 from facepipe.core.atomic import hidden_folder, replacing, together
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_written
 from facepipe.core.reports import ExportReport, Finding, Report
 from facepipe.registry import exporter
 from facepipe.stage import open_face
@@ -46,10 +47,11 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
     :raises InputError: no such folder, a name that is a path, or files that are there already
     :raises FacepipeError: a face that a format can't hold; then nothing is written
     """
-    if not folder.is_dir():
-        raise InputError(folder, "the folder does not exist")
     if not name or Path(name).name != name:
         raise InputError(f"name '{name}'", "expected a file name without folder and suffix")
+    check_written(folder / name)
+    if not folder.is_dir():
+        raise InputError(folder, "the folder does not exist")
     there = [output.name for output in outputs(folder, name) if output.exists()]
     if there and not overwrite:
         raise InputError(folder / there[0], "exists, expected another name or folder (or to overwrite it)")

@@ -12,6 +12,8 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.policy.named import check_found
+from facepipe.core.reading import file_beside
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.npz import Field, check_indices, read_arrays
 from facepipe.importers.wavefront import Obj, read_obj, read_offsets
@@ -50,6 +52,7 @@ def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str
     if not source.is_dir():
         return _read_npz(source, identity, shapes)
     inner = source / "FaceXModel"
+    check_found(inner, source)
     return _read_folder(inner if inner.is_dir() else source, identity, shapes)
 
 
@@ -101,8 +104,8 @@ def _check(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 
 def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
-    neutral_file = folder / NEUTRAL
-    if not neutral_file.is_file():
+    neutral_file = file_beside(folder, NEUTRAL)
+    if neutral_file is None:
         raise InputError(folder, f"no {NEUTRAL} there, expected the FaceXModel folder of ICT-FaceKit")
     neutral = read_obj(neutral_file)
     if (len(neutral.points), len(neutral.face_vertex_counts)) != (topology.POINT_COUNT, topology.FACE_COUNT):
@@ -111,9 +114,9 @@ def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[s
             f"{len(neutral.points)} points and {len(neutral.face_vertex_counts)} faces, expected "
             f"{topology.POINT_COUNT} and {topology.FACE_COUNT}",
         )
-    modes = [folder / f"{name}.obj" for name in identity]
-    _require(folder, identity, {path.stem: path for path in modes if path.is_file()})
-    shape_files = [folder / f"{name}.obj" for name in shapes if (folder / f"{name}.obj").is_file()]
+    modes = [file for name in identity if (file := file_beside(folder, f"{name}.obj"))]
+    _require(folder, identity, {path.stem: path for path in modes})
+    shape_files = [file for name in shapes if (file := file_beside(folder, f"{name}.obj"))]
     return IctModel(
         neutral=replace(
             neutral,

@@ -16,6 +16,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
+from facepipe.core.reading import file_beside, files_in
 from facepipe.declare import check_ranges
 from facepipe.importers.landmark_file import read_landmarks
 from facepipe.importers.materials_mtl import read_materials
@@ -43,16 +44,14 @@ def read(source: Path, options: Options) -> Imported:
     if len(neutral.face_vertex_counts) == 0:
         raise InputError(neutral_file, "no faces (f lines), expected a mesh")
     shapes = {name: read_offsets(path, neutral) for name, path in shape_files.items()}
-    folder = neutral_file.parent
     library = read_materials(neutral_file, neutral.libraries)
     warnings = library.warnings
-    landmark_file = folder / "landmarks.json"
-    has_landmarks = source.is_dir() and landmark_file.is_file()
-    landmarks = read_landmarks(landmark_file, len(neutral.points)) if has_landmarks else {}
+    landmark_file = file_beside(source, "landmarks.json") if source.is_dir() else None
+    landmarks = read_landmarks(landmark_file, len(neutral.points)) if landmark_file else {}
     if neutral.uv_indices is None and len(neutral.uvs):
         warnings.append(f"{neutral_file.name}: some face corners have no UV, the UVs are left out")
     materials = _materials(neutral, library.materials, warnings)
-    files = [neutral_file, *shape_files.values(), *library.files, *([landmark_file] if has_landmarks else [])]
+    files = [neutral_file, *shape_files.values(), *library.files, *([landmark_file] if landmark_file else [])]
     parts = FaceParts(
         meters_per_unit=options.meters_per_unit,
         up_axis=options.up_axis,
@@ -67,10 +66,7 @@ def _files(source: Path, neutral: str) -> tuple[Path, dict[str, Path]]:
     """The neutral and the shapes by name, in the order of names."""
     if source.is_file():
         return source, {}
-    try:
-        objs = sorted(path for path in source.iterdir() if path.suffix.lower() == ".obj" and path.is_file())
-    except OSError as error:
-        raise InputError(source, f"can't be read: {error.strerror or error}") from error
+    objs = files_in(source, (".obj",))
     wanted = neutral.lower().removesuffix(".obj")
     neutrals = [path for path in objs if path.stem.lower() == wanted]
     if len(neutrals) != 1:

@@ -147,7 +147,9 @@ def _neural_rig(face: Face) -> dict[str, str] | None:
     link = read_neural_rig_link(face.prim)
     if link is None:
         return None
-    state = "lost" if link.path is None else "as applied" if digest([link.path]) == link.digest else "changed since"
+    if link.path is None:
+        return {"file": link.file, "state": link.refusal or "lost"}
+    state = "as applied" if digest([link.path]) == link.digest else "changed since"
     return {"file": link.file, "state": state}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import check_links
+from facepipe.core.policy.paths import check_written
 from facepipe.stage.files import SUFFIXES, dependencies
 
 _REPORT = "report.json"
@@ -17,12 +17,12 @@ _REPORT = "report.json"
 def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
     """Check a place before any work is done for it; what a killed run left beside it is cleaned up first.
 
-    :raises InputError: no folder, a link out of the roots, an input or a layer or texture of one, or a file that may
-        not be overwritten
+    :raises InputError: no folder, an input or a layer or texture of one, a file that may not be overwritten, or a link
+        that leads out of the roots
     """
+    check_written(output)
     if not output.parent.is_dir():
         raise InputError(output, "the folder does not exist")
-    check_links(output)
     collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
@@ -52,7 +52,7 @@ def check_report_folder(
     :param known: names, with "/" below the folder, that a report of `command` has
     :raises InputError: it may not
     """
-    check_links(folder)
+    check_written(folder)
     place = folder.resolve()
     if not place.parent.is_dir():
         raise InputError(folder, "the folder around it does not exist")

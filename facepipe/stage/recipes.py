@@ -15,7 +15,8 @@ from pxr import Ar, Sdf
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import PHOTO_SUFFIXES
-from facepipe.core.policy.paths import check_model
+from facepipe.core.policy.named import path_named
+from facepipe.core.policy.paths import check_copied, check_model, real_path
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
@@ -75,21 +76,36 @@ def check_recipe(where: str, recipe: Recipe) -> None:
         raise SchemaError(where, what)
 
 
-def check_source(where: str, path: Path) -> None:
-    """:raises InputError: a source that can run code as it is loaded, which the caller does not trust"""
+def named_source(where: str, source: str, file: Path) -> Path:
+    """The path of a source that the recipe on the face at `file` names, checked before it is looked at.
+
+    Stages are read anywhere, as those that layers name are; of all else the content comes into the result.
+
+    :raises InputError: a URL, a file that is no stage outside of the roots of `file` and its folder, or one that can
+        run code as it is loaded, which the caller does not trust
+    """
+    path = path_named(where, source, file)
     try:
         check_model(path)
     except InputError as error:
         raise InputError(where, f"{path.name} {error.what}") from None
+    if not _is_stage(path):
+        check_copied(where, path, file)
+    return path
+
+
+def _is_stage(path: Path) -> bool:
+    """Whether it is a USD file by its name, and so is what a link there leads to: a photo is read under any name."""
+    return all(one.suffix.lower() in SUFFIXES for one in (path, real_path(path) or path))
 
 
 def existing_source(where: str, path: Path, instead: str) -> Path:
-    """The absolute path of a source that a recipe names.
+    """The absolute path of a source.
 
     :param instead: the argument that takes another one
-    :raises InputError: no such file, or as `check_source`
+    :raises InputError: no such file, or one that can run code as it is loaded, which the caller does not trust
     """
-    check_source(where, path)
+    check_model(path)
     if not is_source(path):
         raise InputError(where, f"{path}: no such file, expected it there (or {instead})")
     return path.resolve()
@@ -104,7 +120,7 @@ def _photos(path: Path) -> set[Path]:
     """Those in a folder; none where it is no folder."""
     if not os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
         return set()
-    return {one for one in files_in(path) if one.suffix.lower() in PHOTO_SUFFIXES}
+    return set(files_in(path, PHOTO_SUFFIXES))
 
 
 def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[str, ...]:

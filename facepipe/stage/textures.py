@@ -14,7 +14,7 @@ from pxr import Sdf, Usd, UsdUtils
 from facepipe.core.atomic import collect, hidden_folder, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
-from facepipe.core.policy.paths import check_beside
+from facepipe.core.policy.paths import check_written
 from facepipe.parts import Texture
 from facepipe.stage.assets import images_of, name_of
 from facepipe.stage.files import check_suffix, relative_path, save_layer
@@ -29,14 +29,17 @@ class TextureFolder:
     """
 
     def __init__(self, stage_file: Path) -> None:
-        self._stage_file = stage_file
         self._folder = texture_folder(stage_file)
         self._files: dict[Path, bytes] = {}
         self._taken: set[str] = set()  # names, without case
 
     def add(self, name: str, data: bytes) -> str:
-        """Take a texture; its asset path as the stage file names it."""
+        """Take a texture; its asset path as the stage file names it.
+
+        :raises InputError: the folder is a link that leads outside the roots
+        """
         wanted = self._folder / file_name(name, "texture")
+        check_written(wanted)
         file, number = wanted, 1
         while not self._has_place(file, data):
             number += 1
@@ -48,13 +51,12 @@ class TextureFolder:
     def write(self) -> None:
         """Write what was taken.
 
-        :raises InputError: the folder can't be written, or is a link that leads outside the roots
+        :raises InputError: the folder can't be written
         """
         if not self._files:
             return
         if not self._folder.parent.is_dir():
             raise InputError(self._folder.parent, "no such folder")
-        check_beside(self._folder, self._stage_file)
         if not self._folder.exists():
             with replacing_folder(self._folder) as folder:
                 for file, data in self._files.items():

@@ -107,3 +107,59 @@ def test_edit_keeps_what_the_recipe_says(show: Path, capsys: Capsys) -> None:
     assert Path("person.usda").read_text() == before
     done(capsys, "blend", "face.usda", "other.usda", "-o", "person.usda", "--force", quiet=False)
     assert Path("person.usda").read_text() != before
+
+
+PRIVATE = '{"jawOpen": "OPEN"}'
+FILES = {  # what a project says -> the line that it is said of
+    "[names]\nstudio = '{}'\n": "export face.usda -o a.glb --rename studio",
+    "[defaults.export]\nrename = '{}'\n": "export face.usda -o a.glb",
+    "[defaults.import]\nrename = '{}'\n": "import usd face.usda a.usda",
+    "[defaults.import]\nidentity = '{}'\n": "import ict face.usda a.usda",
+    "[defaults.export]\nmeta = '{}'\n": "export face.usda -o a.vrm",
+    "[defaults.export]\nneural = '{}'\n": "export face.usda -o a.glb",
+    "[defaults.view]\nonnx = '{}'\n": "view face.usda",
+    "[defaults.blend]\nweights = '{}'\n": "blend face.usda face.usda -o a.usda",
+    "[defaults.sliders]\nlimits = '{}'\n": "sliders face.usda --from-shapes -o a.usda",
+    "[defaults.fit-bones]\nlimits = ['{}']\n": "fit-bones face.usda --target jawOpen -o a.usda",
+}
+
+
+@pytest.mark.parametrize("text", FILES, ids=lambda text: text.replace("\n", " "))
+@pytest.mark.parametrize("way", ["{top}/private.json", "../private.json", "link.json", "file://{top}/private.json"])
+def test_files_that_a_project_chooses_lie_in_it(
+    show: Path, tmp_path: Path, capsys: Capsys, text: str, way: str
+) -> None:
+    (tmp_path / "private.json").write_text(PRIVATE)
+    (show / "link.json").symlink_to("../private.json")
+    (show / "facepipe.toml").write_text(text.format(way.format(top=tmp_path)))
+    before = sorted(Path().iterdir())
+    code, _, err = run(capsys, *FILES[text].split())
+    assert (code, err.count("\n")) == (2, 1)
+    assert ("is a URL, expected a file" if "file:" in way else "is outside the roots") in err
+    assert sorted(Path().iterdir()) == before
+
+
+def test_files_that_a_project_chooses_may_lie_below_given_roots(
+    show: Path, tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of the line and of the environment; its own where the caller names it. Paths are from its folder."""
+    for folder in (tmp_path / "library", show):
+        folder.mkdir(exist_ok=True)
+        (folder / "names.json").write_text(PRIVATE)
+    own, other = "[defaults.export]\nrename = 'names.json'\n", "[defaults.export]\nrename = '../library/names.json'\n"
+    project, line = show / "facepipe.toml", ("export", "face.usda", "-o", "a.glb", "--force")
+    project.write_text(own)
+    done(capsys, *line, quiet=False)
+    first = Path("a.glb").read_bytes()
+    assert b"OPEN" in first
+    project.write_text(f'roots = ["../library"]\n{other}')
+    assert run(capsys, *line)[0] == 2
+    done(capsys, *line, "--root", "../../library", "--root", ".", quiet=False)
+    assert Path("a.glb").read_bytes() == first
+    with monkeypatch.context() as patch:
+        patch.setenv("FACEPIPE_ROOTS", str(tmp_path / "library"))
+        done(capsys, *line, quiet=False)
+    monkeypatch.setenv("FACEPIPE_PROJECT", str(project))
+    done(capsys, *line, quiet=False)
+    project.write_text(f"roots = ['s3://bucket']\n{other}")
+    assert "is a URL, expected a folder" in run(capsys, *line)[2]

@@ -222,7 +222,7 @@ def test_a_host_can_confine_what_a_cook_reads(show: Path) -> None:
     assert exit_code("sliders", "shots/controls.usda", "--from", "table.toml", "-o", "lib/own.usda") == 0
     with (
         trusting(Trust(roots=(show / "shots", show / "lib"), confined=True)),
-        pytest.raises(InputError, match=r"table\.toml: is outside the roots"),
+        pytest.raises(InputError, match=r"table\.toml is outside the roots"),
     ):
         cooking.cook(["lib/own.usda"], CookOptions(dry_run=True))
 
@@ -256,10 +256,25 @@ def test_and_in_a_cook_below_those_of_the_stage(actor: Path, capsys: Capsys) -> 
     """The project lies outside them; with both as roots the cook comes to the template, which has no landmarks."""
     Path("anna.toml").write_text(_PROJECT.format(work="work"))
     err = failed(capsys, "cook", "shot/anna.usda")
-    assert "anna.toml -> work: " in err
-    assert f"outside the roots ({actor / 'shot'})" in err
+    assert "shot/anna.usda -> recipe -> source 1: " in err
+    assert f"anna.toml is outside the roots ({actor / 'shot'})" in err
     assert not Path("work").exists()
     assert "has no multipie68 landmarks" in failed(capsys, "cook", "shot/anna.usda", "--root", ".")
+    Path("anna.toml").write_text(_PROJECT.format(work=f"{actor.parent.as_posix()}/work"))
+    assert "anna.toml -> work: " in failed(capsys, "cook", "shot/anna.usda", "--root", ".")
+
+
+@pytest.mark.parametrize("key", ["template", "database", "scan", "landmarks"])
+@pytest.mark.parametrize("way", ["{outside}/x.json", "../x.json", "http://host/x.json"])
+def test_so_does_all_that_a_project_names(actor: Path, capsys: Capsys, key: str, way: str) -> None:
+    (actor.parent / "x.json").write_text("{}")
+    named = way.format(outside=actor.parent.as_posix())
+    text = _PROJECT.format(work="work") + 'landmarks = "a.usda"\n'
+    lines = [f'{key} = "{named}"' if line.startswith(key) else line for line in text.splitlines()]
+    Path("anna.toml").write_text("\n".join(lines))
+    err = failed(capsys, "rebuild", "anna.toml", "-o", "anna.usda", folder=actor.parent)
+    assert f"-> {key}: " in err
+    assert ("is a URL" if "://" in way else "is outside the roots") in err
 
 
 @links

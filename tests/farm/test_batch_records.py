@@ -15,7 +15,7 @@ from command_line import Capsys, failed
 from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import Trust, check_links, private_folder, trusting
+from facepipe.core.policy.paths import Trust, check_written, private_folder, trusting
 from facepipe.core.policy.urls import Reach, typed_roots
 from facepipe.farm.batch import batch
 from facepipe.farm.ledger import FILE, is_outcome, is_record, parsed
@@ -192,12 +192,12 @@ def test_outputs_go_where_they_are_typed_but_by_no_link_of_the_folder(
     (tmp_path / "mine").symlink_to(big)
     monkeypatch.chdir(work)
     for fine in ("x.glb", "here/x.glb", big / "x.glb", tmp_path / "mine/x.glb", "../mine/x.glb"):
-        check_links(Path(fine))
+        check_written(Path(fine))
     for wrong in ("lib", "lib/x.glb", "lib/deep/x.glb", work / "lib/x.glb", "own/../lib/x.glb"):
         with pytest.raises(InputError, match=f"leads outside the roots .*expected --root {big}"):
-            check_links(Path(wrong))
+            check_written(Path(wrong))
     with trusting(Trust(roots=(work, big))):
-        check_links(Path("lib/x.glb"))
+        check_written(Path("lib/x.glb"))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="modes are others there")

@@ -131,6 +131,7 @@ class Hostile:
     make: Callable[[World], object]
     lines: tuple[tuple[str, ...], ...]
     refused: bool = True  # by the first line at least; else it may be of no harm
+    said: str = ""  # by the first line
     reads: bool = False  # what is elsewhere, as USD composes it, or as the victim names it by a link
 
 
@@ -142,8 +143,8 @@ def harm(hostile: Hostile, world: World, more: tuple[str, ...]) -> list[str]:
     before, found = world.outside(), []
     closed = (world.private, *map(Path, ("/etc/passwd", "/etc/x", "/etc/hostname", "/dev/zero")))
     for number, line in enumerate(hostile.lines):
-        errors = io.StringIO()
-        with trespassing(*closed) as done, redirect_stderr(errors), redirect_stdout(io.StringIO()):
+        errors, printed = io.StringIO(), io.StringIO()
+        with trespassing(*closed) as done, redirect_stderr(errors), redirect_stdout(printed):
             code = exit_code(*line, *more)
         said = [one for one in errors.getvalue().splitlines() if not one.startswith("facepipe: warning: ")]
         wrong = {
@@ -151,6 +152,7 @@ def harm(hostile: Hostile, world: World, more: tuple[str, ...]) -> list[str]:
             "changed outside": world.outside() != before,
             f"brought {world.brought()}": bool(world.brought()),
             f"did {done}": bool(done) and not hostile.reads,
+            f"not said: {hostile.said}": number == 0 and hostile.said not in printed.getvalue() + errors.getvalue(),
             f"exit code {code}": code not in (_refusals(line) if hostile.refused and number == 0 else (0, 1, 2)),
             f"said {said}": len(said) != (code == 2) or not all(map(str.isprintable, said)),
         }
@@ -240,7 +242,8 @@ def recipe(verb: str = "blend", sources: tuple[str, ...] = (), **options: Any) -
 
     def make(world: World) -> None:
         named = tuple(source.format(top=world.top) for source in sources)
-        made = Recipe(verb=verb, sources=named, digests=("sha256:0",) * len(named), options=options, version="0")
+        digests = ("sha256:0",) * len(named)
+        made = Recipe(verb=verb, sources=named, digests=digests, options=options, version=__version__)
         path = world.sent / "mix.usda"
         from facepipe.stage import open_face
 

@@ -37,6 +37,7 @@ from hostile_folders import (
     stale,
     textured,
 )
+from hostile_sources import SOURCES
 
 TEXTURES = (*EXPORT[:1], *FLAT, ("inspect", "face.usda"), *COPY)
 PACKED = tuple(tuple("face.usdz" if word == "face.usda" else word for word in line) for line in TEXTURES)
@@ -385,4 +386,4 @@ _OUTPUTS = tuple(
         ("batch", "state", ("batch", "show.toml", "--state", "lib/state", "--thumbnails", "0", "-q")),
     )
 )
-HOSTILE = (*_SINGLE, *_PLANS, *_OUTPUTS)
+HOSTILE = (*_SINGLE, *_PLANS, *_OUTPUTS, *SOURCES)

@@ -17,6 +17,7 @@ from facepipe.core.policy.paths import (
     check_model,
     check_readable,
     check_writable,
+    check_written,
     is_below,
     is_writable,
     roots_of,
@@ -130,6 +131,54 @@ def test_what_is_written_beside_a_file_follows_no_link_out_of_its_folder_and_roo
                 check_beside(show / "shots" / led, show / "shots/a.usda")
     with pytest.raises(InputError, match="outside the roots"):
         check_writable("a", show / "shots/c.usda", show / "shots/a.usda")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize("said", ["nothing", "root", "mark", "project"])
+def test_an_output_is_not_written_through_links_out_of_the_roots(
+    show: Path, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file itself, its folder, a folder between, or what a link there leads to; whoever said the roots."""
+    monkeypatch.chdir(show)
+    folder = show / "shots"
+    (folder / "deep").mkdir()
+    links = {"file": "../../other/file", "folder": "../../other", "deep/up": "../../..", "deep/round": "../folder"}
+    for name, target in links.items():
+        (folder / name).symlink_to(target)
+    (folder / "own").symlink_to("deep")
+    (show / "facepipe.toml").touch() if said == "mark" else None
+    policy = Trust(roots=(show,)) if said == "root" else Trust(project=(show,)) if said == "project" else Trust()
+    with trusting(policy):
+        for name in ("a.glb", "new.glb", "deep/../a.glb", "own/a.glb", "own/new/a.glb"):
+            check_written(folder / name)
+            check_written(Path("shots", name))
+        for name in ("file", "folder", "folder/a.glb", "folder/new/a.glb", "own/up/a.glb", "deep/up/other/a.glb"):
+            with pytest.raises(InputError, match=r"is a link to .*, outside the roots \(.*\), expected --root "):
+                check_written(Path("shots", name))
+        with pytest.raises(InputError, match="outside the roots"):
+            check_written(folder / "deep/round/a.glb")
+    fix = Trust(roots=(show.parent / "other",))
+    with trusting(fix):
+        check_written(folder / "file")
+        check_written(folder / "folder/a.glb")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_links_outside_of_the_roots_are_the_caller_s_own(show: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (show.parent / "link").symlink_to("other")
+    (show.parent / "home").symlink_to("show")
+    (show.parent / "circle").symlink_to("circle")
+    monkeypatch.chdir(show)
+    check_written(show.parent / "link/a.glb")
+    check_written(Path("../link/new/a.glb"))
+    check_written(show.parent / "home/shots/a.glb")
+    monkeypatch.chdir(show.parent / "home/shots")
+    check_written(Path("a.glb"))
+    with pytest.raises(InputError, match="more than 1000"):
+        check_written(show.parent / "circle/a.glb")
+    (show.parent / "other/a.glb").symlink_to("../show/a.glb")
+    with pytest.raises(InputError, match="outside the roots"):  # nobody types that it is one
+        check_written(show.parent / "link/a.glb")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")

@@ -20,6 +20,7 @@ from facepipe.core.errors import InputError
 
 ROOTS = "FACEPIPE_ROOTS"  # folders, separated as in PATH
 PROJECT = "facepipe.toml"  # marks the folder of a project
+_MOST_STEPS = 1000  # of a path, through links
 PREFIX = ".facepipe-"  # of the names of files and folders that are there while others are written
 OWN = Path(__file__).parents[2]  # networks and tables that come with facepipe
 _CODE = (".pt2", ".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".joblib")  # files that run code as they are loaded
@@ -74,23 +75,30 @@ def trusting(policy: Trust) -> Iterator[None]:
 
 def roots_of(file: Path) -> tuple[Path, ...]:
     """The roots of a stage, recipe or project: given ones, else the nearest project's folder, else its own."""
+    if is_below(file, trust().project) and not trust().roots:
+        return trust().project
+    folder = file.parent.resolve()  # of a link to a folder the one that it means: paths are compared so
+    return _known_roots(folder) or (folder,)
+
+
+def _known_roots(folder: Path) -> tuple[Path, ...]:
+    """The roots that hold for what is in a folder, whose path is without links; none where nobody has said any."""
     given, project = trust().roots, trust().project
     if given:
         return given
-    if is_below(file, project):
+    if is_below(folder, project):
         return project
-    folder = file.parent.resolve()  # of a link to a folder the one that it means: paths are compared so
     marked = (one for one in (folder, *folder.parents) if os.path.isfile(one / PROJECT))  # noqa: PTH113  (never raises)
-    return (next(marked, folder),)
+    return tuple(marked)[:1]
 
 
 def is_below(path: Path, folders: Iterable[Path]) -> bool:
     """Whether a path, once all links are followed, lies in one of the folders or below it; it need not exist."""
-    meant = _meant(path)
-    return meant is not None and any(meant.is_relative_to(one) for one in map(_meant, folders) if one is not None)
+    meant = real_path(path)
+    return meant is not None and any(meant.is_relative_to(one) for one in map(real_path, folders) if one is not None)
 
 
-def _meant(path: Path) -> Path | None:
+def real_path(path: Path) -> Path | None:
     """A path with all links followed; None for links in a circle and names that no file can have."""
     try:
         return path.resolve()
@@ -116,14 +124,35 @@ def check_writable(where: object, path: Path, file: Path) -> None:
         raise InputError(where, f"{path} is outside the roots ({_shown(roots_of(file))}), expected --root")
 
 
-def check_beside(path: Path, file: Path) -> None:
-    """Check a file or folder that is written beside `file`, which the caller named: links can lead it elsewhere.
+def check_written(path: Path) -> None:
+    """Check a file or folder that is written where the caller says, or beside that.
 
-    :raises InputError: neither below the roots of `file` nor below its folder
+    It goes where its path leads, but for links that somebody may have put there: a link in its place must lead to below
+    the roots, or its own folder; one to a folder on the way, that lies in the roots (those given, else those of the
+    project, else the working folder), must not lead out of them. Links elsewhere are the caller's own.
+
+    :raises InputError: such a link
     """
-    folders = (*roots_of(file), file.parent)
-    if not is_writable(path, folders):
-        raise InputError(path, f"leads outside the roots ({_shown(folders)}), expected --root")
+    place, left = Path(path.absolute().anchor), list(reversed(path.absolute().parts[1:]))
+    for _ in range(_MOST_STEPS):
+        if not left:
+            return
+        name = left.pop()
+        step = place.parent if name == ".." else place / name
+        if not step.is_symlink():
+            place = step
+            continue
+        roots = _known_roots(place)
+        allowed = (*(roots or (place,)), place) if not left else roots or (Path.cwd(),)
+        if (not left or is_below(place, allowed)) and not is_below(step, allowed):
+            meant = real_path(step) or step
+            folder = meant if left else meant.parent
+            shown = f"is a link to {meant}, outside the roots ({_shown(allowed)}), expected --root {folder}"
+            raise InputError(path, shown if path == step else f"{step} {shown}")
+        link = step.readlink()
+        place = Path(link.anchor) if link.anchor else place
+        left += reversed(link.parts[1:] if link.anchor else link.parts)
+    raise InputError(path, f"more than {_MOST_STEPS} folders and links, expected fewer")
 
 
 def check_copied(where: object, path: Path, file: Path) -> None:
@@ -133,26 +162,7 @@ def check_copied(where: object, path: Path, file: Path) -> None:
     """
     folders = (*roots_of(file), file.absolute().parent)
     if not is_below(path, folders):
-        raise InputError(where, f"{path} is outside the roots ({_shown(folders)}), expected --root")
-
-
-def check_links(path: Path) -> None:
-    """Check a file or folder that is written: links of somebody else's folder don't lead it elsewhere.
-
-    What the caller names is written where it says. But a link on the way that lies below the roots (given ones, else
-    those of the project, else of the working folder) must not lead out of them; other links are the caller's own.
-
-    :raises InputError: one does
-    """
-    place = Path(os.path.abspath(path))  # noqa: PTH100  (links stay)
-    links = [one for one in (place, *place.parents) if os.path.islink(one)]  # noqa: PTH114  (never raises)
-    if not links:
-        return
-    folders = trust().roots or trust().project or roots_of(Path.cwd() / "any")
-    for one in links:
-        if is_below(one.parent, folders) and not is_below(one, folders):
-            meant = _meant(one) or one
-            raise InputError(path, f"{one} leads outside the roots ({_shown(folders)}), expected --root {meant}")
+        raise InputError(where, f"{os.path.normpath(path)} is outside the roots ({_shown(folders)}), expected --root")
 
 
 def private_folder(path: Path) -> Path:
@@ -183,7 +193,7 @@ def check_readable(path: Path) -> None:
 
 def check_model(path: Path) -> None:
     """:raises InputError: a model that can hold code, or a link to one, which the caller does not trust"""
-    if not trust().models and any(one.suffix.lower() in _CODE for one in (path, _meant(path) or path)):
+    if not trust().models and any(one.suffix.lower() in _CODE for one in (path, real_path(path) or path)):
         raise InputError(path, "can run code as it is loaded, expected .onnx (or --trust-models)")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_json_object
+from facepipe.core.reading import file_beside, read_json_object
 from facepipe.declare import from_json, option
 
 # In the order of the photo fit's source; left and right are the person's.
@@ -106,8 +106,8 @@ def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description
     """
     if kind is not None and kind not in KINDS:
         raise InputError("kind", f"{kind!r}, expected one of {', '.join(KINDS)}")
-    beside = path.with_name(f"{path.name}.json")
-    if beside.is_file():
+    beside = file_beside(path, f"{path.name}.json")
+    if beside is not None:
         return _described(beside, read_json_object(beside, _MAX_BYTES), kind)
     if metadata is not None:
         where = f"{path} -> {PROPERTY}"
@@ -119,7 +119,7 @@ def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description
             raise InputError(where, "expected a JSON object")
         return _described(where, values, kind)
     if kind is None:
-        raise InputError(path, f"does not say what it gives, expected {beside.name} or metadata {PROPERTY}")
+        raise InputError(path, f"does not say what it gives, expected {path.name}.json or metadata {PROPERTY}")
     return DEFAULTS[kind]
 
 

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.reading import file_beside, files_in
 from facepipe.core.reports import Report, not_in_json, table
 from facepipe.declare import option, source
 from facepipe.kinds import FileAction, Job, action
@@ -122,12 +123,13 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
 
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected one of photos")
-    files = sorted(one for one in folder.iterdir() if one.suffix.lower() in _SUFFIXES)
+    files = files_in(folder, _SUFFIXES)
     pictures, left_out = [], []
     with job.watch("photos", len(files)) as bar:
         for path in files:
             try:
-                photo, beside = read_photo(path), _landmark_file(path)
+                names = (f"{path.name}.landmarks.json", f"{path.stem}.landmarks.json")
+                photo, beside = read_photo(path), file_beside(path, *names)
                 marks = own_landmarks(photo) if beside is None else read_landmarks(beside, photo)
                 space = pose_space(subject, photo.pixels.shape[1], photo.pixels.shape[0])
                 pictures.append(Picture.from_photo(photo.pixels, marks.points, space))
@@ -137,8 +139,3 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
     if not pictures:
         raise InputError(folder, f"{len(files)} photos and no usable face in them, expected photos of people")
     return pictures, left_out
-
-
-def _landmark_file(photo: Path) -> Path | None:
-    names = (f"{photo.name}.landmarks.json", f"{photo.stem}.landmarks.json")
-    return next((photo.with_name(name) for name in names if photo.with_name(name).is_file()), None)

@@ -30,8 +30,9 @@ from pathlib import Path
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
+from facepipe.core.policy.named import file_named, path_named
 from facepipe.core.policy.paths import check_writable
-from facepipe.core.reading import is_file, read_toml
+from facepipe.core.reading import file_beside, is_file, read_toml
 from facepipe.declare import from_json, values_of
 from facepipe.processors.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.processors.rebuild.options import (
@@ -126,23 +127,23 @@ class _ProjectTable:
 def read_project(path: Path) -> Project:
     """A project's text, checked.
 
-    :raises InputError: not readable, no TOML, not such a project, a file that it names and that is not there, or a work
-        folder outside the roots
+    :raises InputError: not readable, no TOML, not such a project, a file that it names and that is not there, or one or
+        a work folder that is outside the roots
     """
-    where, folder = str(path), path.parent
+    where = str(path)
     table = from_json(_ProjectTable, read_toml(path, _MOST_BYTES), where)
-    work = folder / (table.work or path.stem)
+    work = path_named(f"{where} -> work", table.work or path.stem, path)
     check_writable(f"{where} -> work", work, path)
     refinement = table.options.refinement
     return Project(
         path=path,
-        template=_file(f"{where} -> template", folder / table.template),
-        database=_file(f"{where} -> database", folder / table.database),
+        template=_file(f"{where} -> template", table.template, path),
+        database=_file(f"{where} -> database", table.database, path),
         work=work,
         joint=table.joint,
-        neutral=_scan(where, "neutral", table.neutral, folder, {}),
+        neutral=_scan(where, "neutral", table.neutral, path, {}),
         expressions=tuple(
-            _scan(f"{where} -> expressions", name, scan, folder, DEFAULT_COMPOSITES.get(name))
+            _scan(f"{where} -> expressions", name, scan, path, DEFAULT_COMPOSITES.get(name))
             for name, scan in table.expressions.items()
         ),
         neutral_options=table.options.neutral,
@@ -167,16 +168,16 @@ def _refinement(table: _RefinementTable) -> Refinement:
     return Refinement(regions=table.regions, options=options)
 
 
-def _scan(where: str, name: str, table: _ScanTable, folder: Path, usual: Mapping[str, float] | None) -> ProjectScan:
+def _scan(where: str, name: str, table: _ScanTable, project: Path, usual: Mapping[str, float] | None) -> ProjectScan:
     """:param usual: its weights where the table has none; None: it needs some"""
     where = f"{where} -> {name[:60]}"
     if not (name.isascii() and name.isidentifier()) or file_name(name) != name:
         raise InputError(where, "expected a name of letters, digits and underscores that files can have")
-    scan = _file(f"{where} -> scan", folder / table.scan)
-    beside = scan.with_name(f"{scan.stem}.landmarks.json")
-    landmarks = beside if beside.is_file() else None
-    if table.landmarks is not None:
-        landmarks = _file(f"{where} -> landmarks", folder / table.landmarks)
+    scan = _file(f"{where} -> scan", table.scan, project)
+    if table.landmarks is None:
+        landmarks = file_beside(scan, f"{scan.stem}.landmarks.json")
+    else:
+        landmarks = _file(f"{where} -> landmarks", table.landmarks, project)
     weights = table.weights or usual
     if weights is None:
         known = ", ".join(DEFAULT_COMPOSITES)
@@ -185,7 +186,8 @@ def _scan(where: str, name: str, table: _ScanTable, folder: Path, usual: Mapping
     return ProjectScan(name=name, scan=scan, landmarks=landmarks, weights=weights)
 
 
-def _file(where: str, path: Path) -> Path:
+def _file(where: str, name: str, project: Path) -> Path:
+    path = file_named(where, name, project)
     if not is_file(path):
         raise InputError(where, f"{path}: no such file")
     return path

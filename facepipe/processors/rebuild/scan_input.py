@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from facepipe.core.errors import FacepipeError
+from facepipe.core.reading import file_beside
 from facepipe.kinds import StageAction, Watch
 
 if TYPE_CHECKING:
@@ -35,11 +36,13 @@ class ScanAction(StageAction[J]):
 
 
 def landmark_file(scan: Path, given: Path | None) -> Path | None:
-    """The landmarks given, or those that lie beside a scan's file."""
+    """The landmarks given, or those that lie beside a scan's file.
+
+    :raises InputError: a link beside it leads outside the roots
+    """
     if given is not None or Path(scan).is_dir():
         return None if given is None else Path(given)
-    beside = Path(scan).with_name(f"{Path(scan).stem}.landmarks.json")
-    return beside if beside.exists() else None
+    return file_beside(Path(scan), f"{Path(scan).stem}.landmarks.json")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from facepipe.core import __version__
 from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
+from facepipe.core.policy.named import check_found
 from facepipe.core.policy.paths import check_writable
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
@@ -100,9 +101,11 @@ class WorkFolder:
     def correction(self, name: str) -> Path | None:
         """The corrected mesh of a step's result.
 
-        :raises InputError: more than one
+        :raises InputError: more than one, or a link that leads outside the roots
         """
         files = [self.path / CORRECTIONS / f"{name}{suffix}" for suffix in _SUFFIXES]
+        for path in files:
+            check_found(path, self.path)
         files = [path for path in files if path.is_file()]
         if len(files) > 1:
             names = ", ".join(path.name for path in files)
@@ -110,10 +113,16 @@ class WorkFolder:
         return files[0] if files else None
 
     def corrections(self) -> tuple[str, ...]:
-        """Names of all corrected meshes, as paths below ``corrections`` without suffixes."""
+        """Names of all corrected meshes, as paths below ``corrections`` without suffixes.
+
+        :raises InputError: a link that leads outside the roots
+        """
         folder = self.path / CORRECTIONS
-        files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES and path.is_file())
-        return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files)
+        check_found(folder, self.path)
+        files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in _SUFFIXES)
+        for path in files:
+            check_found(path, self.path)
+        return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files if path.is_file())
 
     def _read(
         self, path: Path, key: str, check: Callable[[Mapping[str, AnyArray], Mapping[str, Any]], object]

@@ -12,7 +12,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, ByteArray
 from facepipe.core.errors import InputError
 from facepipe.core.images import PHOTO_SUFFIXES, decoding, open_image
-from facepipe.core.reading import files_in, read_bytes
+from facepipe.core.reading import file_beside, files_in, read_bytes
 from facepipe.processors.scan_photos.options import FEWEST_PHOTOS
 
 if TYPE_CHECKING:
@@ -123,8 +123,7 @@ def _film_focal(image: Image) -> float | None:
 
 
 def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> BoolArray:
-    names = (file.name, f"{file.stem}.png", f"{file.name}.png")
-    mask_file = next((masks / name for name in names if (masks / name).is_file()), None)
+    mask_file = file_beside(masks, file.name, f"{file.stem}.png", f"{file.name}.png")
     if mask_file is None:
         raise InputError(masks / f"{file.stem}.png", f"is missing, expected a mask for {file.name}")
     image, _ = _image(mask_file)

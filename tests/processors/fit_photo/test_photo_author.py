@@ -445,6 +445,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a face, photos, landmarks and a model."""
     save_parts(tiny("Y", 0.01), tmp_path / "face.usda")
     (tmp_path / "in").mkdir()
+    (tmp_path / "facepipe.toml").touch()
     for name in ("a.png", "b.png", "a.json", "b.json", "net.onnx"):
         (tmp_path / "in" / name).write_bytes(name.encode())
     monkeypatch.chdir(tmp_path)

@@ -50,6 +50,10 @@ def test_the_layer_holds_what_changed_a_link_and_the_recipe(tmp_path: Path, caps
     assert "primvars:skel:jointIndices" not in head.attributes
     link = read_neural_rig_link(found.prim)
     assert link is not None
+    assert (link.path, "is outside the roots" in link.refusal) == (None, True)
+    (tmp_path / "facepipe.toml").touch()
+    link = read_neural_rig_link(found.prim)
+    assert link is not None
     assert (link.file, link.path) == ("../head.fpnr", tmp_path / "head.fpnr")
     recipe, _ = recipe_of(tmp_path / "out" / "neural.usda", "neural-rig apply")
     assert recipe.sources == ("../head.usda", "../head.fpnr")

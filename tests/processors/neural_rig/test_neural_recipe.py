@@ -23,6 +23,7 @@ def test_a_recipe_gives_the_same_bytes_again(
 ) -> None:
     saved(tmp_path, face(), bones=bones)
     (tmp_path / "out").mkdir()
+    (tmp_path / "facepipe.toml").touch()
     out = tmp_path / "out" / name
     flat = ("--flatten",) * (name == "flat.usda")
     applied(tmp_path, capsys, "-o", out, "--offset-tolerance-mm", 0.02, *flat)

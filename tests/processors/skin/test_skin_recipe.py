@@ -35,6 +35,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "joints.json").write_text(json.dumps(JOINTS))
     save_parts(replace(plain(head("sample")), animations=(), sliders=()), tmp_path / "other.usdc")
     (tmp_path / "results").mkdir()
+    (tmp_path / "facepipe.toml").touch()  # files that recipes name may lie above their folder
     return tmp_path
 
 
