@@ -315,8 +315,10 @@ def damaged_arrays(rng: Rng, data: bytes) -> bytes:
     elif way < 9 and arrays:
         for _ in range(damage.some(rng)):
             at = 4 * rng.randrange(len(arrays) // 4)
+            odd = [b"\xff" * 4, b"\0\0\xc0\x7f", b"\0\0\x80\x7f", b"\0" * 4, b"\xff\xff\xff\x7f"]
+            floats = [1e11, -1e11, 1e-30, -1e-45, 1.0, rng.gauss(0.0, 10.0)]
             number = rng.choice(
-                [b"\xff" * 4, b"\0\0\xc0\x7f", b"\0\0\x80\x7f", struct.pack("<f", 1e11), b"\0" * 4, b"\xff\xff\xff\x7f"]
+                [*odd, *(struct.pack("<f", one) for one in floats), struct.pack("<i", rng.randrange(9))]
             )
             arrays[at : at + 4] = number
     else:
@@ -367,16 +369,22 @@ DATABASE_LINES = [
 ]
 
 
-def put_neural() -> None:
-    from facepipe.processors.neural_rig import save_neural_rig
+def put_neural(bones: bool) -> Callable[[], None]:
+    """A rig, with an encoder where it has no bones."""
 
-    save_parts(neural_faces.face(), Path("face.usda"))
-    parts = facepipe.open("face.usda").parts()
-    save_neural_rig(neural_faces.neural_rig(parts, bones=True), Path("rig.fpnr"), {})
+    def put() -> None:
+        from facepipe.processors.neural_rig import save_neural_rig
+
+        save_parts(neural_faces.face(joints=bones), Path("face.usda"))
+        rig = neural_faces.neural_rig(facepipe.open("face.usda").parts(), bones=bones)
+        save_neural_rig(rig, Path("rig.fpnr"), {}, None if bones else neural_faces.neural_encoder(rig))
+
+    return put
 
 
 NEURAL_LINES = [
     ["neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "out.usda"],
+    ["neural-rig", "invert", "rig.fpnr", "face.usda", "-o", "out.usda"],
     ["export", "face.usda", "--neural", "rig.fpnr", "-o", "out.onnx"],
 ]
 
@@ -844,7 +852,9 @@ FORMATS: dict[str, Format] = {
     ),
     "projects": Format({"project": put_project}, damage_project, keeps=("work",)),
     "databases": Format({"database": put_database}, one_of(DATABASE_LINES, damaged_arrays, "faces.fpdb")),
-    "neural rigs": Format({"rig": put_neural}, one_of(NEURAL_LINES, damaged_arrays, "rig.fpnr")),
+    "neural rigs": Format(
+        {"bones": put_neural(True), "encoder": put_neural(False)}, one_of(NEURAL_LINES, damaged_arrays, "rig.fpnr")
+    ),
     "rebuild stages": Format({"project": put_rebuilt}, damage_rebuilt, writes=("out", "work"), keeps=("work",)),
     "payloads": Format(
         {"payload": put_payload},
