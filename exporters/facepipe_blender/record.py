@@ -8,20 +8,25 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import SchemaError
-from facepipe.hosting.host_face import face_from_bytes, face_to_bytes
+from facepipe.core.errors import FacepipeError, SchemaError
+from facepipe.hosting.host_face import Field, arrays_from_bytes, face_from_bytes, face_to_bytes
 from facepipe.parts import FaceParts
 
 RECORD = "facepipe_record"  # property of objects: the text block
 MESH = "facepipe_mesh"  # property of mesh objects: the name of their mesh in the face
 _CONTENT = "facepipe_content"  # property of the text block
+_ARRAYS = {
+    "face": Field("int", ("face bytes",)),
+    "header": Field("int", ("header bytes",)),
+    "bones": Field("float", ("joints", 4, 4)),
+    "places": Field("float", ("meshes", 4, 4)),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,16 +69,19 @@ def kept_in(text: Any) -> Kept:
     :raises SchemaError: a text block that holds none, or a damaged one
     """
     try:
-        with np.load(io.BytesIO(bytes(text[_CONTENT])), allow_pickle=False) as arrays:
-            header = json.loads(arrays["header"].tobytes())
-            return Kept(
-                parts=face_from_bytes(arrays["face"].tobytes()),
-                bones=dict(zip(header["bones"], arrays["bones"], strict=True)),
-                places=dict(zip(header["places"], arrays["places"], strict=True)),
-                file=str(header["file"]),
-                neural_rig=tuple(header["neural_rig"]),
-            )
-    except (KeyError, ValueError, TypeError, OSError, zipfile.BadZipFile):
+        arrays = arrays_from_bytes(memoryview(text[_CONTENT]).tobytes(), _ARRAYS)
+        header = json.loads(arrays["header"].tobytes())
+        names = [*header["bones"], *header["places"], header["file"], *header["neural_rig"]]
+        if not all(isinstance(name, str) for name in names):
+            raise TypeError
+        return Kept(
+            parts=face_from_bytes(arrays["face"].tobytes()),
+            bones=dict(zip(header["bones"], arrays["bones"], strict=True)),
+            places=dict(zip(header["places"], arrays["places"], strict=True)),
+            file=header["file"],
+            neural_rig=tuple(header["neural_rig"]),
+        )
+    except (KeyError, ValueError, TypeError, RecursionError, FacepipeError):  # the .blend may be of others
         raise SchemaError(text.name, "holds no face, expected the text block of an imported face") from None
 
 

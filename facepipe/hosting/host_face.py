@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from facepipe_schemas import register as register_schemas
 from pxr import Sdf, Usd
 
 from facepipe.core import tokens
+from facepipe.core.arrays import AnyArray
 from facepipe.hosting.edited_mesh import sculpted
+from facepipe.importers.npz import Field, read_arrays
 from facepipe.parts import FaceParts, Material, Recipe
 from facepipe.rig.activation import Curve, curves
 from facepipe.stage import Face, open_face
@@ -23,6 +26,8 @@ from facepipe.stage.neural_rig_link import author_neural_rig_link, read_neural_r
 __all__ = [
     "Curve",
     "Face",
+    "Field",
+    "arrays_from_bytes",
     "author_neural_rig",
     "check_region_name",
     "curves",
@@ -83,6 +88,17 @@ def face_from_bytes(data: bytes) -> FaceParts:
         file = Path(folder) / "face.usdc"
         file.write_bytes(data)
         return open_face(file).parts()
+
+
+def arrays_from_bytes(data: bytes, fields: Mapping[str, Field]) -> dict[str, AnyArray]:
+    """The arrays in the bytes of an .npz file that may be of others.
+
+    :raises InputError: no such file, or one of other arrays or of more than its size may unfold to
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "arrays.npz"
+        file.write_bytes(data)
+        return read_arrays(file, fields, {})
 
 
 def recipe_from(recipe: Recipe | None, old: Path, new: Path) -> Recipe | None:

@@ -309,17 +309,23 @@ fps = 30
 [defaults.validate]
 json = true
 
+[defaults.batch]
+resume = true
+seconds = 60
+thumbnails = 0
+
 [defaults.inspect]
 json = false
 """
 PROJECT_LINES = [
     ["inspect", "face.usda"],
     ["validate", "face.usda"],
-    ["sliders", "face.usda"],
+    ["sliders", "face.usda", "--from-shapes", "jawOpen", "-o", "out.usda"],
     ["export", "face.usda", "-o", "out.glb"],
     ["export", "face.usda", "-o", "out.onnx"],
     ["animate", "face.usda", "talk.csv", "-o", "out.usda"],
     ["render", "face.usda", "-o", "out.png"],
+    ["batch", "show.toml", "--state", "out_state"],
 ]
 
 
@@ -328,6 +334,8 @@ def put_project_file() -> None:
     Path("talk.csv").write_text("jawOpen\n0\n0.25\n1\n")
     Path("tables").mkdir()
     Path("tables/names.csv").write_text("old,new\njawOpen,open\n")
+    step = '[steps.game]\nrun = "export face.usda"\nout = "{seed}.glb"\n'
+    Path("show.toml").write_text(f'out = "out"\n[faces]\n{TABLES["range"]}\n{step}')
     Path("facepipe.toml").write_text(PROJECT)
 
 
@@ -338,6 +346,7 @@ def damage_project_file(rng: Rng, part: str) -> list[Line]:
         file.write_bytes(_elsewhere(rng, file.read_bytes(), old))
     else:
         file.write_bytes(damage.damaged_toml(rng, file.read_bytes()))
+    batch.Processes = AtOnce  # type: ignore[misc, assignment]
     return [rng.choice(PROJECT_LINES)]
 
 
@@ -350,5 +359,5 @@ FARM: dict[str, Format] = {
         keeps=("built", "show_batch", "cache"),
     ),
     "plans": Format({table: put_plan(table) for table in TABLES}, damage_plan, writes=("",), keeps=("show_batch",)),
-    "project files": Format({"project": put_project_file}, damage_project_file),
+    "project files": Format({"project": put_project_file}, damage_project_file, keeps=("out_state",)),
 }

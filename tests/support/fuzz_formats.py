@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.util
+import io
 import json
 import random
 import struct
@@ -26,6 +27,7 @@ import rebuild_project
 import rebuild_stages
 import scan_domes
 import slider_tables
+from blender_texts import TextBlock
 from bone_faces import save_sources
 from faces import clipped_face, tiny_face
 from full_faces import full_face, good_face
@@ -62,9 +64,7 @@ def change(name: str, how: Callable[[Rng, bytes], bytes], rng: Rng) -> None:
     path.write_bytes(how(rng, path.read_bytes()))
 
 
-def one_of(
-    lines: Sequence[Sequence[str]], how: Callable[[Rng, bytes], bytes], *names: str
-) -> Callable[[Rng, str], list[Line]]:
+def one_of(lines: Sequence[Line], how: Callable[[Rng, bytes], bytes], *names: str) -> Callable[[Rng, str], list[Line]]:
     """Damage to one of the files, and one of the commands."""
 
     def damaged(rng: Rng, part: str) -> list[Line]:
@@ -315,8 +315,10 @@ def damaged_arrays(rng: Rng, data: bytes) -> bytes:
     elif way < 9 and arrays:
         for _ in range(damage.some(rng)):
             at = 4 * rng.randrange(len(arrays) // 4)
+            odd = [b"\xff" * 4, b"\0\0\xc0\x7f", b"\0\0\x80\x7f", b"\0" * 4, b"\xff\xff\xff\x7f"]
+            floats = [1e11, -1e11, 1e-30, -1e-45, 1.0, rng.gauss(0.0, 10.0)]
             number = rng.choice(
-                [b"\xff" * 4, b"\0\0\xc0\x7f", b"\0\0\x80\x7f", struct.pack("<f", 1e11), b"\0" * 4, b"\xff\xff\xff\x7f"]
+                [*odd, *(struct.pack("<f", one) for one in floats), struct.pack("<i", rng.randrange(9))]
             )
             arrays[at : at + 4] = number
     else:
@@ -367,16 +369,22 @@ DATABASE_LINES = [
 ]
 
 
-def put_neural() -> None:
-    from facepipe.processors.neural_rig import save_neural_rig
+def put_neural(bones: bool) -> Callable[[], None]:
+    """A rig, with an encoder where it has no bones."""
 
-    save_parts(neural_faces.face(), Path("face.usda"))
-    parts = facepipe.open("face.usda").parts()
-    save_neural_rig(neural_faces.neural_rig(parts, bones=True), Path("rig.fpnr"), {})
+    def put() -> None:
+        from facepipe.processors.neural_rig import save_neural_rig
+
+        save_parts(neural_faces.face(joints=bones), Path("face.usda"))
+        rig = neural_faces.neural_rig(facepipe.open("face.usda").parts(), bones=bones)
+        save_neural_rig(rig, Path("rig.fpnr"), {}, None if bones else neural_faces.neural_encoder(rig))
+
+    return put
 
 
 NEURAL_LINES = [
     ["neural-rig", "apply", "face.usda", "rig.fpnr", "-o", "out.usda"],
+    ["neural-rig", "invert", "rig.fpnr", "face.usda", "-o", "out.usda"],
     ["export", "face.usda", "--neural", "rig.fpnr", "-o", "out.onnx"],
 ]
 
@@ -578,6 +586,40 @@ def put_makehuman() -> None:
 
 def put_ict() -> None:
     Path("head.npz").write_bytes((SHARED / "ict_facekit" / "ict_facekit.npz").read_bytes())
+
+
+def put_record() -> None:
+    from facepipe_blender.record import Kept, keep
+
+    text, parts = TextBlock(), tiny_face()
+    places = {mesh.name: np.eye(4) for mesh in parts.meshes}
+    keep(Kept(parts=parts, bones=dict.fromkeys(parts.skeleton.joints, np.eye(4)), places=places, file="a.usda"), text)
+    (content,) = text.values()
+    Path("record.npz").write_bytes(content)
+
+
+def read_record() -> None:
+    from facepipe_blender.record import kept_in
+
+    kept_in(TextBlock(facepipe_content=Path("record.npz").read_bytes()))
+
+
+def damage_record(rng: Rng, part: str) -> list[Line]:
+    """Its arrays, or the JSON and the face in them; the face is also a file, to see whether it kills USD alone."""
+    file = Path("record.npz")
+    data = damage.damaged_npz(rng, file.read_bytes())
+    if rng.random() < 0.5:
+        with np.load(file) as found:
+            arrays = {name: found[name] for name in found.files}
+        name, how = rng.choice([("header", damage.damaged_json), ("face", damage.damaged_bytes)])
+        arrays[name] = np.frombuffer(how(rng, arrays[name].tobytes()), np.uint8)
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **arrays)
+        data = stream.getvalue()
+    file.write_bytes(data)
+    with contextlib.suppress(Exception), np.load(file) as found:
+        Path("face.usdc").write_bytes(found["face"].tobytes())
+    return [read_record]
 
 
 # ---- pictures and what goes with them
@@ -844,7 +886,9 @@ FORMATS: dict[str, Format] = {
     ),
     "projects": Format({"project": put_project}, damage_project, keeps=("work",)),
     "databases": Format({"database": put_database}, one_of(DATABASE_LINES, damaged_arrays, "faces.fpdb")),
-    "neural rigs": Format({"rig": put_neural}, one_of(NEURAL_LINES, damaged_arrays, "rig.fpnr")),
+    "neural rigs": Format(
+        {"bones": put_neural(True), "encoder": put_neural(False)}, one_of(NEURAL_LINES, damaged_arrays, "rig.fpnr")
+    ),
     "rebuild stages": Format({"project": put_rebuilt}, damage_rebuilt, writes=("out", "work"), keeps=("work",)),
     "payloads": Format(
         {"payload": put_payload},
@@ -890,6 +934,7 @@ FORMATS: dict[str, Format] = {
             [["sliders", "face.usda", "--from-network", "net.npz", "-o", "out.usda"]], damage.damaged_npz, "net.npz"
         ),
     ),
+    "records of Blender": Format({"record": put_record}, damage_record, stages=True),
     "maps": Format({"map": put_map}, damage_map),
     "photos": Format(
         {"png": put_photo("PNG"), "jpeg": put_photo("JPEG"), "tiff": put_photo("TIFF"), "webp": put_photo("WEBP")},

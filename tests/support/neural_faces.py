@@ -20,6 +20,7 @@ from facepipe.processors.database import Topology, whole_points
 from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
 from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide
+from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, share_limits, values_of
 from facepipe.stage import Face, save_parts
 
@@ -70,6 +71,47 @@ def neural_rig(parts: FaceParts, *, bones: bool, shapes: int = 4, units: int = 6
         topology=Topology.of(parts).digest,
         bones=own,
         channels=channels,
+    )
+
+
+def neural_encoder(rig: NeuralRig, points: int = 8, seed: int = 0) -> NeuralEncoder:
+    """Random numbers of the least sizes: two tokens of four points, two heads, one layer."""
+    random, controls = np.random.default_rng(seed), len(rig.controls)
+
+    def some(*shape: int) -> np.ndarray:
+        return 0.1 * random.normal(size=shape)
+
+    layer = EncoderLayer(
+        attend=some(4, 12),
+        attend_bias=some(12),
+        join=some(4, 4),
+        join_bias=some(4),
+        widen=some(4, 6),
+        widen_bias=some(6),
+        narrow=some(6, 4),
+        narrow_bias=some(4),
+    )
+    chosen = random.choice(len(rig.rest), points, replace=False)
+    return NeuralEncoder(
+        controls=rig.controls,
+        topology=rig.topology,
+        point_count=len(rig.rest),
+        chosen=chosen,
+        rest=rig.rest[chosen],
+        scale=2.0,
+        heads=2,
+        point=some(3, 5),
+        point_bias=some(points, 5),
+        feature=some(5, 3),
+        feature_bias=some(3),
+        token=some(points // 2 * 3, 4),
+        places=some(2, 4),
+        layers=(layer,),
+        reduce=some(8, 3),
+        reduce_bias=some(3),
+        last=some(3, controls),
+        straight=some(3 * points, controls),
+        offset=some(controls),
     )
 
 
