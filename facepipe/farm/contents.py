@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facepipe.core.errors import ChangedError, InputError
+from facepipe.core.policy.paths import check_readable
 from facepipe.core.reading import digest, read_bytes, read_json_object
 from facepipe.importers.materials_mtl import texture_name
 from facepipe.stage.files import SUFFIXES, dependencies, named_in
@@ -68,8 +69,9 @@ def _read(path: Path) -> Content:
 def _stands_on(path: Path) -> set[Path]:
     """A file with the layers, textures and buffers that it names; all files of a folder.
 
-    :raises InputError: there is none, or it is damaged
+    :raises InputError: there is none, it is damaged, or one may not be read
     """
+    check_readable(path)  # before a folder is listed: it may be the whole disk
     if path.is_dir():
         return {one for one in path.rglob("*") if one.is_file()}
     if not path.is_file():
@@ -78,7 +80,10 @@ def _stands_on(path: Path) -> set[Path]:
         return {_shortest(dependency) for dependency in dependencies(path) if dependency.is_file()} | {path}
     reached, todo = {path}, [path]
     while todo:
-        fresh = {one for one in named(todo.pop()) if one.is_file()} - reached
+        others = named(todo.pop())
+        for one in others:
+            check_readable(one)
+        fresh = {one for one in others if one.is_file()} - reached
         reached |= fresh
         todo += fresh
     return reached

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -12,13 +13,14 @@ from typing import IO, Any
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.core.locks import locked
-from facepipe.core.reading import check_input, check_regular
+from facepipe.core.reading import check_input, check_regular, check_values
 
 Record = dict[str, Any]  # task, status, words, key, reads, writes, report, ... (`facepipe.farm.work`)
 FILE = "tasks.jsonl"
 STATUSES = (MADE, KEPT, CACHED, FAILED) = ("made", "kept", "cached", "failed")
-_MOST_LINE = 1 << 20  # bytes; reports are brief
+_MOST_LINE = 1 << 24  # bytes: reports are brief, but a step once for all reads the results of 200,000 faces
 _MOST_BYTES = 4 << 30
+_MOST_DIGITS = 100  # of an integer: from 309 on it is no float
 _SLACK = 1.5  # lines for each task before the file is written anew
 
 
@@ -53,7 +55,7 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
     check_input(path)
     with locked(path, patience=0.0):
         lines, records = _read(path)
-        if lines > _SLACK * len(records) + 100 or not _ends_whole(path):
+        if lines > _SLACK * len(records) + 100 or not _ends_whole(path) or _has_other_names(path):
             _write(path, records.values())
         try:
             file = path.open("ab")
@@ -83,25 +85,35 @@ def _read(path: Path) -> tuple[int, dict[str, Record]]:
 
 
 def parsed(data: bytes) -> Any:
-    """The value of a text of JSON, None where it is none, or holds a number that is none."""
+    """The value of a text of JSON, None where it is none, has too many values, or a number that a report can't have."""
     if data.startswith(b"\0"):  # of a file with holes: no text to parse
         return None
     try:
-        return json.loads(data, parse_constant=_refused)
-    except (ValueError, RecursionError):
+        check_values("", data)
+        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_short)
+    except (ValueError, RecursionError, InputError):
         return None
 
 
-def _refused(name: str) -> float:
-    raise ValueError(name)
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(text)
+    return number
+
+
+def _short(text: str) -> int:
+    if len(text.lstrip("-")) > _MOST_DIGITS:
+        raise ValueError(text[:_MOST_DIGITS])
+    return int(text)
 
 
 def is_record(record: Any) -> bool:
     """Whether a value is what a run writes of a task: a state folder may come from elsewhere."""
     if not is_outcome(record) or not {"task", "status"} <= record.keys() or record["status"] not in STATUSES:
         return False
-    needed = {"error"} if record["status"] == FAILED else {"key", "reads", "writes", "seconds"}
-    return bool(needed <= record.keys())
+    known = {"error"} if record["status"] == FAILED else {"key", "reads", "writes", "seconds"}
+    return bool(known <= record.keys())
 
 
 def is_outcome(record: Any) -> bool:
@@ -131,6 +143,14 @@ def _is_write(value: Any) -> bool:
     )
 
 
+def _are_names(value: Any) -> bool:
+    """Keys that files can be called by."""
+    try:
+        return isinstance(value, dict) and all(map(os.fsencode, value))
+    except UnicodeEncodeError:  # half a surrogate pair
+        return False
+
+
 def _are_texts(value: Any) -> bool:
     return isinstance(value, list) and all(map(_is_text, value))
 
@@ -143,8 +163,8 @@ _KINDS: Mapping[str, Callable[[Any], bool]] = {
     "key": _is_text,
     "verb": _is_text,
     "error": _is_text,
-    "reads": lambda value: isinstance(value, dict) and all(map(_is_state, value.values())),
-    "writes": lambda value: isinstance(value, dict) and all(map(_is_write, value.values())),
+    "reads": lambda value: _are_names(value) and all(map(_is_state, value.values())),
+    "writes": lambda value: _are_names(value) and all(map(_is_write, value.values())),
     "report": lambda value: isinstance(value, dict),
     "attribution": _are_texts,
     "seconds": _is_number,
@@ -160,6 +180,13 @@ def _ends_whole(path: Path) -> bool:
         file.seek(-1, os.SEEK_END)
         return file.read(1) == b"\n"
     return True  # empty, or none
+
+
+def _has_other_names(path: Path) -> bool:
+    """Whether a file is somebody else's too, by a hard link: what is added to it would be added there."""
+    with contextlib.suppress(OSError):
+        return path.stat().st_nlink > 1
+    return False
 
 
 def _write(path: Path, records: Iterable[Mapping[str, Any]]) -> None:

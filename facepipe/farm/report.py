@@ -166,4 +166,4 @@ def _address(run: Run, state: Path, path: str) -> str:
     """A picture as the page names it."""
     from urllib.parse import quote
 
-    return quote(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix())
+    return quote(os.fsencode(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix()))

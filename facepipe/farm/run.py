@@ -168,7 +168,10 @@ class Run:
         last = self.ledger.records.get(task.name)
         if last is None or not all(map(self._reach, (*last.get("reads", ()), *last.get("writes", ())))):
             return None
-        return None if last["status"] in DONE and task.step.out and not own_writes(self.plan, task, last) else last
+        if last["status"] not in DONE:
+            return last
+        stands_on = own_writes(self.plan, task, last) if task.step.out else last["reads"]  # else it only says so
+        return last if stands_on else None
 
     def _is_there(self, name: str) -> bool:
         """Whether a result is; a task without one needs none."""

@@ -109,10 +109,17 @@ def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror, *, verify: b
     for name, (state, own) in writes.items():
         former = last["writes"][name][0]
         unchanged = former is not None and state == tuple(former) and not verify
-        if not unchanged and (state is None or mirror.digest(name) != own):
+        if not unchanged and (state is None or not _has_digest(name, own, mirror)):
             return None
     same = {name: last.get(name) for name in ("report", "missed", "attribution", "verb", "seconds", "peak_mb")}
     return {**same, "status": KEPT, "writes": writes}
+
+
+def _has_digest(name: str, own: str, mirror: Mirror) -> bool:
+    try:
+        return mirror.digest(name) == own
+    except InputError:  # a folder, or a pipe: no result
+        return False
 
 
 def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) -> Record:

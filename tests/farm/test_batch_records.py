@@ -13,12 +13,14 @@ from typing import Any
 import pytest
 from command_line import Capsys, failed
 from conftest import PLAN, Runner
+from trespass import trespassing
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, check_written, private_folder, trusting
 from facepipe.core.policy.urls import Reach, typed_roots
 from facepipe.farm.batch import batch
-from facepipe.farm.ledger import FILE, is_outcome, is_record, parsed
+from facepipe.farm.contents import Contents
+from facepipe.farm.ledger import FILE, is_outcome, is_record, ledger_in, parsed
 from facepipe.farm.plan import read_plan
 
 RECORD: dict[str, Any] = {
@@ -33,13 +35,16 @@ DAMAGE: dict[str, tuple[Any, ...]] = {
     "key": (None,),
     "seconds": ("x", None, -1.0, float("nan"), float("inf"), True),
     "peak_mb": ("x", float("nan")),
-    "reads": (None, [], {"a": None}, {"a": [1]}, {"a": ["x", 2]}, {"a": [1, [2]]}),
-    "writes": (None, [], {"b": None}, {"b": [[1, 2], "s", "more"]}, {"b": ["x", "s"]}, {"b": [[1, 2], 3]}),
-    "report": (None, "text", []),
+    "reads": (None, [], {"a": None}, {"a": [1]}, {"a": ["x", 2]}, {"a": [1, [2]]}, {"\ud800": [1, 2]}),
+    "writes": (
+        None, [], {"b": None}, {"b": [[1, 2], "s", "more"]}, {"b": ["x", "s"]}, {"b": [[1, 2], 3]},
+        {"b": [[1, 2], "s"], "\ud800.png": [[1, 2], "s"]},
+    ),
+    "report": (None, "text", [], {"x_mm": 10**400}, {"x_mm": {"mean": float("inf")}}),
     "attribution": (None, "CC0", [["CC0"]], ["a\nb"]),
     "missed": ("yes", 1),
     "error": (None, ["x"], "two\nlines"),
-}
+}  # fmt: skip
 
 
 def lines_of(state: Path) -> list[dict[str, Any]]:
@@ -56,7 +61,13 @@ def test_a_whole_record_counts() -> None:
     assert is_record(RECORD)
     assert is_record({"task": "a", "status": "failed", "error": "why"})
     assert not is_record({"task": "a", "status": "made"})
-    assert not is_record({"task": "a", "status": "failed"})
+    assert not is_record({"task": "a", "status": "failed"})  # it doesn't say why
+
+
+def test_numbers_that_no_report_has_are_no_json() -> None:
+    assert parsed(b'{"x_mm": 1e300, "seed": 18446744073709551615}') == {"x_mm": 1e300, "seed": 2**64 - 1}
+    for text in (b'{"x_mm": 1e400}', b'{"x_mm": -1e999}', b'{"x": 1' + b"0" * 400 + b"}", b"[" + b"[]," * 3_000_001):
+        assert parsed(text) is None
 
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in DAMAGE.items() for value in values])
@@ -95,6 +106,61 @@ def test_a_record_without_its_result_counts_for_nothing(
         "built/mixed/ada.bin"
         in next(one for one in lines_of(show / "state")[::-1] if one["task"] == "mixed/ada")["writes"]
     )
+
+
+def test_a_failure_that_says_no_reason_is_none(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    change(show / "state", "mixed/ada", status="failed")
+    assert dict(run_plan().counts) == {"kept": 5, "made": 1}
+
+
+def test_a_step_without_results_stands_on_what_it_read(show: Path, run_plan: Runner) -> None:
+    text = PLAN + '[steps.check]\nrun = "copy-none {face}"\n'
+    assert run_plan(text).counts["failed"] == 3  # there is no such line
+    for name in ("ada", "bea", "cyd"):
+        said = {"status": "made", "key": "k", "seconds": 1.0, "reads": {}, "writes": {}}
+        change(show / "state", f"check/{name}", **said)
+    assert run_plan(resume=True).counts["failed"] == 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes are others there")
+def test_a_result_that_is_no_file_is_made_again(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    os.mkfifo(show / "built/pipe")
+    good = next(one for one in lines_of(show / "state") if one["task"] == "mixed/ada")["writes"]
+    change(show / "state", "mixed/ada", writes={**good, "built/pipe": [[0, 1], "sha256:0"]})
+    assert dict(run_plan().counts) == {"kept": 5, "made": 1}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_a_ledger_that_is_another_file_too_leaves_that_alone(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    (tmp_path / "own").write_text("mine\n")
+    (show / "state").mkdir()
+    os.link(tmp_path / "own", show / "state" / FILE)
+    assert dict(run_plan(PLAN).counts) == {"made": 6}
+    assert (tmp_path / "own").read_text() == "mine\n"
+
+
+def test_a_step_over_very_many_faces_is_kept_too(tmp_path: Path) -> None:
+    reads = {f"built/game/{number:06}.bin": [9, 1795849685357904853] for number in range(20_000)}
+    with ledger_in(tmp_path) as ledger:
+        ledger.add({**RECORD, "task": "all", "reads": reads})
+    with ledger_in(tmp_path) as ledger:
+        assert ledger.records["all"]["reads"] == reads
+
+
+def test_a_task_looks_at_nothing_outside_the_roots(tmp_path: Path) -> None:
+    """Neither into a folder, which could be the whole disk, nor for files that are named beside what it reads."""
+    sent, private = tmp_path / "sent", tmp_path / "private"
+    sent.mkdir(), (private / "deep").mkdir(parents=True)
+    (private / "notes.mtl").write_text("map_Kd deep/a.png\n")
+    (sent / "face.obj").write_text("mtllib ../private/notes.mtl\nv 0 0 0\n")
+    (sent / "face2.obj").write_text("mtllib ../private/none.mtl\nv 0 0 0\n")
+    for name in (private, sent / "face.obj", sent / "face2.obj"):
+        with trusting(Trust(roots=(sent,), confined=True)), trespassing(private) as done:
+            with pytest.raises(InputError, match="is outside the roots"):
+                Contents().content_of(name)
+            assert done == []
 
 
 def test_resume_wants_the_results_to_be_there(show: Path, run_plan: Runner) -> None:
