@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from types import FrameType
@@ -11,7 +12,7 @@ from facepipe.core.policy import children
 
 _EVENTS = {"subprocess.Popen", "os.exec", "os.posix_spawn", "os.spawn", "os.system", "os.startfile"}
 _CODE = Path(facepipe.__file__).parents[1]
-_OURS = tuple(f"{_CODE / room}{'/'}" for room in ("facepipe", "exporters", "schemas"))
+_OURS = tuple(f"{_CODE / room}{os.sep}" for room in ("facepipe", "exporters", "schemas"))
 _BUILDS = ("build.py", "hatch_hook.py", "generate.py")  # scripts that build the house
 started: list[str] = []  # programs that the helper has started
 

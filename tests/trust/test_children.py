@@ -19,6 +19,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy import children
 from facepipe.stage import save_parts
 
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="its programs are scripts of a shell")
+
 MODULES = ("json", "numpy", "pip", "sitecustomize", "usercustomize", "facepipe", "webbrowser", "pxr")
 PROGRAMS = ("node", "node.exe", "python3", "python", "xdg-open", "www-browser", "sh", "uname", "ldconfig", "ssh")
 
