@@ -27,11 +27,13 @@ def locked(
 
     :param patience: seconds to wait for another holder
     :param waiting: called once if there is one
-    :raises InputError: it is held for longer, the folder does not exist or can't be written, or a link leads out of the
-        roots
+    :raises InputError: it is held for longer, it has no name (``.``), the folder does not exist or can't be written, or
+        a link leads out of the roots
     """
     target = Path(path)
     check_written(target)
+    if not target.name:
+        raise InputError(target, "is a folder, expected a file")
     if not target.parent.is_dir():
         raise InputError(target, "the folder does not exist")
     file = _file(target)

@@ -201,16 +201,18 @@ def _move(folders: Sequence[Path], number: Any, name: Any, former: Any, role: An
     known = former is None or (len(former) == 3 and all(type(one) is int for one in former))
     if not plain or name.casefold().startswith(PREFIX) or not known or role not in get_args(Role):
         raise ValueError(name)
+    os.fsencode(name)  # a name that no file can have
     return Move(folders[number], name, None if former is None else tuple(former), role)
 
 
-def _beside(hidden: Path, folder: str) -> Path:
+def _beside(hidden: Path, folder: Any) -> Path:
     """The hidden folder in `folder`, as seen from around `hidden`, of the same key.
 
-    :raises ValueError: `folder` is on another machine
+    :raises ValueError: `folder` is on another machine, or no path
     """
-    if folder.startswith(("//", "\\\\")):
+    if not isinstance(folder, str) or folder.startswith(("//", "\\\\")) or "\0" in folder:
         raise ValueError(folder)
+    os.fsencode(folder)  # a name that no file can have
     return hidden.parent / folder / hidden.name
 
 

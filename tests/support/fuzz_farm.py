@@ -184,7 +184,7 @@ def damaged_ledger(rng: Rng, data: bytes) -> bytes:
 def damage_ledger(rng: Rng, part: str) -> list[Line]:
     file = Path("show_batch/tasks.jsonl")
     if rng.random() < 0.1:
-        _replaced(rng, file)
+        replace_by_another(rng, file)
     else:
         file.write_bytes(damaged_ledger(rng, file.read_bytes()))
     _without(rng, "built")
@@ -193,8 +193,11 @@ def damage_ledger(rng: Rng, part: str) -> list[Line]:
     return run_plan(rng)
 
 
-def _replaced(rng: Rng, path: Path) -> None:
-    """Something else of the name: a folder, a pipe, a link, nothing."""
+def replace_by_another(rng: Rng, path: Path) -> None:
+    """Something else of the name: a folder, a pipe, a link, nothing. Links that lead out end in folders of the case."""
+    outside = Path("../../outside")
+    outside.mkdir(exist_ok=True)
+    (outside / "private").write_text("private")
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     way = rng.randrange(5)
     if way == 0:
@@ -202,7 +205,8 @@ def _replaced(rng: Rng, path: Path) -> None:
     elif way == 1 and hasattr(os, "mkfifo"):
         os.mkfifo(path)
     elif way < 4:
-        path.symlink_to(rng.choice(["/etc/passwd", "gone", path.name, "../heads/ada.obj", ".", "/dev/zero", "/"]))
+        inside = [path.name, ".", "heads", "gone", "face.usda"]
+        path.symlink_to(rng.choice([*inside, *map(os.path.abspath, (outside, outside / "private", outside / "gone"))]))
 
 
 def _without(rng: Rng, folder: str) -> None:
@@ -223,7 +227,7 @@ def damage_cache(rng: Rng, part: str) -> list[Line]:
     files = sorted(entry.iterdir())
     way = rng.random()
     if way < 0.12:
-        _replaced(rng, rng.choice([*files, entry, folder]))
+        replace_by_another(rng, rng.choice([*files, entry, folder]))
     elif way < 0.3:
         file = rng.choice(files)
         file.write_bytes(damage.damaged_bytes(rng, file.read_bytes()))
@@ -263,6 +267,9 @@ def put_plan(table: str) -> Callable[[], None]:
 
 
 def damage_plan(rng: Rng, part: str) -> list[Line]:
+    if rng.random() < 0.1:
+        replace_by_another(rng, Path(rng.choice(["heads/ada.obj", "heads", "faces.csv", "show.toml"])))
+        return run_plan(rng)
     if part == "csv" and rng.random() < 0.5:
         file = Path("faces.csv")
         file.write_bytes(_elsewhere(rng, damage.damaged_text(rng, file.read_bytes()), b"heads/ada.obj"))
@@ -341,7 +348,12 @@ def put_project_file() -> None:
 
 def damage_project_file(rng: Rng, part: str) -> list[Line]:
     file = Path("facepipe.toml")
-    if rng.random() < 0.25:
+    way = rng.random()
+    if way < 0.1:
+        replace_by_another(
+            rng, rng.choice([file, Path("tables/names.csv"), Path("tables"), Path("face.usda"), Path("talk.csv")])
+        )
+    elif way < 0.3:
         old = rng.choice([b"tables/names.csv", b"../library", b'"studio"', b"lib"])
         file.write_bytes(_elsewhere(rng, file.read_bytes(), old))
     else:

@@ -33,6 +33,7 @@ from faces import clipped_face, tiny_face
 from full_faces import full_face, good_face
 from fuzz_farm import FARM
 from fuzz_meshes import damaged_off, damaged_ply, damaged_stl
+from fuzz_remains import REMAINS
 from fuzz_stage import damaged_stage
 from fuzzing import Format, Line
 from gltf_builder import PNG, glb
@@ -959,7 +960,7 @@ FORMATS: dict[str, Format] = {
     "clips": Format({"clips": put_clips}, damage_clip),
     "settings": Format({"settings": put_settings}, damage_settings),
 }
-FORMATS |= FARM
+FORMATS |= FARM | REMAINS
 if importlib.util.find_spec("torch"):
     FORMATS["trainings"] = Format({"training": put_training}, damage_training, writes=("head.training",))
 if (SHARED / PACKED).is_file():

@@ -44,6 +44,7 @@ class Format:
     damage: Callable[[random.Random, str], Sequence[Line]]  # in a copy of the set of this name; what to run over it
     writes: tuple[str, ...] = ("out",)  # beginnings of the names that commands may write
     keeps: tuple[str, ...] = ("nothing",)  # ... and of those that stay where the command is refused
+    hidden: bool = False  # what killed processes left is hidden, and may stay
     stages: bool = False  # USD reads them: what kills USD alone is not ours
 
 
@@ -100,7 +101,8 @@ def _judged(line: Line, root: Path, form: Format) -> tuple[int, str]:
     if any(not one.startswith("facepipe") or not one.isprintable() for one in err) or code not in (0, 1, 2):
         return code, f"exit {code}, stray lines: {err[:4]}"
     allowed = tuple(f"below/case/{one}" for one in (form.keeps if code == 2 else form.writes))
-    partial = [path for path in changed if not path.startswith(allowed) or re.search(r"/\.(?!\.)", path)]
+    hidden = {path for path in after if re.search(r"/\.(?!\.)", path)}
+    partial = [path for path in changed if not path.startswith(allowed) or (path in hidden and not form.hidden)]
     if partial:
         return code, f"partial files after exit {code}: {partial[:4]}, {err}"
     return code, f"took {took:.0f} s" if took > SECONDS else ""

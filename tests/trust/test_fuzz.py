@@ -10,6 +10,7 @@ from fuzzing import fuzz
 
 QUICK = ("usda", "usdc", "usdz", "recipes", "photos", "ledgers", "project files")  # the rest is slow
 SLOW = 60  # cases
+PASSED_OVER = ("caches", "remains")  # what is damaged there
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -27,6 +28,6 @@ def check(name: str, seed: int, cases: int, folder: Path) -> None:
     found = fuzz(name, seed, cases, folder, stages=FORMATS[name].stages)
     assert not found.failures, "\n".join(found.failures)
     assert found.counts["cases"] == cases
-    assert found.counts["refused"] or name == "caches"  # what is damaged in a cache is made anew
+    assert found.counts["refused"] or name in PASSED_OVER
     assert found.counts["accepted"], "nothing was ever read: the damage is too coarse to show anything"
     assert found.counts["killed in USD"] <= 1 + cases * 0.02

@@ -82,6 +82,12 @@ def test_a_missing_folder_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="lock files are never removed there")
+@pytest.mark.parametrize("path", [".", "./", "/", ""])
+def test_a_path_without_a_name_is_told(path: str) -> None:
+    with pytest.raises(InputError, match="is a folder, expected a file"), locked(path):
+        pass
+
+
 def test_a_lock_file_that_is_removed_between_opening_and_locking_holds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
