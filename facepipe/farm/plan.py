@@ -18,6 +18,7 @@ A name in braces is a column of the table, an earlier step (its result of the sa
 
 from __future__ import annotations
 
+import itertools
 import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -32,9 +33,17 @@ from facepipe.core.placing import relative
 from facepipe.core.policy.paths import check_writable
 from facepipe.core.policy.urls import is_url, placed
 from facepipe.core.reading import read_toml
+from facepipe.declare import fields_of
+from facepipe.farm.options import RunOptions
 from facepipe.farm.table import Row, read_table
 
 _MOST_BYTES = 1 << 20
+_MOST_STEPS = 256
+_MOST_LINKS = 20_000_000  # tasks, and tasks that these need: a line of a plan makes one for each face
+_MOST_TEXT = 2_000_000_000  # characters of the lines of all tasks
+_MOST_LINE = 1 << 14  # characters of a line for a face: thousands are given out at once
+_MOST_OF_ALL = 1 << 26  # of a line for all faces
+_FEW = 1000  # names that an unknown one is compared to
 _BRACES = re.compile(r"\{([^{}]*)\}")
 _STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
 # key of a step beside its line -> type of its value
@@ -45,6 +54,7 @@ _KINDS: Mapping[str, Any] = {
     "priority": int,
     "seconds": (int, float),
 }
+_PRIORITIES = 1_000_000
 OUT = "out"
 
 
@@ -86,16 +96,25 @@ def read_plan(path: Path) -> Plan:
     out = placed(folder, out)
     if not is_url(out):
         check_writable(f"{path} -> out", Path(out, "face"), folder / "plan")
+    if len(steps) > _MOST_STEPS:
+        raise InputError(path, f"{len(steps)} steps, expected at most {_MOST_STEPS}")
     rows = read_table(f"{path} -> faces", folder, faces)
     return plan_of(str(path), folder, out, rows, {name: _step(path, name, one) for name, one in steps.items()})
 
 
 def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapping[str, Step]) -> Plan:
-    """A plan with its steps in the order of their needs, and what is wrong with any of them."""
+    """A plan with its steps in the order of their needs, and what is wrong with any of them.
+
+    :raises InputError: more work than a run can hold
+    """
     columns = set(rows[0].values) if rows else set()
-    faults = {name: line for name, one in steps.items() for line in _fault(one, columns, steps)[:1]}
+    faults = {name: line for name, one in steps.items() for line in itertools.islice(_faults(one, columns, steps), 1)}
     clear = {name: one for name, one in steps.items() if name not in columns}
     known = {name: _with_needs(one, clear) for name, one in steps.items()}
+    links = len(rows) * sum(1 + len(one.needs) for one in known.values())
+    text = len(rows) * sum(len(word) for one in known.values() for word in (*one.words, one.out))
+    if links > _MOST_LINKS or text > _MOST_TEXT:
+        raise InputError(where, f"{len(rows):,} faces are too many for {len(steps)} steps, expected fewer of either")
     faults |= _circles({name: one for name, one in known.items() if name not in faults})
     return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=tuple(_ordered(known)), faults=faults)
 
@@ -112,9 +131,14 @@ def _step(path: Path, name: str, table: Any) -> Step:
     run = table.get("run")
     if not isinstance(run, str | list) or not all(isinstance(one, str) for one in run):
         raise InputError(where, 'no line to run, expected run = "ACTION ..."')
+    ranges = {one.name: (one.low, one.high) for one in fields_of(RunOptions) if one.low is not None}
+    ranges["priority"] = (-_PRIORITIES, _PRIORITIES)
     for key, kind in _KINDS.items():
         if key in table and (not isinstance(table[key], kind) or (kind is not bool and isinstance(table[key], bool))):
             raise InputError(f"{where} -> {key}", f"{str(table[key])[:40]}, expected another kind of value")
+        if key in ranges and key in table and not ranges[key][0] <= table[key] <= ranges[key][1]:
+            low, high = ranges[key]
+            raise InputError(f"{where} -> {key}", f"{str(table[key])[:40]}, expected a number from {low:g} to {high:g}")
     return Step(name=name, words=words_of(where, run), **{key: table[key] for key in _KINDS if key in table})
 
 
@@ -159,17 +183,18 @@ def braces(step: Step) -> Iterator[str]:
         yield from _BRACES.findall(word)
 
 
-def _fault(step: Step, columns: Collection[str], steps: Collection[str]) -> list[str]:
+def _faults(step: Step, columns: Collection[str], steps: Collection[str]) -> Iterator[str]:
     known = {OUT, *steps, *(() if step.once else columns)}
-    lines = ["is the name of a column too, expected another"] if step.name in columns else []
+    if step.name in columns:
+        yield "is the name of a column too, expected another"
     for name in braces(step):
         if name not in known:
-            near = did_you_mean(name, known) or f", expected one of {', '.join(sorted(known))}"
-            lines.append(f"{{{name[:40]}}} is no column of the table and no step{near}")
+            near = did_you_mean(name, known) if len(known) <= _FEW else ""
+            near = near or f", expected one of {', '.join(sorted(known)[:_FEW])}"
+            yield f"{{{name[:40]}}} is no column of the table and no step{near}"
     for name in _BRACES.findall(step.out):
         if name in steps:
-            lines.append(f"out names the step {{{name}}}, expected columns of the table")
-    return lines
+            yield f"out names the step {{{name}}}, expected columns of the table"
 
 
 def _with_needs(step: Step, steps: Mapping[str, Step]) -> Step:
@@ -201,8 +226,13 @@ def _ordered(steps: Mapping[str, Step]) -> list[Step]:
     return list(done.values())
 
 
-def filled(pattern: str, values: Mapping[str, str]) -> str:
-    """`pattern` with names in braces replaced."""
+def filled(pattern: str, values: Mapping[str, str], most: int = _MOST_LINE) -> str:
+    """`pattern` with names in braces replaced.
+
+    :raises InputError: it gets longer than that: a value costs nothing to name again
+    """
+    if len(pattern) + sum(len(values[name]) for name in _BRACES.findall(pattern)) > most:
+        raise InputError(pattern[:40], f"more than {most:,} characters with its values")
     return _BRACES.sub(lambda found: values[found[1]], pattern)
 
 
@@ -256,7 +286,7 @@ def result_of(plan: Plan, task: Task) -> str:
     if not task.step.out:
         return ""
     values = {} if task.row is None else task.row.values
-    for name in _BRACES.findall(task.step.out):
+    for name in dict.fromkeys(_BRACES.findall(task.step.out)):
         value = values.get(name, "")
         if Path(value).is_absolute() or is_url(value) or ".." in re.split(r"[/\\]", value) or "\0" in value:
             raise InputError(task.name, f"{{{name}}} is {value[:80]}, which leads out of the folder of results")
@@ -267,8 +297,9 @@ def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> lis
     """The words to run, with its result.
 
     :param results: step that it needs -> the paths of its results
-    :raises InputError: a value that would be read as a flag
+    :raises InputError: a value that would be read as a flag, or more text than a line has
     """
+    most = _MOST_OF_ALL if task.row is None else _MOST_LINE
     values: dict[str, str] = {} if task.row is None else dict(task.row.values)
     values[OUT] = _from(plan, plan.out)
     values |= {name: " ".join(paths) for name, paths in results.items()}
@@ -276,11 +307,12 @@ def line_of(plan: Plan, task: Task, results: Mapping[str, Sequence[str]]) -> lis
     for word in task.step.words:
         named = _BRACES.fullmatch(word)
         many = results.get(named[1], ()) if named else ()
-        put = list(many) if len(many) > 1 else [filled(word, values)]
+        put = list(many) if len(many) > 1 else [filled(word, values, most)]
         for one in put:
             if one.startswith("-") and not word.startswith("-") and not _NUMBER.fullmatch(one):
                 raise InputError(task.name, f"{word} is {one[:40]}, which reads as a flag, expected another value")
         words += put
+        most -= sum(map(len, put))
     out = result_of(plan, task)
     return [*words, "-o", out] if out else words
 

@@ -20,11 +20,12 @@ from facepipe.core.policy.urls import checked, is_url, placed
 from facepipe.core.reading import read_bytes
 from facepipe.farm.remote import Store
 
-_MOST_BYTES = 1 << 28  # of a CSV file
+_MOST_BYTES = 1 << 27  # of a CSV file
 _MOST_ROWS = 1_000_000
 _MOST_COLUMNS = 4096
 _MOST_VALUES = 3_000_000  # of a CSV file: a byte of it can become an object of a hundred
 _MOST_ENTRIES = 1_000_000  # of folders that a glob looks at
+_MOST_PATTERN = 4096  # characters
 _KINDS = ("glob", "csv", "rows", "range")
 
 
@@ -54,7 +55,9 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: boo
         columns: Iterable[dict[str, str]] = _of_glob(f"{where}.{kind}", folder, said, typed=typed)
     else:
         columns = {"csv": _of_csv, "rows": _of_rows, "range": _of_range}[kind](f"{where}.{kind}", folder, said)
-    rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
+    rows = tuple(itertools.islice((_row(number, values) for number, values in enumerate(columns, 1)), _MOST_ROWS + 1))
+    if len(rows) > _MOST_ROWS:
+        raise InputError(where, f"more than {_MOST_ROWS:,} faces")
     if not rows:
         raise InputError(where, "no face, expected at least one")
     return rows
@@ -73,8 +76,6 @@ def _of_glob(where: str, folder: Path, pattern: Any, *, typed: bool) -> list[dic
         files = [checked(one, trust().urls) for one in Store(pattern).matching(pattern)]
     else:
         files = sorted({*_matching(where, folder, pattern, typed=typed)})
-    if len(files) > _MOST_ROWS:
-        raise InputError(where, f"more than {_MOST_ROWS:,} files are called like {pattern[:80]}")
     if not files:
         raise InputError(where, f"no file is called like {pattern[:80]}")
     faces = [Path(one.rpartition("://")[2]) for one in files]
@@ -91,48 +92,61 @@ def _matching(where: str, folder: Path, pattern: str, *, typed: bool) -> Iterato
 
     :param typed: by the caller; else all must lie below the roots of a plan in the folder
     """
+    if len(pattern) > _MOST_PATTERN:
+        raise InputError(where, f"{pattern[:40]}... is {len(pattern):,} characters long")
     parts = pattern.replace(os.sep, "/").split("/")
     wild = next((number for number, part in enumerate(parts) if re.search(r"[*?\[]", part)), len(parts) - 1)
-    start, rest = "/".join(parts[:wild]), parts[wild:]
+    start, rest = "/".join(parts[:wild]), [one for one in parts[wild:] if one not in ("", ".")]
     if ".." in rest:
         raise InputError(where, f"{pattern[:80]} has .. behind a wildcard, expected it before")
     if pattern.startswith("/") or start.endswith(":"):  # a drive of Windows
         start = f"{start}/"
     if not typed:
         check_copied(where, folder / start, folder / "plan")
-    left = itertools.count(_MOST_ENTRIES, -1)
-    for found in _below(folder, start, rest, left):
-        if next(left) < 0:
+    for number, (name, matches) in enumerate(_below(folder, start, rest)):
+        if number == _MOST_ENTRIES:
             raise InputError(where, f"{pattern[:80]} looks at more than {_MOST_ENTRIES:,} files and folders")
-        if found is not None:
-            yield found
+        if matches:
+            yield name
 
 
-def _below(folder: Path, place: str, parts: Sequence[str], left: Iterator[int]) -> Iterator[str | None]:
-    """Names below a folder that match parts of a pattern; None for each that was looked at."""
-    part, rest = parts[0], parts[1:]
-    try:
-        with os.scandir(folder / place) as entries:
-            found = sorted((one.name, one.is_dir(follow_symlinks=False)) for one in entries)
-    except (OSError, ValueError):  # a folder that others took away, or may not be seen
-        return
-    if part == "**":
-        yield from _below(folder, place, rest or ["*"], left)
-    for name, is_folder in found:
-        yield None
-        own = f"{place}/{name}".replace("//", "/") if place else name
-        hidden = name.startswith(".")
-        if part == "**":
-            if is_folder and not hidden:
-                yield from _below(folder, own, parts, left)
-        elif fnmatch.fnmatch(name, part) and (part.startswith(".") or not hidden):
-            if not rest:
-                yield own
-            elif is_folder:
-                yield from _below(folder, own, rest, left)
+def _below(folder: Path, start: str, parts: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    """What lies below a folder as far as parts of a pattern lead, and whether it matches them all.
+
+    Each folder is looked at once, for all places in the pattern that it is reached at: with a ``**`` after another,
+    ways through the pattern are more than folders by far.
+    """
+    parts = [*parts, "*"] if parts[-1:] == ["**"] else parts or [""]
+    fits = [re.compile(fnmatch.translate(os.path.normcase(part))).match for part in parts]
+    todo = [(start, {0})]
+    while todo:
+        place, at = todo.pop()
+        for number in sorted(at):
+            while parts[number] == "**":  # no folder at all
+                number += 1
+                at.add(number)
+        try:
+            with os.scandir(folder / place) as entries:
+                found = [(one.name, one.is_dir(follow_symlinks=False)) for one in entries]
+        except (OSError, ValueError):  # a folder that others took away, or may not be seen
+            continue
+        for name, is_folder in found:
+            own = f"{place}/{name}".replace("//", "/") if place else name
+            plain, hidden, deeper, matches = os.path.normcase(name), name.startswith("."), set(), False
+            for number in at:
+                if hidden and not parts[number].startswith("."):
+                    continue
+                if parts[number] == "**":
+                    deeper.add(number)
+                elif fits[number](plain):
+                    matches |= number + 1 == len(parts)
+                    deeper |= {number + 1} - {len(parts)}
+            yield own, matches
+            if is_folder and deeper:
+                todo.append((own, deeper))
 
 
-def _of_csv(where: str, folder: Path, name: Any) -> list[dict[str, str]]:
+def _of_csv(where: str, folder: Path, name: Any) -> Iterable[dict[str, str]]:
     if not isinstance(name, str):
         raise InputError(where, f"{str(name)[:40]}, expected a file like faces.csv")
     path = placed(folder, name)
@@ -142,22 +156,30 @@ def _of_csv(where: str, folder: Path, name: Any) -> list[dict[str, str]]:
     else:
         check_copied(where, Path(path), folder / "plan")
         data = read_bytes(Path(path), _MOST_BYTES)
-    if data.count(b",") + data.count(b"\n") > _MOST_VALUES:
-        raise InputError(path, f"more than {_MOST_VALUES:,} values")
+    ends = data.count(b"\n")
+    if ends > _MOST_ROWS + 1 or data.count(b",") + ends > _MOST_VALUES:
+        raise InputError(path, f"expected at most {_MOST_ROWS:,} faces and {_MOST_VALUES:,} values")
+    return _cells(path, data)
+
+
+def _cells(path: str, data: bytes) -> Iterator[dict[str, str]]:
     try:
-        reader = csv.reader(io.StringIO(data.decode("utf-8-sig")), strict=True)
+        lines = io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline="\n")  # a StringIO takes four bytes for each
+        reader = csv.reader(lines, strict=True)
         header = [one.strip() for one in next(reader, [])]
         if len(header) > _MOST_COLUMNS:
             raise InputError(path, f"{len(header)} columns, expected at most {_MOST_COLUMNS}")
-        lines = [(reader.line_num, line) for line in reader if any(one.strip() for one in line)]
+        if not header or len({*header}) != len(header) or "" in header:
+            raise InputError(path, "expected a first line with a name for each column, each once")
+        for line in reader:
+            cells = [one.strip() for one in line]
+            if not any(cells):
+                continue
+            if len(cells) != len(header):
+                raise InputError(f"{path} -> line {reader.line_num}", f"{len(cells)} values, expected {len(header)}")
+            yield dict(zip(header, cells, strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"is no CSV file: {error}") from None
-    if not header or len({*header}) != len(header) or "" in header:
-        raise InputError(path, "expected a first line with a name for each column, each once")
-    for number, line in lines:
-        if len(line) != len(header):
-            raise InputError(f"{path} -> line {number}", f"{len(line)} values, expected {len(header)}")
-    return [dict(zip(header, (one.strip() for one in line), strict=True)) for _, line in lines]
 
 
 def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
