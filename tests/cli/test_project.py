@@ -135,7 +135,7 @@ def test_files_that_a_project_chooses_lie_in_it(
     before = sorted(Path().iterdir())
     code, _, err = run(capsys, *FILES[text].split())
     assert (code, err.count("\n")) == (2, 1)
-    assert ("is a URL, expected a file" if "file:" in way else "is outside the project and the roots") in err
+    assert ("is a URL, expected a file" if "file:" in way else "is outside the roots") in err
     assert sorted(Path().iterdir()) == before
 
 

@@ -20,6 +20,7 @@ from PIL import Image
 from pxr import Sdf, Usd
 
 from facepipe.cli import main
+from facepipe.core import __version__
 from facepipe.parts import FaceParts, Recipe
 from facepipe.stage import save_parts
 
@@ -94,6 +95,7 @@ class Hostile:
     make: Callable[[World], object]
     lines: tuple[tuple[str, ...], ...]
     refused: bool = True  # by the first line at least; else it may be of no harm
+    said: str = ""  # by the first line
 
 
 def noise(size: int = 16) -> bytes:
@@ -174,7 +176,9 @@ def recipe(verb: str = "blend", sources: tuple[str, ...] = (), **options: Any) -
 
     def make(world: World) -> None:
         named = tuple(source.format(top=world.top) for source in sources)
-        made = Recipe(verb=verb, sources=named, digests=("sha256:0",) * len(named), options=options, version="0")
+        made = Recipe(
+            verb=verb, sources=named, digests=("sha256:0",) * len(named), options=options, version=__version__
+        )
         path = world.sent / "mix.usda"
         from facepipe.stage import open_face
 

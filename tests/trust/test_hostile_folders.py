@@ -48,6 +48,7 @@ from hostile_folders import (
     stale,
     textured,
 )
+from hostile_sources import SOURCES
 from small_sources import made
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
@@ -276,6 +277,7 @@ HOSTILE = (
         archive("rig.fpnr"),
         RIG,
     ),
+    *SOURCES,
 )
 MODES = {"alone": (), "root": ("--root", "."), "roots": ()}
 
@@ -335,7 +337,8 @@ def test_a_hostile_folder_is_of_no_harm(
     before = _state(world)
     for number, line in enumerate(hostile.lines):
         code = exit_code(*line, *MODES[mode])
-        error = capsys.readouterr().err
+        printed, error = capsys.readouterr()
+        assert number or hostile.said in printed + error, (line, printed, error)
         assert not world.ran.exists(), line
         assert not Path("ran").exists(), line
         assert _state(world) == before, line

@@ -43,7 +43,7 @@ def file_chosen(where: object, name: str, project: Path, folders: Iterable[Path]
     allowed = (*folders, *trust().roots)
     if not is_below(path, allowed):
         shown = ", ".join(dict.fromkeys(map(str, allowed)))
-        raise InputError(where, f"{path} is outside the project and the roots ({shown}), expected --root")
+        raise InputError(where, f"{path} is outside the roots ({shown}), expected --root")
     return path
 
 
