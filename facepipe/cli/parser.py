@@ -236,10 +236,15 @@ def name_or_file(text: str) -> str:
     return text
 
 
+def holds_paths(argument: argparse.Action) -> bool:
+    """Whether values of an argument are paths, or can be."""
+    return getattr(argument.type, "__name__", "") in (Path.__name__, name_or_file.__name__)
+
+
 def names_file(argument: argparse.Action, value: str) -> bool:
     """Whether a value of an argument is a path."""
-    kind = getattr(argument.type, "__name__", "")
-    return kind == Path.__name__ or (kind == name_or_file.__name__ and Path(value).suffix != "")
+    plain = getattr(argument.type, "__name__", "") == name_or_file.__name__ and not Path(value).suffix
+    return holds_paths(argument) and not plain
 
 
 def add_rename(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:

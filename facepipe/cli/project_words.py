@@ -17,9 +17,9 @@ from facepipe.core.project import Project
 from facepipe.declare import fields_of
 
 # a project may be of others: it decides how, not where to, with what trust, or by whom
-_NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace"}
-_NEVER |= {"state", "each", "cluster", "cache", "local"}  # of batch
-_NEVER |= {"checkpoint", "wheels"}  # a file that training writes, and code that an add-on takes in
+NEVER = {"help", "root", "trust-models", "force", "output", "edit", "replace"}
+NEVER |= {"state", "each", "cluster", "cache", "local"}  # of batch
+NEVER |= {"checkpoint", "wheels"}  # a file that training writes, and code that an add-on takes in
 
 
 Modules = Callable[[str], Any]  # a command -> what configures it, None for no command
@@ -85,7 +85,7 @@ def _known(command: str, modules: Modules, words: Sequence[str]) -> Mapping[str,
             if field.role == "option" and field.name not in kind.own_flags:
                 add_field(parser, field)
     found = {flag.removeprefix("--"): one for flag, one in parser._option_string_actions.items()}
-    return {name: one for name, one in found.items() if not name.startswith("-") and name not in _NEVER}
+    return {name: one for name, one in found.items() if not name.startswith("-") and name not in NEVER}
 
 
 def _seen(project: Project, where: str, name: str, folder: Path) -> str:

@@ -71,8 +71,9 @@ def _read(file: Path) -> Project:
     roots, names, defaults = (content.get(key, kind()) for key, kind in zip(_KEYS, (list, dict, dict), strict=True))
     if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         raise InputError(f"{file} -> roots", 'expected a list of folders, like ["../library"]')
-    for root in filter(is_url, roots):
-        raise InputError(f"{file} -> roots", f"{root[:80]} is a URL, expected a folder")
+    for root in roots:
+        if is_url(root):
+            raise InputError(f"{file} -> roots", f"{root[:80]} is a URL, expected a folder")
     if not isinstance(names, dict) or not all(isinstance(one, str) for one in names.values()):
         raise InputError(f"{file} -> names", 'expected tables, like studio = "names.csv"')
     if not isinstance(defaults, dict) or not all(isinstance(default, dict) for default in defaults.values()):

@@ -56,9 +56,9 @@ def check_regular(name: str) -> Path:
     :raises InputError: a folder, pipe or device, or outside the roots of confined reads
     """
     file = Path(Ar.SplitPackageRelativePathOuter(name)[0])
+    check_readable(file)
     if file.exists() and not file.is_file():
         raise InputError(file, "is no regular file, expected a USD file")
-    check_readable(file)
     return file
 
 
@@ -252,6 +252,7 @@ def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:
             if not step > 0 or not (last - first) / step <= _MOST_CLIPS:
                 raise InputError(where, f"value clips of more than {_MOST_CLIPS} files")
             pattern = Path(layer.ComputeAbsolutePath(template))
+            check_readable(pattern.parent)
             names += [str(path) for path in pattern.parent.glob(pattern.name.replace("#", "[0-9]"))]
         for name in names:
             check_regular(str(Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name))))

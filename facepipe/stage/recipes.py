@@ -168,9 +168,9 @@ def attribution_of(path: Path) -> str:
         return ""
     with quiet_diagnostics():
         try:
-            layer = Sdf.Layer.FindOrOpen(str(path))
+            layer = open_layer(str(path))
             spec = layer.GetAttributeAtPath(f"/{layer.defaultPrim}.{tokens.ATTRIBUTION}") if layer else None
-        except (*USD_ERRORS, RuntimeError):
+        except (*USD_ERRORS, RuntimeError, OSError, InputError):
             return ""
     return str(spec.default or "") if spec else ""
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 
 from cook_cases import CASES
-from hostile_folders import COOK, REBUILD, Hostile, World, both, file, linked, noise, recipe
+from hostile_folders import COOK, KEY, REBUILD, Hostile, World, both, file, linked, noise, recipe
 from pxr import Sdf, Usd
 
 from facepipe.cli import main
@@ -84,7 +84,7 @@ RECIPES = (
     ),
     Hostile(
         "recipe of bake-photo, photo called a stage: link",
-        both(linked("p.usda", _PHOTO), recipe("bake-photo", ("./a.usda", "./p.usda"))),
+        both(recipe("bake-photo", ("./a.usda", "./p.usda")), linked("p.usda", _PHOTO)),
         COOK[:2],
         said=OUTSIDE,
     ),
@@ -258,6 +258,12 @@ OUTPUTS = (
     *(
         Hostile(f"{name}: linked folder", both(_deep, _LIB), (tuple(line.split()),), said=OUTSIDE)
         for name, line in _INTO.items()
+    ),
+    Hostile(
+        "export, folder with remains of a killed run: linked folder",
+        both(file(f"../private/{KEY}/.facepipe-lock", ""), file(f"../private/{KEY}/x", "x"), _LIB),
+        (("export", "face.usda", "-o", "lib/out.glb"), ("demo", "lib")),
+        said=OUTSIDE,
     ),
     Hostile(
         "export, folder: chain of links",

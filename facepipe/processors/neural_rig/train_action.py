@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal
 
 from facepipe.core.atomic import when_placed
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import check_written
 from facepipe.core.reports import table
 from facepipe.declare import Options, beside, option, source, values_of
 from facepipe.kinds import FileAction, Job, action
@@ -85,6 +86,8 @@ class Train(
         kept = None if self.checkpoint is None else Path(self.checkpoint)
         if kept and kept.resolve() in {one.resolve() for one in (job.out, self.plot) if one is not None}:
             raise InputError(job.out, "two outputs of one name, expected a file each")
+        if kept:
+            check_written(kept)
         motion = self._motion(job)
         with job.watch("train", self.steps) as bar:
             trained = TrainNeuralRig(options=self._as(TrainNeuralRigOptions))(motion, bar.update, kept)

@@ -51,12 +51,12 @@ class StepResult:
 
 
 class WorkFolder:
-    """:raises InputError: `path` can't be made, or is a file"""
+    """:raises InputError: `path` can't be made, is a file, or has links that lead outside the roots"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            (path / CORRECTIONS).mkdir(parents=True, exist_ok=True)
+            self.place(CORRECTIONS).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(path, f"can't be made: {error.strerror or error}") from error
 

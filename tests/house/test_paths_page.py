@@ -1,0 +1,264 @@
+"""Every option, and every field of a file, that holds a path or URL passes a check; a new one can't come unnoticed."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import inspect
+import os
+import re
+import runpy
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Capsys, run
+from faces import tiny_face
+from places import REPOSITORY
+
+from facepipe.actions import cookables, find_action
+from facepipe.core import __version__
+from facepipe.core.policy.fields import FIELDS, FileField
+from facepipe.declare import fields_of
+from facepipe.kinds import Action, FileAction
+from facepipe.parts import Recipe
+from facepipe.stage import save_parts
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="links and pipes need rights there")
+PAGES = runpy.run_path(str(REPOSITORY / "docs/path_pages.py"))
+ROWS: list[Any] = list(PAGES["rows"]())
+
+
+_CHECKING = ("policy.paths", "policy.urls", "policy.named", "reading")
+LOOKS = {"open", "read_bytes", "read_text", "iterdir", "glob", "rglob", "walk", "stat", "lstat", "exists", "is_file"}
+LOOKS |= {"is_dir", "samefile", "readlink", "unlink", "mkdir", "scandir", "listdir", "isfile", "isdir"}
+OPENERS = {"open", "np.load", "np.memmap", "np.fromfile", "zipfile.ZipFile", "onnx.load", "trimesh.load"}
+OPENERS |= {"Image.open", "Sdf.Layer.FindOrOpen", "Usd.Stage.Open", "torch.load", "torch.export.load"}
+_METHODS = LOOKS | {one.rpartition(".")[2] for one in OPENERS}
+NO_FILES = {"facepipe.open", "webbrowser.open", "archive.open"}
+POLICY = [importlib.import_module(f"facepipe.core.{one}") for one in _CHECKING]
+CHECKS = {
+    name
+    for module in POLICY
+    for name, one in vars(module).items()
+    if inspect.isfunction(one) and one.__module__ == module.__name__ and re.match(r"check|file|read_|is_", name)
+} | {"copy_refusal", "named_source"}  # which call them
+
+
+def test_the_page_is_that_of_the_declarations() -> None:
+    assert PAGES["PAGE"].read_text(encoding="utf-8") == PAGES["page"](), "expected `python docs/path_pages.py`"
+
+
+_MORE = {"import": ("obj",), "sliders": ("--set", "a=1"), "register-scan": ("--composite", "smile")}
+_MORE |= {"--identity": ("ict",), "rebuild": ("project.toml",)}
+
+
+def _line(row: Any, value: str) -> list[str]:
+    """A line of its command with a value of the option, and what must be given besides."""
+    kind, words = find_action(row.command), row.command.split()
+    words += _MORE.get(row.option, _MORE.get(row.command, ())) if row.option != "project" else ()
+    needed = {one.name for one in fields_of(kind) if one.needed} if kind else set()
+    for argument in PAGES["_arguments"](row.command):
+        name = next(iter(argument.option_strings), argument.dest)
+        if name == row.option:
+            words += [name, value] if argument.option_strings else [value]
+        elif name == "-o":
+            words += ["-o", f"new{'.vrm' if row.option == '--meta' else _suffix(kind)}"] if row.option != "out" else []
+        elif not argument.option_strings and argument.dest not in ("out", "other", "project"):
+            words += ["gone.usda"] * (2 if argument.dest == "files" else 1)
+        elif argument.option_strings and argument.dest in needed:
+            words += [name, "gone.usda"]
+    return words
+
+
+def _suffix(kind: type[Action[Any]] | None) -> str:
+    """Of a result; of commands that are no actions one that `export` and `import` write."""
+    return next(iter(kind.suffixes), "") if kind and issubclass(kind, FileAction) else ".usda" if kind else ".glb"
+
+
+def _refused(capsys: Capsys, check: str, value: str, said: str, **more: Any) -> list[str]:
+    """The lines of the options with a check that don't end with a refusal of `value`.
+
+    What is written by --edit is a result that is there, and what by batch a plan says: other tests have these.
+    """
+    wrong = []
+    for row in ROWS:
+        if check in row.checks and (check == "check_input" or not {row.command, row.option} & {"batch", "--edit"}):
+            line = _line(row, value)
+            code, _, error = run(capsys, *line)
+            if (code, error.count("\n")) != (2, 1) or said not in error:
+                wrong.append(f"{' '.join(line)}: {code} {error}")
+    return wrong
+
+
+@POSIX
+def test_what_is_typed_is_checked_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    assert _refused(capsys, "check_input", "pipe", "pipe: is not a regular file") == []
+    assert _refused(capsys, "check_input", "http://host/x", "http://host/x: is a URL, expected a file or folder") == []
+
+
+@POSIX
+def test_what_is_written_goes_through_no_link_out_of_the_roots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys
+) -> None:
+    (tmp_path / "work").mkdir()
+    (tmp_path / "other").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    Path("lib").symlink_to("../other")
+    names = ("template", "database", "work", "[neutral]\nscan")
+    Path("project.toml").write_text("\n".join(f'{name} = "project.toml"' for name in names))
+    assert _refused(capsys, "check_written", "lib/x", "outside the roots") == []
+    assert (
+        _refused(capsys, "check_written", "s3://bucket/x", "s3://bucket/x: is a URL, expected a file or folder") == []
+    )
+    assert not any((tmp_path / "other").iterdir())
+
+
+def test_what_a_project_chooses_lies_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys) -> None:
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    wrong = []
+    for row in ROWS:
+        if "file_chosen" in row.checks:
+            Path("facepipe.toml").write_text(f"[defaults.'{row.command}']\n{row.option[2:]} = '../x.json'\n")
+            line = _line(row, "typed.json")
+            _, _, error = run(capsys, *line)
+            if f"defaults.{row.command}.{row.option[2:]}: {tmp_path}" not in error or "outside the roots" not in error:
+                wrong.append(f"{' '.join(line)}: {error}")
+    assert wrong == []
+    assert sum("file_chosen" in row.checks for row in ROWS) >= 8
+
+
+@pytest.mark.parametrize("verb", cookables())
+def test_what_a_recipe_names_lies_below_the_roots(verb: str, tmp_path: Path, capsys: Capsys) -> None:
+    """Of whatever action: no field of one has a way of its own."""
+    (tmp_path / "x.json").write_text("{}")
+    (tmp_path / "work").mkdir()
+    recipe = Recipe(verb=verb, sources=("../x.json",), digests=("sha256:0",), version=__version__)
+    save_parts(replace(tiny_face(), recipe=recipe), tmp_path / "work/face.usda")
+    code, _, error = run(capsys, "cook", tmp_path / "work/face.usda")
+    assert (code, "recipe -> source 1: " in error, "x.json is outside the roots" in error) == (2, True, True)
+
+
+def _module(name: str) -> Path:
+    spec = importlib.util.find_spec(name)
+    assert spec is not None, name
+    assert spec.origin is not None, name
+    return Path(spec.origin)
+
+
+def _functions(file: Path) -> Iterator[tuple[str, ast.AST]]:
+    """The functions of a module by name, methods as CLASS.NAME, each with those in it."""
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef):
+            yield node.name, node
+        elif isinstance(node, ast.ClassDef):
+            yield from ((f"{node.name}.{one.name}", one) for one in node.body if isinstance(one, ast.FunctionDef))
+
+
+def _calls(function: ast.AST) -> Iterator[str]:
+    """What it calls, as it is written: `check_copied`, `.exists`, `np.load`."""
+    for node in ast.walk(function):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            yield node.func.id
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _METHODS:
+            yield ast.unparse(node.func)
+
+
+@pytest.mark.parametrize("field", FIELDS, ids=lambda one: f"{one.file}, {one.field}")
+def test_what_a_file_says_passes_the_check_that_the_page_has(field: FileField) -> None:
+    module, _, name = field.reader.partition(":")
+    functions = dict(_functions(_module(module)))
+    assert name in functions
+    assert not field.check or field.check in _calls(functions[name])
+    assert not field.check or field.check in CHECKS
+
+
+# the rest of what opens, lists or looks at files, and by what right
+OPENED = {
+    "it comes with facepipe, or is the machine's": """
+        facepipe.actions:_own facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
+        facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.controls:bone_sliders
+        facepipe.heads.controls:identity_sliders facepipe.heads.surfaces:picture_of
+        facepipe.processors.photo_fit.masks:own_network facepipe.rig.conventions:_tables
+        facepipe.stage.api_schemas:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
+        facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
+        facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:_page_files
+        """,
+    "it was typed, and is checked by the command line or its reader": """
+        facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
+        facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
+        facepipe.processors.blend.blend_action:BlendFaces.check
+        facepipe.processors.database.info_action:DatabaseInfo.look
+        facepipe.processors.neural_rig.checkpoint:Checkpoint._file
+        facepipe.processors.rebuild.fit_neutral_action:FitNeutralAction.check
+        facepipe.processors.rebuild.scan_input:scan_input facepipe.processors.scan_photos.photos:read_photos
+        facepipe.processors.video_frames.clip:_most_pixels facepipe.stage.files:check_stage_file
+        facepipe_blender.panel:FACEPIPE_OT_export.invoke facepipe_blender.panel:FACEPIPE_OT_export.execute
+        facepipe_blender.panel:_deliver
+        """,
+    "it is made here: in a temporary folder, or as a result whose place was checked": """
+        facepipe.cli.action_line:ActionLine.run facepipe.cli.demo_command:run facepipe.hosting.host_face:face_to_bytes
+        facepipe.processors.database.array_file:write_arrays
+        facepipe.processors.database.database_report:DatabaseReport.as_text facepipe.processors.eval_action:Eval.write
+        facepipe.processors.neural_rig.bake_action:Bake.text
+        facepipe.processors.rebuild.rebuild_report:RebuildPictures.write
+        facepipe.processors.scan_photos.structure:_write_photos facepipe.processors.scan_photos.structure:_match
+        facepipe.processors.scan_photos.structure:_set_lenses facepipe.processors.scan_photos.structure:_triangulated
+        facepipe.processors.scan_photos.surface:_read_mesh facepipe.stage.face:Face.deriving
+        facepipe.stage.files:_without_times facepipe.stage.levels:stage_at facepipe_blender.addon:build
+        facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
+        facepipe_blender.record:kept_in facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
+        facepipe_web.assets:write_assets facepipe_web.server:_Handler._file
+        """,
+    "what calls it has asked": """
+        facepipe.processors.rebuild.steps:WorkFolder.__init__ facepipe.processors.rebuild.steps:WorkFolder.step
+        facepipe.processors.rebuild.steps:WorkFolder._read
+        facepipe.processors.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
+        facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
+        facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
+        """,
+    "nothing is read: whether it is there decides how a name is written, or what is said": """
+        facepipe.cooking.graph:Node.below facepipe.cooking.graph:Node.lost facepipe.hosting.host_face:recipe_from
+        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:_with_relative_sources
+        """,
+}
+
+
+def test_nothing_else_opens_lists_or_looks_at_files() -> None:
+    """What doesn't go through `facepipe.core` asks a check itself, is in the page, or is listed above."""
+    listed = {name for names in OPENED.values() for name in names.split()}
+    known = {field.reader for field in FIELDS} | listed
+    found = {}
+    for file, module in _modules():
+        for name, function in _functions(file):
+            calls = {*_calls(function)}
+            if opened := sorted(one for one in calls if _opens(one)):
+                found[f"{module}:{name}"] = opened if not calls & CHECKS else []
+    unknown = {name: calls for name, calls in found.items() if calls and name not in known}
+    assert unknown == {}, "expected facepipe.core.reading, a check of facepipe.core.policy, or a line in OPENED"
+    assert {name for name in listed if not found.get(name)} == set(), "expected no line that is not needed"
+
+
+def _opens(call: str) -> bool:
+    return call in OPENERS or ("." in call and call.rpartition(".")[2] in LOOKS and call not in NO_FILES)
+
+
+def _modules() -> Iterator[tuple[Path, str]]:
+    """Those outside of the core; batches have a policy of their own, by URLs and roots, and tests of it."""
+    words = re.compile(rf"\b({'|'.join(_METHODS | {'open'})})\(")
+    for root in (REPOSITORY / "facepipe", *(REPOSITORY / "exporters").glob("facepipe_*")):
+        for file in sorted(root.rglob("*.py")):
+            if not words.search(file.read_text(encoding="utf-8")):
+                continue
+            name = ".".join(file.relative_to(root.parent).with_suffix("").parts).removesuffix(".__init__")
+            if not name.startswith(("facepipe.core", "facepipe.farm")):
+                yield file, name
