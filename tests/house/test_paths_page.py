@@ -225,6 +225,7 @@ OPENED = {
         facepipe.processors.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
         facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
+        facepipe.stage.array_counts:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
         facepipe.cooking.graph:Node.below facepipe.cooking.graph:Node.lost facepipe.hosting.host_face:recipe_from
