@@ -19,11 +19,17 @@ from facepipe.core.policy.paths import check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
 _MOST_DOTS = 100  # of a line: tomllib takes the square of a key's length
+_URL = re.compile(r"[A-Za-z][\w+.-]+:/")  # as paths have one: with one slash; Windows' drives have a letter
 _KEY_DOT = re.compile(rb"[^\d\s]\s*\.|\.\s*[^\d\s]|\.\s*\d+\s*\.")  # no decimal point
 
 
 def check_input(path: Path) -> None:
-    """:raises InputError: `path` is a pipe or a device, which a reader could wait on without end, or may not be read"""
+    """Check what the caller names, before anything else.
+
+    :raises InputError: a URL; a pipe or device, which a reader could wait on without end; or it may not be read
+    """
+    if _URL.match(path.as_posix()):
+        raise InputError(path.as_posix().replace(":/", "://", 1), "is a URL, expected a file or folder")
     check_readable(path)
     try:
         fine = not path.exists() or path.is_file() or path.is_dir()

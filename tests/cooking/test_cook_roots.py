@@ -288,6 +288,17 @@ def test_links_in_a_work_folder_lead_nowhere_else(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="outside the roots"):
             folder.step(name, {}, lambda: ({}, {}))
     assert not any((tmp_path / "out").iterdir())
+    (tmp_path / "out/mine.obj").write_text("v 0 0 0\n")
+    (tmp_path / "work/corrections/neutral.obj").symlink_to(tmp_path / "out/mine.obj")
+    with pytest.raises(InputError, match="outside the roots"):
+        folder.correction("neutral")
+    with pytest.raises(InputError, match="outside the roots"):
+        folder.corrections()
+    shutil.rmtree(tmp_path / "work/corrections")
+    (tmp_path / "work/corrections").symlink_to(tmp_path / "out/new")
+    with pytest.raises(InputError, match="outside the roots"):
+        WorkFolder(tmp_path / "work")
+    assert [one.name for one in (tmp_path / "out").iterdir()] == ["mine.obj"]
 
 
 @pytest.fixture

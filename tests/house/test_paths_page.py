@@ -102,6 +102,7 @@ def test_what_is_typed_is_checked_before_it_is_read(
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     assert _refused(capsys, "check_input", "pipe", "pipe: is not a regular file") == []
+    assert _refused(capsys, "check_input", "http://host/x", "http://host/x: is a URL, expected a file or folder") == []
 
 
 @POSIX
@@ -115,6 +116,9 @@ def test_what_is_written_goes_through_no_link_out_of_the_roots(
     names = ("template", "database", "work", "[neutral]\nscan")
     Path("project.toml").write_text("\n".join(f'{name} = "project.toml"' for name in names))
     assert _refused(capsys, "check_written", "lib/x", "outside the roots") == []
+    assert (
+        _refused(capsys, "check_written", "s3://bucket/x", "s3://bucket/x: is a URL, expected a file or folder") == []
+    )
     assert not any((tmp_path / "other").iterdir())
 
 

@@ -333,6 +333,7 @@ def test_a_hostile_folder_is_of_no_harm(
 ) -> None:
     if mode == "roots":
         monkeypatch.setenv("FACEPIPE_ROOTS", os.pathsep.join([str(world.sent), str(world.sent / "shapes")]))
+    (world.sent / "shapes").mkdir()  # a root
     hostile.make(world)
     before = _state(world)
     for number, line in enumerate(hostile.lines):

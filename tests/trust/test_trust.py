@@ -22,6 +22,7 @@ from facepipe.core.policy.paths import (
     trust,
     trusting,
 )
+from facepipe.core.reading import file_beside, files_in, read_bytes
 
 
 @pytest.fixture
@@ -61,6 +62,27 @@ def test_links_are_followed_before_paths_are_compared(show: Path) -> None:
     assert not is_below(show / "shots/../../other/a.usda", [show])
     (show.parent / "link").symlink_to(show)
     assert is_below(show / "a.usda", [show.parent / "link"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_what_lies_in_a_folder_or_beside_a_file_is_no_link_elsewhere(show: Path) -> None:
+    """What the caller types may be one."""
+    (show.parent / "other/a.json").write_text('{"kind": "content"}')
+    for name in ("a.json", "net.onnx.json", "a.png", ".hidden.json", "net.onnx"):
+        (show / "shots" / name).symlink_to(show.parent / "other/a.json")
+    net = show / "shots/net.onnx"
+    for read in (
+        lambda: files_in(show / "shots", (".json",)),
+        lambda: file_beside(show / "shots", "gone.json", "a.json"),
+        lambda: file_beside(net, "net.onnx.json"),
+    ):
+        with pytest.raises(InputError, match="outside the roots"):
+            read()
+        with trusting(Trust(roots=(show.parent,))):
+            assert read()
+    assert files_in(show / "shots", (".obj",)) == []
+    assert file_beside(net, "gone.json") is None
+    assert read_bytes(net, 100) == b'{"kind": "content"}'
 
 
 def test_a_folder_that_begins_alike_is_another(show: Path) -> None:
