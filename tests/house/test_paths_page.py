@@ -216,7 +216,7 @@ OPENED = {
         facepipe.processors.scan_photos.surface:_read_mesh facepipe.stage.face:Face.deriving
         facepipe.stage.files:_without_times facepipe.stage.levels:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
-        facepipe_blender.record:kept_in facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
+        facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.assets:write_assets facepipe_web.server:_Handler._file
         """,
     "what calls it has asked": """

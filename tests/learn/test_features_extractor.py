@@ -16,7 +16,7 @@ from with_torch import torch
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
-from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix
+from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix, describe
 from facepipe.learn.features.extractor import load_extractor
 
 pytestmark = pytest.mark.needs_torch
@@ -52,6 +52,18 @@ def test_identity_network_without_description_has_the_usual_one(tmp_path: Path) 
     image = images(16)
     expected = reference(model, {"image": ((image - 0.5) / 0.5).numpy()})[0]
     np.testing.assert_allclose(extractor(image).numpy(), expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_description_that_is_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "private").mkdir()
+    (tmp_path / "sent").mkdir()
+    (tmp_path / "private/a.json").write_text('{"kind": "content"}')
+    net = tmp_path / "sent/net.onnx"
+    net.with_name("net.onnx.json").symlink_to(tmp_path / "private/a.json")
+    with pytest.raises(InputError, match="outside the roots"):
+        describe(net, None, "content")
+    with trusting(Trust(roots=(tmp_path,))):
+        describe(net, None, "content")
 
 
 def test_a_network_of_any_size_gets_the_usual_one(tmp_path: Path) -> None:

@@ -44,6 +44,7 @@ def test_a_hostile_folder_is_of_no_harm(
 ) -> None:
     if mode == "roots":
         monkeypatch.setenv("FACEPIPE_ROOTS", os.pathsep.join([str(world.sent), str(world.sent / "shapes")]))
+    (world.sent / "shapes").mkdir()  # a root
     hostile.make(world)
     assert harm(hostile, world, MODES[mode]) == []
 

@@ -24,7 +24,6 @@ from facepipe.core.policy.paths import (
     trusting,
 )
 from facepipe.core.reading import file_beside, files_in, read_bytes
-from facepipe.learn.features.description import describe
 
 
 @pytest.fixture
@@ -109,7 +108,6 @@ def test_what_lies_in_a_folder_or_beside_a_file_is_no_link_elsewhere(show: Path)
         lambda: files_in(show / "shots", (".json",)),
         lambda: file_beside(show / "shots", "gone.json", "a.json"),
         lambda: file_beside(net, "net.onnx.json"),
-        lambda: describe(net, None, "content"),
     ):
         with pytest.raises(InputError, match="outside the roots"):
             read()
