@@ -61,7 +61,7 @@ class Cache:
             if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
         except (OSError, ValueError, FacepipeError):
-            shutil.rmtree(entry, ignore_errors=True)
+            _remove(entry)
             return None
         with together(writes[0][0]) if writes else contextlib.nullcontext():
             for number, (path, _) in enumerate(writes):
@@ -100,8 +100,17 @@ class Cache:
         for _, used, entry in sorted(entries):
             if over <= 0:
                 return
-            shutil.rmtree(entry, ignore_errors=True)
+            _remove(entry)
             over -= used
+
+
+def _remove(entry: Path) -> None:
+    """Remove an entry, or what is in its place: `shutil.rmtree` opens a pipe to see what it is, and waits for ever."""
+    with contextlib.suppress(OSError):
+        if stat.S_ISDIR(entry.lstat().st_mode):
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink()
 
 
 def _opened(path: Path) -> BufferedReader:
