@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -21,6 +22,7 @@ from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"
+_ENTRY = re.compile(rf"[0-9a-f]{{64}}|{re.escape(_PASSING)}.*")
 _MOST_RECORD = 1 << 22  # bytes; a longer one is cut off, and damaged
 _BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
 _unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
@@ -93,6 +95,8 @@ class Cache:
     def _evict(self) -> None:
         entries = []
         for entry in self._folder.iterdir():
+            if not _ENTRY.fullmatch(entry.name):  # the caller's, who named a folder of other things too
+                continue
             with contextlib.suppress(OSError):
                 used = sum(path.stat().st_size for path in entry.iterdir())
                 entries.append((entry.stat().st_mtime_ns, used, entry))
