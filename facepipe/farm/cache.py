@@ -17,7 +17,7 @@ from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.policy.paths import is_writable, trust
+from facepipe.core.policy.paths import check_written, is_writable, trust
 from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
@@ -34,8 +34,9 @@ class Cache:
     def __init__(self, folder: Path, most_bytes: int, place: Callable[[str], Path] = Path) -> None:
         """
         :param place: the path of a file that a record names
-        :raises InputError: the folder can't be made
+        :raises InputError: the folder can't be made, or is a link that leads out of the roots
         """
+        check_written(folder)
         self._folder, self._most, self._place = folder, most_bytes, place
         try:
             folder.mkdir(parents=True, exist_ok=True)
