@@ -79,12 +79,15 @@ def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
     from facepipe.core.policy.paths import trust
     from facepipe.core.project import project_around
     from facepipe.farm.batch import batch
+    from facepipe.farm.plan import plan_of
 
     project = project_around(Path.cwd())
     if project is not None:
-        words = [in_project(project, step.words, plan.folder, step.out) for step in plan.steps]
-        steps = [replace(one, words=tuple(step_words)) for one, step_words in zip(plan.steps, words, strict=True)]
-        plan = replace(plan, steps=tuple(steps))
+        steps = {
+            one.name: replace(one, words=tuple(in_project(project, one.words, plan.folder, one.out)))
+            for one in plan.steps
+        }
+        plan = plan_of(plan.where, plan.folder, plan.out, plan.rows, steps)  # what a project adds can have braces too
     with _watched() as on_task:
         report = batch(
             plan,

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -16,11 +17,12 @@ from typing import Any
 
 from facepipe.core.atomic import replacing, together
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.policy.paths import is_writable, trust
+from facepipe.core.policy.paths import check_written, is_writable, trust
 from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"
+_ENTRY = re.compile(rf"[0-9a-f]{{64}}|{re.escape(_PASSING)}.*")
 _MOST_RECORD = 1 << 22  # bytes; a longer one is cut off, and damaged
 _BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
 _unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
@@ -32,8 +34,9 @@ class Cache:
     def __init__(self, folder: Path, most_bytes: int, place: Callable[[str], Path] = Path) -> None:
         """
         :param place: the path of a file that a record names
-        :raises InputError: the folder can't be made
+        :raises InputError: the folder can't be made, or is a link that leads out of the roots
         """
+        check_written(folder)
         self._folder, self._most, self._place = folder, most_bytes, place
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +64,7 @@ class Cache:
             if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
         except (OSError, ValueError, FacepipeError):
-            shutil.rmtree(entry, ignore_errors=True)
+            _remove(entry)
             return None
         with together(writes[0][0]) if writes else contextlib.nullcontext():
             for number, (path, _) in enumerate(writes):
@@ -93,6 +96,8 @@ class Cache:
     def _evict(self) -> None:
         entries = []
         for entry in self._folder.iterdir():
+            if not _ENTRY.fullmatch(entry.name):  # the caller's, who named a folder of other things too
+                continue
             with contextlib.suppress(OSError):
                 used = sum(path.stat().st_size for path in entry.iterdir())
                 entries.append((entry.stat().st_mtime_ns, used, entry))
@@ -100,8 +105,17 @@ class Cache:
         for _, used, entry in sorted(entries):
             if over <= 0:
                 return
-            shutil.rmtree(entry, ignore_errors=True)
+            _remove(entry)
             over -= used
+
+
+def _remove(entry: Path) -> None:
+    """Remove an entry, or what is in its place: `shutil.rmtree` opens a pipe to see what it is, and waits for ever."""
+    with contextlib.suppress(OSError):
+        if stat.S_ISDIR(entry.lstat().st_mode):
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink()
 
 
 def _opened(path: Path) -> BufferedReader:

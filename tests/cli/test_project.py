@@ -163,3 +163,14 @@ def test_files_that_a_project_chooses_may_lie_below_given_roots(
     done(capsys, *line, quiet=False)
     project.write_text(f"roots = ['s3://bucket']\n{other}")
     assert "is a URL, expected a folder" in run(capsys, *line)[2]
+
+
+@pytest.mark.parametrize("name", ["{}", "{nose}", "{game}"])
+def test_braces_of_a_project_are_those_of_the_plan(show: Path, capsys: Capsys, name: str) -> None:
+    (show / "facepipe.toml").write_text(f'[defaults.export]\nengine = "{name}"\n')
+    plan = '[faces]\nglob = "face.usda"\n[steps.game]\nrun = "export {face}"\nout = "{name}.glb"\n'
+    Path("plan.toml").write_text(plan)
+    code, out, _ = run(capsys, "batch", "plan.toml", "--processes", "1", "--thumbnails", "0")
+    assert code == 1
+    assert "steps.game: " in out
+    assert not Path("out").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 import sys
 from collections.abc import Callable
@@ -206,6 +207,8 @@ def _as_link(entry: Path) -> None:
         lambda entry: (entry / "record.json").write_text('{"writes": {}}'),
         lambda entry: (entry / "record.json").write_text("null"),
         lambda entry: ((entry / "record.json").unlink(), os.mkfifo(entry / "record.json")),
+        lambda entry: (shutil.rmtree(entry), os.mkfifo(entry)),
+        lambda entry: (entry.rename(entry.parent.parent / "there"), entry.symlink_to(entry.parent.parent / "there")),
     ],
 )
 def test_a_cache_of_others_gives_the_result_of_the_task_or_nothing(

@@ -192,6 +192,15 @@ def test_results_come_from_the_cache_and_it_stays_within_its_size(show: Path, ru
     assert sum(one.stat().st_size for one in cache.rglob("*")) <= 1e7
 
 
+def test_a_cache_in_a_folder_of_other_things_removes_its_own_alone(
+    show: Path, run_plan: Runner, tmp_path: Path
+) -> None:
+    (tmp_path / "mine/photos").mkdir(parents=True)
+    (tmp_path / "mine/photos/large.bin").write_bytes(b"0" * 2_000_000)
+    run_plan(PLAN, cache=tmp_path / "mine", cache_gb=0.001)
+    assert (tmp_path / "mine/photos/large.bin").stat().st_size == 2_000_000
+
+
 def test_no_step_is_called_as_the_folder_of_results(run_plan: Runner) -> None:
     with pytest.raises(InputError, match=r"steps\.out: \{out\} is the folder of results, expected another name"):
         run_plan(PLAN.replace("steps.game", "steps.out"))

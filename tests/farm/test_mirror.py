@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from facepipe.core.errors import InputError
+from facepipe.core.policy.paths import Trust, trusting
 from facepipe.farm.mirror import Mirror, mirror
 
 fsspec = pytest.importorskip("fsspec")
@@ -97,3 +99,15 @@ def test_a_file_that_changes_while_it_is_read_is_read_again(copies: Mirror, monk
     copies.clear()
     with pytest.raises(InputError, match="changes while it is read"):
         copies.words([f"{ROOT}/parts/iris.png"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_copies_are_kept_through_no_link_out_of_the_roots(copies: Mirror, tmp_path: Path) -> None:
+    sent, out = tmp_path / "sent", tmp_path / "out"
+    sent.mkdir()
+    out.mkdir()
+    (sent / "copies").symlink_to(out)
+    refused = pytest.raises(InputError, match=r"is a link to .*, outside the roots")
+    with trusting(Trust(roots=(sent,))), mirror([ROOT], str(sent), 10**6) as found, refused:
+        found.fetch([found.path(f"{ROOT}/body.usda")])
+    assert list(out.iterdir()) == []
