@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -21,6 +22,7 @@ from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"
+_OWN = re.compile(r"[0-9a-f]{64}|\.new-[0-9a-f]{16}")  # names of entries
 _MOST_RECORD = 1 << 22  # bytes; a longer one is cut off, and damaged
 _BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
 _unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
@@ -58,6 +60,8 @@ class Cache:
                     raise InputError(entry, f"is of {path}, expected the results of the task")
                 if not is_writable(path, trust().roots):
                     raise InputError(entry, "is of files outside the roots")
+            if sum((entry / str(number)).lstat().st_size for number in range(len(writes))) > self._most:
+                raise InputError(entry, "is larger than the cache")
             if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
         except (OSError, ValueError, FacepipeError):
@@ -93,6 +97,8 @@ class Cache:
     def _evict(self) -> None:
         entries = []
         for entry in self._folder.iterdir():
+            if not _OWN.fullmatch(entry.name) or entry.is_symlink():  # of others, who had the folder before
+                continue
             with contextlib.suppress(OSError):
                 used = sum(path.stat().st_size for path in entry.iterdir())
                 entries.append((entry.stat().st_mtime_ns, used, entry))

@@ -178,12 +178,18 @@ def _changed(file: str, old: str, new: str) -> Site:
 
 
 _RECORDS = _changed("facepipe/core/policy/urls.py", "return bool(checked(name, self._urls))", "return True")
+_NAMES_OF_LEDGERS = _changed("facepipe/farm/ledger.py", "return path.stat().st_nlink > 1", "return False")
+_REASONS = _changed("facepipe/farm/ledger.py", 'known = {"error"} if', "known = set() if")
+_DIGITS = _changed("facepipe/farm/ledger.py", "if len(text.lstrip", "if False and len(text.lstrip")
 _FLAGS = _changed("facepipe/core/locks.py", 'getattr(os, "O_NONBLOCK", 0)', "0")
 _CLAIMS = _changed("facepipe/core/hidden_folders.py", "if path.is_symlink():\n        return None", "pass")
 _NAMES = _changed("facepipe/core/placing.py", "    if not plain or", "    if")
 _LINKS = _changed("facepipe/core/placing.py", "and not _has_links(move)]", "]")
 QUIET: dict[str, tuple[Site, ...]] = {
-    f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")
+    "state folder, ledger: hard link": (_NAMES_OF_LEDGERS,),
+    "ledger, error: none": (_REASONS,),
+    "ledger, report: no float": (_DIGITS,),
+    **{f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")},
 }
 
 
