@@ -22,7 +22,7 @@ from facepipe.farm.ledger import is_outcome, parsed
 
 _RECORD = "record.json"
 _PASSING = ".new-"
-_ENTRY = re.compile(rf"[0-9a-f]{{64}}|{re.escape(_PASSING)}.*")
+_ENTRY = re.compile(rf"[0-9a-f]{{64}}|{re.escape(_PASSING)}[0-9a-f]{{16}}")
 _MOST_RECORD = 1 << 22  # bytes; a longer one is cut off, and damaged
 _BETWEEN = 0.01  # of its size: what a process may add before it measures the folder again
 _unseen: dict[Path, int] = {}  # folder -> bytes that this process has added since it measured
@@ -61,6 +61,8 @@ class Cache:
                     raise InputError(entry, f"is of {path}, expected the results of the task")
                 if not is_writable(path, trust().roots):
                     raise InputError(entry, "is of files outside the roots")
+            if sum((entry / str(number)).lstat().st_size for number in range(len(writes))) > self._most:
+                raise InputError(entry, "is larger than the cache")
             if any(_digest(entry / str(number)) != own for number, (_, own) in enumerate(writes)):
                 raise InputError(entry, "is damaged")
         except (OSError, ValueError, FacepipeError):
@@ -96,7 +98,7 @@ class Cache:
     def _evict(self) -> None:
         entries = []
         for entry in self._folder.iterdir():
-            if not _ENTRY.fullmatch(entry.name):  # the caller's, who named a folder of other things too
+            if not _ENTRY.fullmatch(entry.name) or entry.is_symlink():  # the caller's, who had the folder before
                 continue
             with contextlib.suppress(OSError):
                 used = sum(path.stat().st_size for path in entry.iterdir())

@@ -29,6 +29,7 @@ T = TypeVar("T")
 _SCHEME = re.compile(r"[\w.:+-]*://")
 _FILE = re.compile(r"[\w.+-]+://[^:]*")  # of FILE and FILE:NAME
 _TILES = "<UDIM>"
+_COPIES = "copies"  # folder of those that are kept
 _AT_ONCE = 8  # requests
 _TRIES = 3  # of a file that changes while it is copied
 
@@ -222,18 +223,21 @@ def mirror(urls: Sequence[str], folder: str | None, most_bytes: int) -> Iterator
 
     :param urls: roots; nothing outside them is read or written
     :param folder: for it, and for the copies that are kept (default ``~/.cache/facepipe``)
-    :raises InputError: a root that is no URL, or the folder can't be written
+    :raises InputError: a root that is no URL, or the folder can't be written or leads elsewhere
     """
     if not urls:
         yield Mirror(Path(os.devnull), (), Path(os.devnull), 0)
         return
     if folder is None:
-        place = private_folder(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "facepipe"))
+        said = Path(os.environ.get("XDG_CACHE_HOME", ""))  # one that is relative would lie in the folder of the plan
+        place = private_folder((said if said.is_absolute() else Path.home() / ".cache") / "facepipe")
     else:
         place = Path(folder)
         try:
             place.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(place, f"can't be made: {error.strerror or error}") from error
+    if (place / _COPIES).is_symlink():
+        raise InputError(place / _COPIES, "is a link, expected a folder")
     with hidden_folder(place) as own:
-        yield Mirror(own, urls, place / "copies", most_bytes)
+        yield Mirror(own, urls, place / _COPIES, most_bytes)

@@ -64,7 +64,8 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: boo
 
 
 def _row(number: int, values: dict[str, str]) -> Row:
-    name = file_name(values.get("name") or (Path(values["face"]).stem if "face" in values else str(number)))
+    said = values.get("name") or (Path(values["face"]).stem if "face" in values else "")
+    name = file_name(said) if said else str(number)
     return Row(name, {**values, "name": name})
 
 

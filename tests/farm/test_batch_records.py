@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -22,6 +23,7 @@ from facepipe.core.policy.urls import Reach, typed_roots
 from facepipe.farm.batch import batch
 from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import FILE, is_outcome, is_record, ledger_in, parsed
+from facepipe.farm.mirror import mirror
 from facepipe.farm.plan import read_plan
 
 RECORD: dict[str, Any] = {
@@ -225,6 +227,49 @@ def test_a_cache_of_others_gives_the_result_of_the_task_or_nothing(
     assert (show / "built/mixed/ada.bin").read_bytes() == b"adabase"
 
 
+def test_what_else_is_in_a_cache_stays(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    (cache / "holiday").mkdir(parents=True)
+    (cache / "holiday/photo.bin").write_bytes(bytes(3_000_000))
+    run_plan(PLAN, cache=cache, cache_gb=0.001)
+    assert (cache / "holiday/photo.bin").exists()
+    assert len(list(cache.iterdir())) == 7
+
+
+def test_an_entry_that_is_larger_than_its_cache_is_not_read(show: Path, run_plan: Runner, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run_plan(PLAN, cache=cache)
+    entry = _entry(cache)
+    os.truncate(entry / "0", 3_000_000)
+    own = hashlib.sha256((entry / "0").read_bytes()).hexdigest()
+    said = {"writes": {"built/mixed/ada.bin": [None, f"sha256:{own}"]}}
+    (entry / "record.json").write_text(json.dumps({**json.loads((entry / "record.json").read_text()), **said}))
+    (show / "built/mixed/ada.bin").unlink()
+    run_plan(cache=cache, cache_gb=0.001)
+    assert (show / "built/mixed/ada.bin").read_bytes() == b"adabase"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+def test_copies_go_to_no_link_in_their_folder(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir(), (tmp_path / "local").mkdir()
+    (tmp_path / "local/copies").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="local/copies: is a link"), mirror(["s3://b"], str(tmp_path / "local"), 1):
+        pass
+
+
+def test_a_cache_in_the_working_folder_is_none_of_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home, work = tmp_path / "home", tmp_path / "work"
+    home.mkdir(), work.mkdir()
+    monkeypatch.chdir(work)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("USERPROFILE", str(home))
+    for said in ("cache", ".", ""):
+        monkeypatch.setenv("XDG_CACHE_HOME", said)
+        with mirror(["s3://b"], None, 1):
+            assert list((home / ".cache/facepipe").iterdir())
+    assert not list(work.iterdir())
+
+
 def test_processes_are_at_most_four_a_core(show: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     (show / "plan.toml").write_text(PLAN)
     monkeypatch.chdir(show)
@@ -245,8 +290,14 @@ def test_names_in_records_reach_what_lies_below_the_roots(tmp_path: Path) -> Non
     (inside / "lib").symlink_to(outside)
     (inside / "a").symlink_to(outside / "a")
     (inside / "b").symlink_to(inside / "c")
+    (inside / "deep").mkdir()
+    (inside / "deep/lib").symlink_to(outside)
     reach = Reach(inside, (inside,), ("s3://b/f",))
     assert all(map(reach, ("x", "deep/x", "b", str(inside / "x"), "../in/x", "s3://b/f/x")))
+    assert all(map(Reach(tmp_path, (inside,), ()), ("in/x", "in/none/y/x", "in/deep/x")))
+    around = Reach(tmp_path, (inside,), ())
+    assert not any(map(around, ("x", "out/x", "in/lib/x", "in/deep/../../x", "in/deep/lib/y/x")))
+    assert not any(map(reach, ("deep/lib/x", "deep/lib/y/x", "deep/../../out/y/x", "a\0/x")))
     assert not any(map(reach, ("../out/x", "lib/x", "a", "..", "/etc/passwd", "s3://b/x", "http://h/f", "a\0b")))
 
 

@@ -354,6 +354,7 @@ def ledger(**said: Any) -> Callable[[World], object]:
         record["words"] = ["export", "a.usda", "-o", "built/a.glb"]
         record["reads"] = {"a.usda": source, **said.get("reads", {})}
         record["writes"] = {"built/a.glb": [result, "sha256:0"], **said.get("writes", {})}
+        record |= {key: value for key, value in said.items() if key not in ("reads", "writes")}
         file("show_batch/tasks.jsonl", f"{json.dumps(record)}\n")(world)
 
     return make

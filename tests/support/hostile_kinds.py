@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 from hostile_folders import (
     BATCH,
@@ -59,6 +60,12 @@ def _device(world: World) -> None:
 
 def _state(world: World) -> None:
     (world.sent / "pipe").rename(world.sent / "show_batch/tasks.jsonl")
+
+
+def _second_name(world: World) -> None:
+    """A file of the victim's is the ledger, by another of its names."""
+    (world.sent / "show_batch").mkdir()
+    os.link(world.private / "notes.txt", world.sent / "show_batch/tasks.jsonl")
 
 
 def _inside(world: World) -> None:
@@ -291,6 +298,24 @@ def _at(escape: str, name: str) -> str:
     return _AT[escape].format(name)
 
 
+def _limit(key: str, value: str) -> Callable[[World], object]:
+    return _more(f"{key} = {value}\n")
+
+
+def _more(text: str) -> Callable[[World], object]:
+    """show.toml goes on with a text."""
+
+    def make(world: World) -> None:
+        with (world.sent / "show.toml").open("a") as said:
+            said.write(text)
+
+    return make
+
+
+def _steps(count: int) -> Callable[[World], object]:
+    return _more("".join(f'[steps.s{number}]\nrun = "validate a.usda"\n' for number in range(count)))
+
+
 _PLANS = (
     *(
         Hostile(f"plan, csv: {escape}", plan(f'csv = "{_at(escape, "notes.txt")}"'), BATCH)
@@ -315,6 +340,27 @@ _PLANS = (
         for escape in ("above", "absolute", "http URL", "S3 URL")
     ),
     Hostile("plan, out: linked folder", both(plan('glob = "a.usda"', out="lib"), linked("lib", "../private")), BATCH),
+    Hostile(
+        "plan, glob: more ways than folders",
+        both(plan(f'glob = "{"**/" * 12}none.glb"'), file(f"{'deep/' * 40}x", "")),
+        BATCH,
+    ),
+    Hostile("plan, steps: thousands", both(plan('glob = "a.usda"'), _steps(3000)), BATCH),
+    Hostile(
+        "plan, faces times steps: millions",
+        both(plan("range = { n = [1, 100000] }", "export a.usda"), _steps(250)),
+        BATCH,
+    ),
+    Hostile(
+        "plan, text of all lines: gigabytes",
+        plan("range = { n = [1, 300000] }", f"export {{n}} {'x' * 10_000}"),
+        BATCH,
+    ),
+    *(
+        Hostile(f"plan, {key}: no number", both(plan('glob = "a.usda"'), _limit(key, "nan")), BATCH)
+        for key in ("seconds", "memory_mb")
+    ),
+    Hostile("plan, seconds: no float", both(plan('glob = "a.usda"'), _limit("seconds", f"1{'0' * 400}")), BATCH),
     Hostile("plan, range: billions", plan("range = { n = [1, 9000000000] }"), BATCH),
     Hostile("plan, range: millions", plan("range = { n = [1, 9000000] }"), BATCH),
     Hostile(
@@ -359,6 +405,9 @@ _PLANS = (
         both(plan('glob = "a.usda"'), linked("show_batch/tasks.jsonl", "/dev/zero")),
         BATCH,
     ),
+    Hostile("state folder, ledger: hard link", both(plan('glob = "a.usda"'), _second_name), BATCH, refused=False),
+    Hostile("ledger, error: none", ledger(status="failed"), BATCH, refused=False),
+    Hostile("ledger, report: no float", ledger(report={"x_mm": 10**400}), BATCH, refused=False),
     *(
         Hostile(f"ledger, {field}: {escape}", ledger(**{field: {name: value}}), BATCH, refused=False)
         for field, value in (("reads", _ONE), ("writes", [_ONE, "sha256:0"]))

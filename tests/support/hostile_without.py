@@ -181,8 +181,14 @@ _RECORDS = _changed("facepipe/core/policy/urls.py", "return bool(checked(name, s
 _WRITABLE = _changed("facepipe/cooking/graph.py", "and is_writable(nodes[key].path, roots):", ":")
 _LOCK = _changed("facepipe/core/locks.py", "os.open(file, _FLAGS | os.O_CREAT if", "os.open(file, 1 | os.O_CREAT if")
 _LIBRARY = _changed("facepipe/importers/materials_mtl.py", "        if not is_file(path):", "        if False:")
+_NAMES_OF_LEDGERS = _changed("facepipe/farm/ledger.py", "return path.stat().st_nlink > 1", "return False")
+_REASONS = _changed("facepipe/farm/ledger.py", 'known = {"error"} if', "known = set() if")
+_DIGITS = _changed("facepipe/farm/ledger.py", "if len(text.lstrip", "if False and len(text.lstrip")
 QUIET: dict[str, tuple[Site, ...]] = {
-    f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")
+    "state folder, ledger: hard link": (_NAMES_OF_LEDGERS,),
+    "ledger, error: none": (_REASONS,),
+    "ledger, report: no float": (_DIGITS,),
+    **{f"ledger, {field}: {escape} URL": (_RECORDS,) for field in ("reads", "writes") for escape in ("http", "S3")},
 }
 QUIET |= {f"cook, layer with a recipe: {escape}": (_WRITABLE,) for escape in ("absolute", "above", "linked folder")}
 QUIET |= {"lock, file: pipe": (_LOCK,), "obj, library: pipe": (_LIBRARY,)}

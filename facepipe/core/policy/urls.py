@@ -55,13 +55,14 @@ def typed_roots(words: Iterable[str]) -> tuple[str, ...]:
 class Reach:
     """Whether names in records of others lie below the roots: each is asked about before anything is looked up there.
 
-    Folders are resolved once: a record of a plan names a few in a million tasks.
+    Folders are looked at once: a record of a plan names a few in a million tasks. A hostile one names a hundred
+    thousand, and to resolve each would take five seconds.
     """
 
     def __init__(self, folder: Path, roots: Iterable[Path], urls: Collection[str]) -> None:
         """:param folder: that paths are relative to"""
         self._folder, self._roots, self._urls = folder, (*roots, OWN), urls
-        self._known: dict[str, bool] = {}
+        self._known = {str(folder): is_below(folder, self._roots)}
 
     def __call__(self, name: str) -> bool:
         """Whether a URL or a path does."""
@@ -72,6 +73,15 @@ class Reach:
                 return False
         parent, last = os.path.split(os.path.join(self._folder, name))  # noqa: PTH118  (half the time)
         if parent not in self._known:
-            self._known[parent] = is_below(Path(parent), self._roots)
+            self._known[parent] = self._is_plainly_below(parent) or is_below(Path(parent), self._roots)
         plain = last not in ("", ".", "..") and "\0" not in name and not os.path.islink(f"{parent}/{last}")  # noqa: PTH114
         return (self._known[parent] and plain) or is_below(Path(parent, last), self._roots)
+
+    def _is_plainly_below(self, folder: str) -> bool:
+        """Whether a folder lies in one that is known to be below the roots, with no link on the way."""
+        while not self._known.get(folder):
+            above, last = os.path.split(folder)
+            if last in ("", ".", "..") or os.path.islink(folder):  # noqa: PTH114  (never raises)
+                return False
+            folder = above
+        return True
