@@ -107,7 +107,7 @@ def test_copies_are_kept_through_no_link_out_of_the_roots(copies: Mirror, tmp_pa
     sent.mkdir()
     out.mkdir()
     (sent / "copies").symlink_to(out)
-    refused = pytest.raises(InputError, match=r"is a link to .*, outside the roots")
-    with trusting(Trust(roots=(sent,))), mirror([ROOT], str(sent), 10**6) as found, refused:
+    refused = pytest.raises(InputError, match="copies: is a link")
+    with trusting(Trust(roots=(sent,))), refused, mirror([ROOT], str(sent), 10**6) as found:
         found.fetch([found.path(f"{ROOT}/body.usda")])
     assert list(out.iterdir()) == []
