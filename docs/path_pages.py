@@ -69,7 +69,7 @@ class Row(NamedTuple):
 def rows() -> Iterator[Row]:
     """Every option that holds paths.
 
-    :raises SystemExit: one that nobody has said the check of
+    :raises ValueError: one that nobody has said the check of
     """
     for command in [*COMMANDS, *(verb for verb in summaries() if verb not in COMMANDS)]:
         for argument in _arguments(command):
@@ -104,13 +104,13 @@ def _checks(command: str, name: str, argument: argparse.Action) -> tuple[str, ..
     if not holds_paths(argument) and not (field and field.split and any(field.split(one)[0] for one in _WORDS)):
         said = f"{argument.help} {argument.metavar}"
         if argument.type in (None, str) and _SPEAKS_OF_FILES.search(said) and name not in _NO_PATHS:
-            raise SystemExit(
+            raise ValueError(
                 f"{command} {name}: '{said}' speaks of files: does it hold a path? expected it in {__file__}"
             )
         return ()
     checks = _of_role(field) or _OPENED.get(argument.dest, "").split()
     if not checks:
-        raise SystemExit(f"{command} {name}: holds a path, expected its check in {__file__}")
+        raise ValueError(f"{command} {name}: holds a path, expected its check in {__file__}")
     if name.startswith("--") and name.removeprefix("--") not in NEVER and (field is None or field.role == "option"):
         checks = [*checks, _PROJECT]
     own = kind is not None and not argument.option_strings and argument.dest not in ("out", "output")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.core.policy.named import check_found
+from facepipe.core.policy.paths import check_found
 from facepipe.core.reading import check_regular
 from facepipe.records import Json
 from facepipe_web import build

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
-from facepipe.core.policy.named import check_found
-from facepipe.core.policy.paths import check_readable
+from facepipe.core.policy.paths import check_found, check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
 _MOST_COLUMNS, _MOST_ROWS = 4096, 1 << 20  # of a table: each cell becomes an object

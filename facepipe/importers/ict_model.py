@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.policy.named import check_found
+from facepipe.core.policy.paths import check_found
 from facepipe.core.reading import file_beside
 from facepipe.importers import ict_topology as topology
 from facepipe.importers.npz import Field, check_indices, read_arrays

@@ -45,7 +45,9 @@ CHECKS = {
     name
     for module in POLICY
     for name, one in vars(module).items()
-    if inspect.isfunction(one) and one.__module__ == module.__name__ and re.match(r"check|file|read_|is_", name)
+    if inspect.isfunction(one)
+    and one.__module__ == module.__name__
+    and re.match(r"check|file|is_(below|writable|url)", name)
 } | {"copy_refusal", "named_source"}  # which call them
 
 

@@ -261,6 +261,25 @@ def test_links_out_of_the_roots_and_to_nothing_are_refused(tmp_path: Path, old: 
 
 
 @POSIX
+def test_nothing_is_made_in_a_linked_folder_of_the_working_folder(
+    tmp_path: Path, old: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even for a moment: no hidden folder, no lock, and no remains of a killed run are settled."""
+    (tmp_path / "outside/.facepipe-0123456789abcdef").mkdir(parents=True)
+    (old / "lib").symlink_to("../outside")
+    monkeypatch.chdir(old)
+    for make in (
+        hidden_folder(Path("lib")),
+        locks.locked(Path("lib/x")),
+        replacing(Path("lib/x")),
+        together(Path("lib/x")),
+    ):
+        with pytest.raises(InputError, match="outside the roots"), make:
+            pass
+    assert names(tmp_path / "outside") == [".facepipe-0123456789abcdef"]
+
+
+@POSIX
 def test_what_is_no_file_is_refused(old: Path) -> None:
     os.mkfifo(old / "pipe")
     for name, message in (("pipe", "is no regular file"), ("report", "is a folder"), (".facepipe-x", "names of")):

@@ -177,6 +177,8 @@ def test_links_outside_of_the_roots_are_the_caller_s_own(show: Path, monkeypatch
     check_written(show.parent / "link/a.glb")
     check_written(Path("../link/new/a.glb"))
     check_written(show.parent / "home/shots/a.glb")
+    for name in ("a" * 300, "a\0b"):  # no file can have it: who writes it says so
+        check_written(show / name / name)
     monkeypatch.chdir(show.parent / "home/shots")
     check_written(Path("a.glb"))
     with pytest.raises(InputError, match="more than 1000"):

@@ -1,4 +1,4 @@
-"""Files that nobody typed: what a text in a file names, what lies in a folder or beside a file, what a project chooses.
+"""Files that texts name: those in a file, and those that a project chooses for options.
 
 Each is checked before it is opened, listed or looked at. `facepipe.core.policy.fields` lists who asks for what.
 """
@@ -22,14 +22,6 @@ def file_named(where: object, name: str, file: Path) -> Path:
     path = path_named(where, name, file)
     check_copied(where, path, file)
     return path
-
-
-def check_found(path: Path, near: Path) -> None:
-    """Check a file that lies in the folder `near`, or beside the file `near`: a link can lead it elsewhere.
-
-    :raises InputError: neither below the roots there nor below the folder
-    """
-    check_copied(path, path, near / "any" if near.is_dir() else near)
 
 
 def file_chosen(where: object, name: str, project: Path, folders: Iterable[Path]) -> Path:

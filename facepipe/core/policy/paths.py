@@ -139,7 +139,7 @@ def check_written(path: Path) -> None:
             return
         name = left.pop()
         step = place.parent if name == ".." else place / name
-        if not step.is_symlink():
+        if not os.path.islink(step):  # noqa: PTH114  (False for names that no file can have)
             place = step
             continue
         roots = _known_roots(place)
@@ -182,6 +182,14 @@ def private_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(path, f"can't be made: {error.strerror or error}") from error
     return path
+
+
+def check_found(path: Path, near: Path) -> None:
+    """Check a file that lies in the folder `near`, or beside the file `near`: a link can lead it elsewhere.
+
+    :raises InputError: neither below the roots there nor below the folder
+    """
+    check_copied(path, path, near / "any" if near.is_dir() else near)
 
 
 def check_readable(path: Path) -> None:

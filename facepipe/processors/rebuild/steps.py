@@ -21,8 +21,7 @@ from facepipe.core import __version__
 from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.atomic import collect
 from facepipe.core.errors import InputError
-from facepipe.core.policy.named import check_found
-from facepipe.core.policy.paths import check_writable
+from facepipe.core.policy.paths import check_found, check_writable
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.parts import FaceParts
