@@ -27,6 +27,7 @@ _CHOSEN = "below the project's folder or given roots; below its own roots where 
 _CONFORMS = "no file: a text for people"
 _FOUND = "in the folder; a link in it leads below the roots or stays in it"
 _URL = "below a root that the caller gave"
+_REACHED = "below the roots, of files and of URLs (`Reach`); else the task is done again"
 
 FIELDS = (
     # stages
@@ -128,6 +129,10 @@ FIELDS = (
     FileField("plan", "csv at a URL", "facepipe.farm.table:_of_csv", "checked", _URL),
     FileField("plan", "csv", "facepipe.farm.table:_of_csv", "check_copied", _BELOW),
     FileField("plan", "glob at a URL", "facepipe.farm.table:_of_glob", "checked", _URL),
+    FileField("plan", "glob", "facepipe.farm.table:_matching", "check_copied", _BELOW),
+    FileField("plan", "out", "facepipe.farm.plan:read_plan", "check_writable", _WRITTEN),
     FileField("plan", "results", "facepipe.farm.work:_check_places", "is_writable", _WRITTEN),
+    FileField("state folder", "itself", "facepipe.farm.batch:batch", "check_written", _WRITTEN),
+    FileField("ledger", "reads, writes", "facepipe.farm.run:Run._last", "", _REACHED),
     FileField("cache of results", "writes", "facepipe.farm.cache:Cache.fetch", "is_writable", _WRITTEN),
 )
