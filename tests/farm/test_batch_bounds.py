@@ -70,6 +70,16 @@ def test_a_value_that_is_named_again_and_again_makes_no_long_line(run_plan: Runn
     assert "characters with its values" in run_plan(text).failures[0]
 
 
+@pytest.mark.parametrize("line", ["copy {fac}", "copy {\\u001b[2J}", "copy {one}"])
+def test_what_is_wrong_with_a_step_has_no_control_characters(run_plan: Runner, line: str) -> None:
+    """They would reach the terminal: of columns, and of names in braces."""
+    rows = 'rows = [{ name = "ada", "fa\\u001bce" = "heads/ada.bin", "o\\nne" = "x" }]'
+    text = f'out = "built"\n[faces]\n{rows}\n[steps.s]\nrun = "{line}"\nout = "x/\\u001b[2J"\n'
+    report = run_plan(f'{text}[steps.t]\nrun = "copy base.bin"\nout = "x/\\u001b[2J"\n')
+    assert report.failures
+    assert all(map(str.isprintable, report.failures)), report.failures
+
+
 def test_words_of_a_line_are_counted_together(run_plan: Runner) -> None:
     rows = f'rows = [{{ name = "ada", face = "heads/ada.bin", a = "{"A" * 1000}" }}]'
     report = run_plan(PLAN.replace('glob = "heads/*.bin"', rows).replace("copy {face}", "copy {face}" + " {a}" * 1000))

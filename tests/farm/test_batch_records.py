@@ -315,3 +315,13 @@ def test_copies_in_the_folder_of_a_user_are_of_that_user_alone(tmp_path: Path) -
     (tmp_path / "link").symlink_to(place)
     with pytest.raises(InputError, match="is a link"):
         private_folder(tmp_path / "link")
+
+
+@pytest.mark.skipif(sys.platform == "win32" or os.geteuid() != 0, reason="only root can give a folder away")
+def test_a_folder_of_another_user_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "facepipe"
+    place.mkdir(mode=0o777)
+    os.chown(place, 65534, 65534)
+    with pytest.raises(InputError, match="belongs to another user"):
+        private_folder(place)
+    assert place.stat().st_uid == 65534
