@@ -19,7 +19,7 @@ Record = dict[str, Any]  # task, status, words, key, reads, writes, report, ... 
 FILE = "tasks.jsonl"
 STATUSES = (MADE, KEPT, CACHED, FAILED) = ("made", "kept", "cached", "failed")
 _MOST_LINE = 1 << 24  # bytes: reports are brief, but a step once for all reads the results of 200,000 faces
-_MOST_BYTES = 4 << 30
+_MOST_BYTES = 8 << 30  # six million tasks have 4 GB, and more until they are written anew
 _MOST_DIGITS = 100  # of an integer: from 309 on it is no float
 _SLACK = 1.5  # lines for each task before the file is written anew
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.atomic import collect
-from facepipe.core.errors import FacepipeError
+from facepipe.core.errors import FacepipeError, printable
 from facepipe.core.locks import discard_lock
 from facepipe.core.policy.paths import trust
 from facepipe.core.policy.urls import Reach, is_url
@@ -92,7 +92,7 @@ class Run:
             fault = self.plan.faults.get(task.step.name)
             error = f"steps.{task.step.name}: {fault}" if fault else self._alike(task, taken)
             if error:
-                self._end(task, {"task": name, "status": FAILED, "error": error}, keep=False)
+                self._end(task, {"task": name, "status": FAILED, "error": printable(error)}, keep=False)
         for name, task in self._tasks.items():
             if name in self.records:
                 continue

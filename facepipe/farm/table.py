@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import fnmatch
 import io
-import itertools
 import os
 import re
 from collections import Counter
@@ -55,9 +54,7 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: boo
         columns: Iterable[dict[str, str]] = _of_glob(f"{where}.{kind}", folder, said, typed=typed)
     else:
         columns = {"csv": _of_csv, "rows": _of_rows, "range": _of_range}[kind](f"{where}.{kind}", folder, said)
-    rows = tuple(itertools.islice((_row(number, values) for number, values in enumerate(columns, 1)), _MOST_ROWS + 1))
-    if len(rows) > _MOST_ROWS:
-        raise InputError(where, f"more than {_MOST_ROWS:,} faces")
+    rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
     if not rows:
         raise InputError(where, "no face, expected at least one")
     return rows
@@ -77,6 +74,8 @@ def _of_glob(where: str, folder: Path, pattern: Any, *, typed: bool) -> list[dic
         files = [checked(one, trust().urls) for one in Store(pattern).matching(pattern)]
     else:
         files = sorted({*_matching(where, folder, pattern, typed=typed)})
+    if len(files) > _MOST_ROWS:  # of a store
+        raise InputError(where, f"more than {_MOST_ROWS:,} files are called like {pattern[:80]}")
     if not files:
         raise InputError(where, f"no file is called like {pattern[:80]}")
     faces = [Path(one.rpartition("://")[2]) for one in files]

@@ -70,6 +70,16 @@ def test_a_value_that_is_named_again_and_again_makes_no_long_line(run_plan: Runn
     assert "characters with its values" in run_plan(text).failures[0]
 
 
+@pytest.mark.parametrize("line", ["copy {fac}", "copy {\\u001b[2J}", "copy {one}"])
+def test_what_is_wrong_with_a_step_has_no_control_characters(run_plan: Runner, line: str) -> None:
+    """They would reach the terminal: of columns, and of names in braces."""
+    rows = 'rows = [{ name = "ada", "fa\\u001bce" = "heads/ada.bin", "o\\nne" = "x" }]'
+    text = f'out = "built"\n[faces]\n{rows}\n[steps.s]\nrun = "{line}"\nout = "x/\\u001b[2J"\n'
+    report = run_plan(f'{text}[steps.t]\nrun = "copy base.bin"\nout = "x/\\u001b[2J"\n')
+    assert report.failures
+    assert all(map(str.isprintable, report.failures)), report.failures
+
+
 def test_words_of_a_line_are_counted_together(run_plan: Runner) -> None:
     rows = f'rows = [{{ name = "ada", face = "heads/ada.bin", a = "{"A" * 1000}" }}]'
     report = run_plan(PLAN.replace('glob = "heads/*.bin"', rows).replace("copy {face}", "copy {face}" + " {a}" * 1000))
@@ -90,8 +100,8 @@ def faces(folder: Path, pattern: str) -> list[str]:
     "pattern",
     [
         "*.glb", "**/*.glb", "**/**/*.glb", "heads/**/a.glb", "heads/**/**/a.*", "**/old/**/*.glb", "**/x/y/*",
-        "*/*/*.glb", "heads/a.glb", "./heads/*.glb", "heads//*.glb", ".*", ".dot/*.glb", "x[[]1].glb", "?.bin",
-        "[ab].*", "**/[!a].glb",
+        "*/*/*.glb", "heads/a.glb", "./heads/*.glb", "heads//*.glb", "*/./a.glb", ".*", ".dot/*.glb", "x[[]1].glb",
+        "?.bin", "[ab].*", "**/[!a].glb",
     ],
 )  # fmt: skip
 def test_globs_find_what_pythons_find(tmp_path: Path, pattern: str) -> None:
@@ -132,7 +142,7 @@ def test_folders_in_each_other_and_links_to_them_end(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["a\n" + "b\n" * 1_000_002, "a,b,c\n" + "1,2,3\n" * 1_000_001, ",".join(f"c{number}" for number in range(4097))],
+    ["a\n" + "b\n" * 1_000_002, "a,b,c,d\n" + "1,2,3,4\n" * 760_000, ",".join(f"c{number}" for number in range(4097))],
 )
 def test_a_table_of_text_is_counted(tmp_path: Path, text: str) -> None:
     (tmp_path / "faces.csv").write_text(text)
@@ -151,10 +161,13 @@ def test_a_step_over_all_faces_has_a_long_line(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.chdir(tmp_path)
     rows = [Row(f"face{number}", {"name": f"face{number}"}) for number in range(5000)]
-    made = {"one": Step(name="one", words=("x",), out="{name}"), "all": Step(name="all", words=("{one}",), once=True)}
+    made = {
+        "one": Step(name="one", words=("x",), out="{name}"),
+        "all": Step(name="all", words=("{one}", "--last"), once=True),
+    }
     plan = plan_of("plan", tmp_path, str(tmp_path / "built"), rows, made)
     task = next(one for one in tasks_of(plan) if one.row is None)
     words = line_of(plan, task, {"one": [f"built/face{number}" for number in range(5000)]})
-    assert len(words) == 5000
+    assert len(words) == 5001
     with pytest.raises(InputError, match="no file is called like"):
         each("none*", ("copy", "{face}"), "x")
