@@ -39,6 +39,7 @@ class TextureFolder:
         :raises InputError: the folder is a link that leads outside the roots
         """
         wanted = self._folder / file_name(name, "texture")
+        check_written(self._folder)  # which nobody typed: as a link it is no folder on the way
         check_written(wanted)
         file, number = wanted, 1
         while not self._has_place(file, data):

@@ -279,6 +279,7 @@ def test_the_real_scan_has_the_same_landmarks_in_every_pose_and_unit() -> None:
     assert np.nanmean(np.linalg.norm(again - points, axis=1)) < 0.015 * eyes
 
 
+@pytest.mark.needs_torch
 def test_what_shows_nothing_like_a_face_is_looked_at_once() -> None:
     """A full search looks at ten times as many crops."""
     calls: list[int] = []

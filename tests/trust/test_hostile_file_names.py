@@ -85,7 +85,7 @@ def test_a_folder_of_textures_that_leads_elsewhere_is_not_written(tmp_path: Path
     for name in ("in", "out"):
         (tmp_path / name).mkdir()
     (tmp_path / "in/face_textures").symlink_to("../out")
-    with pytest.raises(InputError, match=r"face_textures: leads outside the roots"):
+    with pytest.raises(InputError, match=r"face_textures.*outside the roots"):
         save_parts(_textured(("a.png",)), tmp_path / "in/face.usda")
     assert not any((tmp_path / "out").iterdir())
     (tmp_path / "facepipe.toml").touch()
