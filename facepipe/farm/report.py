@@ -77,7 +77,7 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
         steps={step.name: _of_step(run.records, step.name) for step in run.plan.steps},
         failures=(*(f"{line} ({count} tasks)" if count > 1 else line for line, count in lines), *left),
         missed_checks=tuple(one["task"] for one in done if one.get("missed")),
-        attributions=tuple(sorted({text for one in done for text in one.get("attribution", ())})),
+        attributions=tuple(sorted({text for one in done for text in one.get("attribution") or ()})),
         seconds=seconds,
         scheduling_seconds=run.scheduling,
         page=state / "report.html",

@@ -111,7 +111,8 @@ def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror, *, verify: b
         unchanged = former is not None and state == tuple(former) and not verify
         if not unchanged and (state is None or not _has_digest(name, own, mirror)):
             return None
-    same = {name: last.get(name) for name in ("report", "missed", "attribution", "verb", "seconds", "peak_mb")}
+    names = ("report", "missed", "attribution", "verb", "seconds", "peak_mb")
+    same = {name: last[name] for name in names if name in last}  # one of others may lack some
     return {**same, "status": KEPT, "writes": writes}
 
 

@@ -171,6 +171,16 @@ def test_a_task_looks_at_nothing_outside_the_roots(tmp_path: Path) -> None:
             assert done == []
 
 
+def test_a_record_of_others_that_lacks_what_none_needs_is_kept(show: Path, run_plan: Runner) -> None:
+    run_plan(PLAN)
+    records = [
+        {key: one[key] for key in one if key not in ("attribution", "report", "peak_mb")}
+        for one in lines_of(show / "state")
+    ]
+    (show / "state" / FILE).write_text("".join(f"{json.dumps(one)}\n" for one in records))
+    assert dict(run_plan(verify=True).counts) == {"kept": 6}
+
+
 def test_resume_wants_the_results_to_be_there(show: Path, run_plan: Runner) -> None:
     run_plan(PLAN)
     (show / "built/mixed/ada.bin").unlink()
