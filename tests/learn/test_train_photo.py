@@ -354,10 +354,13 @@ def test_lenses_of_random_people_are_those_of_portraits(subject: Subject, portra
 def test_a_fit_begins_at_the_guess_where_that_is_better(
     network_file: Path, subject: Subject, portraits: Portraits
 ) -> None:
-    """From the truth as a guess the descent begins at the truth; from a poor guess after stage one, as without it."""
+    """From the truth as a guess the descent begins at the truth; from a poor guess after stage one, as without it.
+
+    Landmarks outweigh the prior: a random person has 0.8 of joint loss in the truth, and 0.3 in stage one, else.
+    """
     photo, picture = photo_of(portraits, 7)
     assert picture.truth is not None
-    options = PhotoFitOptions(iterations=1, size=96, content=0.0, identity=0.0, attributes=0.0)
+    options = PhotoFitOptions(iterations=1, size=96, landmarks=20.0, content=0.0, identity=0.0, attributes=0.0)
     true = State(
         shares=picture.truth.shares, expressions=picture.truth.expressions[None], poses=picture.truth.pose[None]
     )
@@ -366,7 +369,7 @@ def test_a_fit_begins_at_the_guess_where_that_is_better(
         fit_photos(subject.parts, [photo], [picture.landmarks], options, start=start).history[0]
         for start in (None, true, poor)
     )
-    assert best["landmarks"] < 1e-6 < default["landmarks"]  # stage one would be drawn to the defaults
+    assert best["landmarks"] < 1e-3 < default["landmarks"]  # stage one would be drawn to the defaults
     assert best["total"] < default["total"]
     assert worst["total"] < 1.5 * default["total"]
 
@@ -378,12 +381,14 @@ def test_the_fit_command_takes_the_network(
     _, picture = photo_of(portraits, 3)
     Image.fromarray(picture.pixels).save(tmp_path / "photo.png")
     (tmp_path / "photo.json").write_text(json.dumps({"multipie68": picture.landmarks.tolist()}))
+    network = tmp_path / "start.onnx"  # beside the person: what a recipe names elsewhere needs --root
+    network.write_bytes(network_file.read_bytes())
     words = ["fit-photo", tmp_path / "photo.png", face, "--landmarks", tmp_path / "photo.json", "--iterations", "0"]
     words += ["--size", "64"]
-    words += ["-o", tmp_path / "person.usda", "--start", network_file]
+    words += ["-o", tmp_path / "person.usda", "--start", network]
     assert run(capsys, *words)[0] in (0, 1)
     kept = read_kept(tmp_path / "person.usda", FitPhoto).values
-    assert kept["start"].samefile(network_file)
+    assert kept["start"].samefile(network)
     err = failed(
         capsys, "fit-photo", "--edit", tmp_path / "person.usda", "--expression", "jawOpen", "--force", folder=tmp_path
     )
