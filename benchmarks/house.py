@@ -19,6 +19,7 @@ import io
 import json
 import os
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -36,12 +37,21 @@ WINGS = {
     "facepipe.photo": "photo",
     "facepipe.photo_options": "photo",
     "facepipe.processors.photo_fit": "photo",
+    "facepipe.processors.photo_fit.masks": "core",
     "facepipe.processors.photo_texture": "photo",
+    "facepipe.processors.photo_texture.bake": "core",
+    "facepipe.processors.photo_texture.hair": "core",
+    "facepipe.processors.photo_texture.registered": "core",
     "facepipe.processors.photo_texture.evened": "core",
     "facepipe.processors.photo_texture.observed": "core",
     "facepipe.processors.photo_texture.seen_skin": "core",
     "facepipe.processors.photo_texture.skin_surface": "core",
+    "facepipe.processors.video_frames": "photo",
     "facepipe.learn": "photo",
+    "facepipe.learn.features.crops": "core",
+    "facepipe.learn.features.description": "core",
+    "facepipe.learn.features.onnx_file": "core",
+    "facepipe.learn.network_fit": "core",
     "facepipe.learn.networks": "core",
     "facepipe.learn.rig": "core",
     "facepipe.learn.sliders": "core",
@@ -49,16 +59,14 @@ WINGS = {
     "facepipe.learn.one_thread": "core",
     "facepipe.learn.descent": "core",
     "facepipe.learn.deformation_network": "neural",
-    "facepipe.learn.distil": "neural",
+    "facepipe.learn.distil": "core",
     "facepipe.learn.encoder_fit": "neural",
     "facepipe.learn.encoder_network": "neural",
-    "facepipe.learn.network_fit": "neural",
     "facepipe.learn.neural_inverse": "neural",
     "facepipe.pictures.photo_pictures": "photo",
     "facepipe.pictures.photo_render": "photo",
     "facepipe.pictures.photo_report": "photo",
-    "facepipe.checks.photo_checks": "photo",
-    "facepipe.scan": "scan",
+    "facepipe.scanning": "scan",
     "facepipe.processors.rebuild": "scan",
     "facepipe.processors.rebuild.author_neutral": "core",
     "facepipe.processors.scan_landmarks": "scan",
@@ -84,7 +92,7 @@ LONG, LONGEST = 20, 60  # lines of a function that says why, and of any
 TOGETHER = 500  # lines up to which two modules would be one
 VERBS = {  # the classes of a verb
     "fit-bones": ("facepipe.processors.fit_bones", "facepipe.verbs.fit_bones"),
-    "rebuild": ("facepipe.processors.rebuild", "facepipe.scan.rebuild"),
+    "rebuild": ("facepipe.processors.rebuild", "facepipe.scanning.rebuild"),
 }
 DRAWN = 60  # comments
 
@@ -210,8 +218,12 @@ class House:
 def written(module: Module, wings: Mapping[str, str]) -> Iterator[str]:
     """The modules of wings whose names stand as text in a module."""
     for node in ast.walk(module.tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " not in node.value:
-            name = node.value.replace(":", ".").removesuffix(".")
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and re.fullmatch(r"[\w.]+(:\w+)?", node.value)
+        ):
+            name = node.value.replace(":", ".")
             while "." in name and name not in wings:
                 name = name.rpartition(".")[0]
             if name in wings:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import gc
 import os
 import shutil
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import needs
-import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  (its BLAS is limited too)
 import started
@@ -27,8 +25,6 @@ os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM
 
 started.watch()  # every command of every test
 
-BEGUN = time.monotonic()
-
 settings.register_profile("busy machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy machine")
 
@@ -42,9 +38,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """For runs that ask whether other libraries or machines will do, not whether our code is right."""
+    """For runs of continuous integration."""
     parser.addoption("--first-cases", action="store_true", help="of a test that has several cases, run the first alone")
-    parser.addoption("--minutes", type=float, default=np.inf, help="after so many, skip what has not begun")
+    parser.addoption("--nothing-left-out", action="store_true", help="a test that is skipped is a failure")
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -72,10 +68,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = first.values()
 
 
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """In time, or not at all."""
-    if time.monotonic() - BEGUN > 60 * item.config.getoption("minutes"):
-        pytest.skip("no time was left")
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A run that left something out fails where that was asked for; its last lines say what."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")  # of workers: none
+    if session.config.getoption("nothing_left_out") and reporter is not None and reporter.stats.get("skipped"):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.hookimpl(trylast=True)

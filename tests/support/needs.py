@@ -16,7 +16,7 @@ class Need(NamedTuple):
     """Modules of an extra."""
 
     modules: tuple[str, ...]
-    extra: str
+    extra: str  # empty for what conflicts with the others, and needs an environment of its own
 
     @property
     def is_met(self) -> bool:
@@ -24,7 +24,11 @@ class Need(NamedTuple):
         return all(importlib.util.find_spec(module) for module in self.modules)
 
 
-NEEDS = {"needs_torch": Need(("torch",), "train"), "needs_scan": Need(("pycolmap", "cv2"), "scan")}
+NEEDS = {
+    "needs_torch": Need(("torch",), "train"),
+    "needs_scan": Need(("pycolmap", "cv2"), "scan"),
+    "needs_mediapipe": Need(("mediapipe",), ""),
+}
 MISSING = {name: need for name, need in NEEDS.items() if not need.is_met}
 _SLOW = re.compile(r"mark\.slow\b")
 
@@ -84,11 +88,11 @@ def summary(skipped: list[str]) -> Iterator[str]:
 
     :param skipped: the reasons of skips
     """
-    missing = {name: skipped.count(name) for name in MISSING if name in skipped}
+    missing = {name: skipped.count(name) for name in MISSING if name in skipped and MISSING[name].extra}
     if missing:
         extras = ",".join(("dev", *(MISSING[name].extra for name in missing)))
         counts = " and ".join(f"{count} tests ({name})" for name, count in missing.items())
         words = f"-m '({' or '.join(missing)}) and not slow'"
         yield f"left out: {counts}; to run them too: pip install -e '.[{extras}]' && python -m pytest -n auto {words}"
-    others = sorted({reason for reason in skipped if reason not in MISSING})
+    others = sorted({reason for reason in skipped if reason not in missing})
     yield from (f"left out: {skipped.count(reason)} tests: {reason}" for reason in others)

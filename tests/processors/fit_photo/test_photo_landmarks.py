@@ -354,15 +354,14 @@ def test_mediapipe_needs_its_model(tmp_path: Path) -> None:
         mediapipe_landmarks(blank(), text)
 
 
+@pytest.mark.skipif(importlib.util.find_spec("mediapipe") is not None, reason="mediapipe is installed here")
 def test_mediapipe_is_asked_for_where_it_is_missing(tmp_path: Path) -> None:
-    if importlib.util.find_spec("mediapipe"):
-        pytest.skip("mediapipe is installed here")
     with pytest.raises(InputError, match=r"not installed, expected: pip install 'mediapipe>=1\.2,<2'"):
         mediapipe_landmarks(blank(), bundle(tmp_path))
 
 
+@pytest.mark.needs_mediapipe
 def test_wrong_models_are_refused_by_mediapipe(tmp_path: Path) -> None:
-    pytest.importorskip("mediapipe", reason="needs mediapipe")
     for file in (bundle(tmp_path, other=b"x"), bundle(tmp_path, face_detector=b"x", face_landmarks_detector=b"x")):
         with pytest.raises(InputError, match=r"face\.task: .*expected MediaPipe's face_landmarker\.task"):
             mediapipe_landmarks(blank(), file)
