@@ -1,6 +1,6 @@
 """Files that texts name: those in a file, and those that a project chooses for options.
 
-Each is checked before it is opened, listed or looked at. `facepipe.core.policy.fields` lists who asks for what.
+Each is checked before it is opened, listed or looked at. docs/paths.md lists who asks for what.
 """
 
 from __future__ import annotations
