@@ -1,4 +1,4 @@
-"""Actions by their verbs: those in files called ``<verb>_action.py`` among the processors, and those of plug-ins.
+"""Actions by their verbs: those in files called ``<verb>_action.py``, and those of plug-ins.
 
 A plug-in has entry points in the group ``facepipe.processors``: a verb -> the class that is declared with
 `facepipe.kinds.action`. Its commands, recipes and Python functions are as those of facepipe itself; the verbs of
@@ -31,7 +31,7 @@ _DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
 def _own() -> dict[str, tuple[str, str]]:
     """Verb -> module and summary of each action in this package; nothing of them is imported."""
     root, actions = Path(__file__).parent, {}
-    for file in sorted((root / "processors").rglob("*_action.py")):
+    for file in sorted(root.rglob("*_action.py")):
         module = ".".join(("facepipe", *file.relative_to(root).with_suffix("").parts))
         for verb, summary in _DECLARED.findall(file.read_text(encoding="utf-8")):
             actions[verb] = (module, summary)
