@@ -14,7 +14,7 @@ from bone_fit_task import Task, load, session
 from children import Json
 
 if TYPE_CHECKING:
-    from facepipe.processors.fit_bones.solver import Fitted
+    from facepipe.verbs.fit_bones.solver import Fitted
 
 NEAREST_MM = 3e-3  # distances count as at least this in weights
 ROUNDS = 100

@@ -11,8 +11,8 @@ from children import Json
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
-    from facepipe.processors.fit_bones.bone_fit import BoneFit
     from facepipe.rig import Rig
+    from facepipe.verbs.fit_bones.bone_fit import BoneFit
 
 MOVES_MM = 1.0  # a point that some shape moves by more than this counts
 THRESHOLD_MM = 0.1
@@ -100,7 +100,7 @@ def limits(count: int, dof: int) -> tuple[Any, Any]:
 
 def session(task: Task, dof: int, **settings: Any) -> BoneFit:
     """The fit of this benchmark: rig and session, made from arrays."""
-    from facepipe.processors.fit_bones.bone_fit import BoneFit
+    from facepipe.verbs.fit_bones.bone_fit import BoneFit
 
     lower, upper = limits(len(task.joints), dof)
     return BoneFit(task.rig(), lower=lower, upper=upper, **{"threshold": THRESHOLD_MM, **settings})
@@ -115,10 +115,10 @@ def prepare(kind: str, source: str, joints: str, arrays: str) -> Json:
     from facepipe import importers
     from facepipe.heads import make
     from facepipe.importers.ict import Options
-    from facepipe.processors.skin.joints_file import JointSet, JointSpec
-    from facepipe.processors.skin.skin_face import SkinFace
     from facepipe.rig import build
     from facepipe.stage import save_parts
+    from facepipe.verbs.skin.joints_file import JointSet, JointSpec
+    from facepipe.verbs.skin.skin_face import SkinFace
 
     parts = importers.load("ict", source, Options()).parts if kind == "ict" else make(controls="bones")
     parts = _bare(parts)

@@ -35,7 +35,7 @@ from tables import aligned
 from facepipe.heads import make
 from facepipe.importers import load
 from facepipe.parts import FaceParts, SliderNetwork
-from facepipe.processors.sliders import DistilSliders
+from facepipe.verbs.sliders import DistilSliders
 
 _DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 LARGE = (256, 256, 256)

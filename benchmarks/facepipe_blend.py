@@ -117,7 +117,7 @@ def solve(first: str, second: str, solver: str, arrays: str) -> Json:
     import scipy.spatial  # noqa: F401  (else the session would)
 
     import facepipe
-    from facepipe.processors.blend import BlendOptions, BlendSession
+    from facepipe.verbs.blend import BlendOptions, BlendSession
 
     default_ordering = solver == "splu-default"
     clock = timed_factors(default_ordering)
@@ -161,7 +161,7 @@ def whole(first: str, second: str, out: str) -> Json:
 
     import facepipe
     import facepipe.stage.face  # else the first open would
-    from facepipe.processors.blend import Blend
+    from facepipe.verbs.blend import Blend
 
     start = time.perf_counter()
     faces = [facepipe.open(path) for path in (first, second)]
@@ -211,7 +211,7 @@ def _warm(call: Callable[[int], object], count: int, clock: Clock) -> tuple[floa
 
 def _weights(regions: Sequence[str]) -> list[Any]:
     """Two sets of weights of two sources, other ones in every region."""
-    from facepipe.processors.blend import Weights
+    from facepipe.verbs.blend import Weights
 
     firsts = [(1 + number) / (2 + len(regions)) for number in range(len(regions))]
     rows = {name: (first, 1.0 - first) for name, first in zip(regions, firsts, strict=True)}

@@ -21,7 +21,7 @@ from dem_bones_fit import dem_bones
 from scipy_bone_fit import scipy_bounded
 
 if TYPE_CHECKING:
-    from facepipe.processors.fit_bones.bone_fit import BoneFit
+    from facepipe.verbs.fit_bones.bone_fit import BoneFit
 
 FRAME = 0.95  # the neighbouring frame: the shape at this weight
 WARM = 10  # about so many targets for warm starts
@@ -47,7 +47,7 @@ def _imports() -> None:
     import scipy.sparse  # noqa: F401
 
     from facepipe.core.threads import one_thread
-    from facepipe.processors.fit_bones.bone_fit import BoneFit  # noqa: F401
+    from facepipe.verbs.fit_bones.bone_fit import BoneFit  # noqa: F401
 
     with one_thread():  # loads threadpoolctl, which looks for the libraries it controls
         pass

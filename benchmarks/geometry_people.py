@@ -22,8 +22,8 @@ from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts
 from facepipe.pictures import PictureOptions, picture
-from facepipe.processors.rebuild import AuthorNeutral
 from facepipe.rig import build
+from facepipe.verbs.author_neutral import AuthorNeutral
 
 MM = 10.0  # a centimetre, in which the head is
 RESIDUAL_MM = 0.5  # RMS over the narrow face of what no modes hold

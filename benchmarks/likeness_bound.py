@@ -38,9 +38,9 @@ from tables import aligned
 
 import facepipe
 from facepipe.core.arrays import FloatArray
+from facepipe.photo.fit import read_photo
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
-from facepipe.processors.photo_fit import read_photo
 from facepipe.rig import build
 
 _NEARLY = 10.0  # degrees

@@ -21,13 +21,14 @@ from facepipe.geometry.similarity import fit_similarity
 from facepipe.heads import make
 from facepipe.heads.surfaces import cards, kind_of
 from facepipe.parts import FaceParts, PhotoView
+from facepipe.photo.fit import read_photo
+from facepipe.photo.pictures.photo_render import photo_render
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
-from facepipe.pictures.photo_render import photo_render
-from facepipe.processors.photo_fit import read_photo
-from facepipe.processors.photo_texture import inner, skin_of
-from facepipe.processors.photo_texture.seen_skin import to_camera, to_pixels
 from facepipe.stage import Face
+from facepipe.textures.evened import inner
+from facepipe.textures.seen_skin import to_camera, to_pixels
+from facepipe.textures.skin_surface import skin_of
 
 TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN = "textured", "untextured", "mean head, textured", "mean head"
 LOOKS = (TEXTURED, UNTEXTURED, MEAN_TEXTURED, MEAN)

@@ -24,7 +24,7 @@ from neural_rig_teacher import HEAD, Teacher, person, teacher
 from tables import aligned
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion
+    from facepipe.neural import Motion
     from facepipe.rig.neural_rig import NeuralRig
 
 PERSONS = (
@@ -73,8 +73,8 @@ def main() -> int:
 
 def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], NeuralRig, float]:
     """The rows of the teacher's own frames, the neural rig with bones, and how much is not straight."""
-    from facepipe.processors.neural_rig import SampleMotionOptions, TrainNeuralRig, TrainNeuralRigOptions
-    from facepipe.processors.neural_rig.straight_models import best_blendshapes, ridge
+    from facepipe.neural import SampleMotionOptions, TrainNeuralRig, TrainNeuralRigOptions
+    from facepipe.neural.straight_models import best_blendshapes, ridge
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
     unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=2026))
@@ -109,10 +109,10 @@ def _evaluation(first: Teacher) -> Callable[[Any], Any]:
 def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     """A person whose frames have known controls."""
     from facepipe.geometry.deformation_transfer import Transfer
-    from facepipe.processors.neural_rig import SampleMotionOptions
-    from facepipe.processors.neural_rig.carried_rig import Subject, carried
-    from facepipe.processors.neural_rig.options import RetargetOptions
-    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig
+    from facepipe.neural import SampleMotionOptions
+    from facepipe.neural.carried_rig import Subject, carried
+    from facepipe.neural.options import RetargetOptions
+    from facepipe.neural.retarget import RetargetNeuralRig
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)
@@ -142,9 +142,9 @@ def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
 
 def _without_controls(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     """The person's frames alone; unseen ones are made with the controls that each way comes nearest with."""
-    from facepipe.processors.neural_rig import SampleMotionOptions
-    from facepipe.processors.neural_rig.carried_rig import Subject
-    from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, compared
+    from facepipe.neural import SampleMotionOptions
+    from facepipe.neural.carried_rig import Subject
+    from facepipe.neural.retarget import RetargetNeuralRig, compared
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)

@@ -29,7 +29,7 @@ from pair_correctives import pair_correctives
 from tables import aligned
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion
+    from facepipe.neural import Motion
     from facepipe.rig.neural_rig import NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
@@ -106,13 +106,13 @@ def _cell(value: float | None) -> str:
 
 
 def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterator[Row]:
-    from facepipe.processors.neural_rig import (
+    from facepipe.neural import (
         SampleMotionOptions,
         TrainNeuralRig,
         TrainNeuralRigOptions,
         load_neural_rig,
     )
-    from facepipe.processors.neural_rig.straight_models import best_blendshapes
+    from facepipe.neural.straight_models import best_blendshapes
     from facepipe.rig import build
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
@@ -156,7 +156,7 @@ def _of_shapes(learned: Motion, shapes: FloatArray) -> NeuralRig:
 
 def _small(learned: Motion, steps: int) -> dict[str, NeuralRig]:
     """Neural rigs of few shapes and units."""
-    from facepipe.processors.neural_rig import TrainNeuralRig, TrainNeuralRigOptions
+    from facepipe.neural import TrainNeuralRig, TrainNeuralRigOptions
 
     found = {}
     for name, (shapes, width) in SMALL.items():
@@ -190,7 +190,7 @@ def _shape_bytes(rig: NeuralRig, first: Teacher, folder: Path) -> int:
 
 def _attached(first: Teacher, rig: NeuralRig) -> Any:
     """The face with the shapes of the neural rig alone."""
-    from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions
+    from facepipe.neural import AttachNeuralRig, AttachOptions
 
     return AttachNeuralRig(options=AttachOptions(keep_shapes=False))(first.parts, rig, "teacher").parts
 

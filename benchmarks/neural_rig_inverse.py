@@ -31,7 +31,7 @@ from neural_rig_teacher import HEAD, Teacher, teacher
 from tables import aligned
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion
+    from facepipe.neural import Motion
     from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.rig.neural_rig import NeuralRig
 
@@ -72,7 +72,7 @@ def main() -> int:
     if not (arguments.data / HEAD).exists():
         print(f"{arguments.data / HEAD}: not there, nothing to measure", file=sys.stderr)
         return 0
-    importlib.import_module("facepipe.learn.neural_inverse")  # torch takes longer than many a row
+    importlib.import_module("facepipe.neural.learning.neural_inverse")  # torch takes longer than many a row
     first = teacher(arguments.data)
     unseen = frames_of(first)
     rows: list[InverseRow] = []
@@ -86,7 +86,7 @@ def main() -> int:
 
 def frames_of(first: Teacher) -> Motion:
     """Frames of the teacher that no training saw."""
-    from facepipe.processors.neural_rig import SampleMotionOptions
+    from facepipe.neural import SampleMotionOptions
 
     return first.motion(SampleMotionOptions(spread=FRAMES, busy=0.6, sweep=0, together=FRAMES, seed=SEED))
 
@@ -145,7 +145,7 @@ def _row(
     start: FloatArray | None = None,
     **options: Any,
 ) -> InverseRow:
-    from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions
+    from facepipe.neural import InvertNeuralRig, InvertNeuralRigOptions
 
     begun = time.process_time()
     found = InvertNeuralRig(options=InvertNeuralRigOptions(**options))(rig, points, start)
@@ -169,8 +169,8 @@ def _row(
 
 def _rigs(first: Teacher, files: list[Path] | None) -> list[tuple[NeuralRig, NeuralEncoder | None]]:
     """Those of the files, or two that learn the teacher: with its bones, and without; and their encoders."""
-    from facepipe.processors.neural_rig import SampleMotionOptions, TrainEncoder, TrainNeuralRig, TrainNeuralRigOptions
-    from facepipe.processors.neural_rig.neural_rig_file import has_encoder, load_encoder, load_neural_rig
+    from facepipe.neural import SampleMotionOptions, TrainEncoder, TrainNeuralRig, TrainNeuralRigOptions
+    from facepipe.neural.neural_rig_file import has_encoder, load_encoder, load_neural_rig
 
     if files:
         return [(load_neural_rig(one), load_encoder(one) if has_encoder(one) else None) for one in files]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion, SampleMotionOptions
+    from facepipe.neural import Motion, SampleMotionOptions
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -100,7 +100,7 @@ class Teacher:
 
     def motion(self, options: SampleMotionOptions) -> Motion:
         """Frames of it."""
-        from facepipe.processors.neural_rig.sample_motion import evaluated, plan
+        from facepipe.neural.sample_motion import evaluated, plan
 
         values, blocks = plan(self.controls, options)
         return evaluated(self.parts, "teacher", self.controls, values, blocks, self)

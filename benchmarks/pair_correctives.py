@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from facepipe.processors.neural_rig import Motion
+    from facepipe.neural import Motion
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

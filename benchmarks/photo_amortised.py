@@ -40,12 +40,12 @@ from tables import aligned
 if TYPE_CHECKING:
     from recovery_targets import RecoveryTarget
 
-    from facepipe.learn.photo.amortised.guess import Guess
-    from facepipe.learn.photo.descent import Unknowns
-    from facepipe.learn.photo.joint_loss import JointLoss
-    from facepipe.learn.photo.landmark_fit import State
-    from facepipe.learn.photo.subject import Subject
-    from facepipe.photo_options import PhotoFitOptions
+    from facepipe.photo.amortised.guess import Guess
+    from facepipe.photo.descent.descent import Unknowns
+    from facepipe.photo.descent.joint_loss import JointLoss
+    from facepipe.photo.descent.landmark_fit import State
+    from facepipe.photo.descent.subject import Subject
+    from facepipe.photo.options import PhotoFitOptions
 
 STARTS = (("landmarks", "defaults"), ("landmarks", "guess"), ("raw", "defaults"), ("raw", "guess"), ("raw", "truth"))
 
@@ -108,9 +108,9 @@ def measured(arguments: argparse.Namespace) -> list[Descents]:
     """Every face from every start."""
     from recovery_targets import sample, target
 
-    from facepipe.learn.photo.amortised.guess import load_start
-    from facepipe.learn.photo.subject import Subject
-    from facepipe.photo_options import PhotoFitOptions
+    from facepipe.photo.amortised.guess import load_start
+    from facepipe.photo.descent.subject import Subject
+    from facepipe.photo.options import PhotoFitOptions
 
     off = {} if arguments.networks else {"content": 0.0, "identity": 0.0, "attributes": 0.0}
     guess = load_start(arguments.network, Subject.of(sample().parts))
@@ -149,12 +149,12 @@ def _of_face(
 
 
 def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: PhotoFitOptions) -> JointLoss:
-    from facepipe.learn.face_model import FaceModel
-    from facepipe.learn.networks import own_extractors
-    from facepipe.learn.photo.fit import pose_space, priors_of
-    from facepipe.learn.photo.joint_loss import FEATURES, JointLoss
-    from facepipe.learn.photo.landmark_fit import LandmarkFit
-    from facepipe.learn.photo.working_photo import WorkingPhoto
+    from facepipe.photo.descent.fit import pose_space, priors_of
+    from facepipe.photo.descent.joint_loss import FEATURES, JointLoss
+    from facepipe.photo.descent.landmark_fit import LandmarkFit
+    from facepipe.photo.descent.working_photo import WorkingPhoto
+    from facepipe.photo.features.own import own_extractors
+    from facepipe.photo.renderer.face_model import FaceModel
 
     space = pose_space(guess.subject, image.shape[1], image.shape[0])
     fit = LandmarkFit(guess.subject, [made.landmarks], [space], priors_of(options))
@@ -165,15 +165,15 @@ def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: 
 
 def _calibrate(loss: JointLoss, state: State) -> None:
     """The joint loss as a fit that starts there has it."""
-    from facepipe.learn.photo import lighting
+    from facepipe.photo.descent import lighting
 
     loss.calibrate(lighting.lit(loss, state))
 
 
 def _descended(made: RecoveryTarget, loss: JointLoss, state: State, options: PhotoFitOptions) -> _End:
-    from facepipe.learn.photo import lighting
-    from facepipe.learn.photo.descent import descend
-    from facepipe.learn.photo.lighting import in_better_light
+    from facepipe.photo.descent import lighting
+    from facepipe.photo.descent.descent import descend
+    from facepipe.photo.descent.lighting import in_better_light
 
     start = in_better_light(loss, lighting.lit(loss, state))
     begin = _total(loss, start)

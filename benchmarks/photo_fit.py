@@ -37,10 +37,10 @@ from slider_graphs import slider_rows
 from tables import aligned
 
 from facepipe.heads import make
-from facepipe.learn.camera import Camera
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import ambient, distant
 from facepipe.pictures.camera import portrait
 
 

@@ -15,7 +15,7 @@ from children import ChildError, run_child
 from photo_scene import PhotoScene, photo_scene
 from tables import aligned
 
-from facepipe.learn.camera import Camera
+from facepipe.photo.renderer.camera import Camera
 
 SCRIPT = Path(__file__).with_name("mitsuba_photo.py")
 MITSUBA_RUNS = 5  # timed calls

@@ -11,11 +11,11 @@ import numpy.typing as npt
 import torch
 
 from facepipe.heads import make
-from facepipe.learn.camera import Camera
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.light import ambient, distant
-from facepipe.learn.surfaces import Surfaces, opaque_surfaces
 from facepipe.parts import FaceParts
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import ambient, distant
+from facepipe.photo.renderer.surfaces import Surfaces, opaque_surfaces
 from facepipe.pictures.camera import Camera as RenderCamera
 from facepipe.pictures.camera import portrait
 from facepipe.rig import build, slide

@@ -34,11 +34,11 @@ from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.lighting import Light, Studio
 from facepipe.pictures.photo_light import harmonics
-from facepipe.processors.photo_texture.bake import Baker, template_texels
-from facepipe.processors.photo_texture.observed import Exposure, expose, sampled
-from facepipe.processors.photo_texture.seen_skin import to_pixels
-from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.rig import build
+from facepipe.textures.bake import Baker, template_texels
+from facepipe.textures.observed import Exposure, expose, sampled
+from facepipe.textures.seen_skin import to_pixels
+from facepipe.textures.skin_surface import SkinSurface, skin_of
 
 SKIN = ("M_Face", "M_BackHead")
 YAWS = (0.0, 0.3, -0.3)

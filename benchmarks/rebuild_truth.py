@@ -62,7 +62,7 @@ class Actor:
 
     def figures(self, *, joint: bool, wrong: bool) -> dict[str, dict[str, float]]:
         """All of its rows."""
-        from facepipe.processors.rebuild import FitNeutral, NeutralScan
+        from facepipe.scanning.rebuild import FitNeutral, NeutralScan
 
         scan, landmarks = self._read("neutral", self._scan)
         fit = FitNeutral()(self._template, scan, landmarks, self._database)
@@ -83,8 +83,8 @@ class Actor:
         from scan_actors import Actor
         from scan_simulator import simulate
 
-        from facepipe.processors.rebuild import RegisterScans
-        from facepipe.processors.rebuild.scan_check import ScanChecks, misfits
+        from facepipe.scanning.rebuild import RegisterScans
+        from facepipe.scanning.rebuild.scan_check import ScanChecks, misfits
 
         other, checks = Actor(self._seed + 1), ScanChecks(self._template, base.points, shapes)
         truths = {"person": other.composite(self._composites[_WRONG]), "neutral": self._who.neutral}
@@ -103,7 +103,7 @@ class Actor:
 
     def _expressions(self, base: Any) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         """The personal template, and what was registered from it."""
-        from facepipe.processors.rebuild import PersonalTemplate, RegisterScans
+        from facepipe.scanning.rebuild import PersonalTemplate, RegisterScans
 
         shapes = PersonalTemplate()(self._template, base.points)
         return shapes, {name: RegisterScans()(self._template, base, shapes, self._given(name)) for name in self._scans}
@@ -112,7 +112,7 @@ class Actor:
         self, scan: Any, base: Any, coefficients: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> Any:
         """The neutral refined on all scans."""
-        from facepipe.processors.rebuild import FitTogether, NeutralScan, PlacedExpression
+        from facepipe.scanning.rebuild import FitTogether, NeutralScan, PlacedExpression
 
         placed = [PlacedExpression(expression=self._given(name), place=one.place) for name, one in registered.items()]
         fit = FitTogether()(self._template, scan, base, coefficients, self._database, shapes, placed).neutral
@@ -152,7 +152,7 @@ class Actor:
 
     def _given(self, name: str, scanned: Any = None) -> Any:
         """A scanned expression as a project gives it."""
-        from facepipe.processors.rebuild import ExpressionScan
+        from facepipe.scanning.rebuild import ExpressionScan
 
         scan, landmarks = self._read(name, scanned or self._scans[name][1])
         weights = {_ours(shape): weight for shape, weight in self._composites[name].items()}
@@ -161,7 +161,7 @@ class Actor:
     def _split(
         self, neutral: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> dict[str, float]:
-        from facepipe.processors.rebuild.split_expressions import SplitExpressions
+        from facepipe.scanning.rebuild.split_expressions import SplitExpressions
 
         found = SplitExpressions()(self._template, neutral, shapes, self._given_weights(registered)).shapes
         errors = np.array([[self._off(one, name) for name in self._model.names] for one in (found, shapes)])
@@ -171,7 +171,7 @@ class Actor:
 
     def _given_weights(self, registered: dict[str, Any]) -> dict[str, Any]:
         """Registered expressions with the weights that were asked for."""
-        from facepipe.processors.rebuild.register_scans import Composite
+        from facepipe.scanning.rebuild.register_scans import Composite
 
         return {
             name: Composite(
@@ -211,8 +211,8 @@ def _prepared() -> tuple[Any, Any]:
 
     from facepipe.geometry.identity_model import IdentityModel
     from facepipe.importers import ict, load
-    from facepipe.processors.database import FaceDatabase
-    from facepipe.processors.rebuild import Template
+    from facepipe.scanning.database import FaceDatabase
+    from facepipe.scanning.rebuild import Template
 
     parts = load("ict", Path(shared("ict_facekit/ict_facekit.npz")), ict.Options()).parts
     template, faces = Template.of(parts, "ict.usda"), database_faces()

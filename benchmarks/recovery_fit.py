@@ -9,8 +9,8 @@ import numpy as np
 from recovery_measures import Recovery, recovery
 from recovery_targets import RecoveryTarget, sample, target
 
-from facepipe.learn.photo.fit import fit_photos
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo.descent.fit import fit_photos
+from facepipe.photo.options import PhotoFitOptions
 
 
 @dataclass(frozen=True, kw_only=True)

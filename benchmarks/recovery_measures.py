@@ -12,14 +12,14 @@ from recovery_landmarks import SCHEME, FaceLandmarks
 from recovery_targets import RecoveryTarget, posed
 
 from facepipe.geometry.similarity import fit_similarity
-from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts, Slider
+from facepipe.photo.descent.subject import Subject
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.occlusion import ambient_occlusion
 from facepipe.rig import Rig, build
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.result import FittedCamera, PhotoFit
+    from facepipe.photo.descent.result import FittedCamera, PhotoFit
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

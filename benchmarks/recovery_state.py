@@ -10,9 +10,9 @@ from recovery_targets import RecoveryTarget
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
-    from facepipe.learn.photo.landmark_fit import State
-    from facepipe.learn.photo.pose import PoseSpace
-    from facepipe.learn.photo.subject import Subject
+    from facepipe.photo.descent.landmark_fit import State
+    from facepipe.photo.descent.pose import PoseSpace
+    from facepipe.photo.descent.subject import Subject
     from facepipe.pictures.camera import Camera
 
 FloatArray = npt.NDArray[np.floating]
@@ -20,7 +20,7 @@ FloatArray = npt.NDArray[np.floating]
 
 def true_state(made: RecoveryTarget, subject: Subject, space: PoseSpace) -> State:
     """Sliders, expression and pose as they are."""
-    from facepipe.learn.photo.landmark_fit import State
+    from facepipe.photo.descent.landmark_fit import State
 
     values = np.array([made.sliders[slider.name] for slider in subject.free_sliders])
     weights = [made.expressions.get(subject.rig.shapes[i], 0.0) for i in subject.expressions]

@@ -18,8 +18,8 @@ from recovery_landmarks import FaceLandmarks
 from recovery_looks import camera_of, random_backdrop, random_pose, random_studio, recolored
 
 from facepipe.heads import make
-from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
+from facepipe.photo.descent.subject import Subject
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera
 from facepipe.rig import Rig, build, slide

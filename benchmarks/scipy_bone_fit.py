@@ -51,8 +51,8 @@ class _System:
     def __init__(self, task: Task, dof: int) -> None:
         from scipy.sparse import csr_array
 
-        from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree
         from facepipe.rig import rest_coefficients
+        from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree
 
         rig, self.dof = task.rig(), dof
         self.tree, self.skin = Tree(rig), SkinnedPoints(rig)

@@ -24,7 +24,7 @@ PAGE = Path(__file__).resolve().parent / "actions.md"
 INTRO = """# Actions: sources, options, files
 
 Sources and options of `facepipe VERB` and of the Python function `facepipe.verb`. `python docs/action_pages.py` makes
-this page from the declarations of the actions (`facepipe/processors/**/*_action.py`); `facepipe VERB --help` has
+this page from the declarations of the actions (`facepipe/verbs/**/*_action.py`); `facepipe VERB --help` has
 examples.
 
 - An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or an export of

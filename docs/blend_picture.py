@@ -15,10 +15,10 @@ from facepipe.importers import load
 from facepipe.importers.ict import Options
 from facepipe.parts import FaceParts, FloatArray
 from facepipe.pictures import PictureOptions, contact_sheet, picture, save_png
-from facepipe.processors.blend import BlendSession, Weights
-from facepipe.processors.blend.graph import mix
 from facepipe.rig.trs import rotation_matrices
 from facepipe.stage import Face
+from facepipe.verbs.blend import BlendSession, Weights
+from facepipe.verbs.blend.graph import mix
 
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parents[1] / "shared/data/ict_facekit/ict_facekit.npz"

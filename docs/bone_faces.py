@@ -9,8 +9,8 @@ import numpy as np
 
 import facepipe
 from facepipe.importers import ict, load, makehuman
-from facepipe.processors.skin import SkinFace, SkinReport
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.skin import SkinFace, SkinReport
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "shared" / "data"

@@ -20,10 +20,10 @@ import facepipe
 from facepipe.importers import makehuman
 from facepipe.parts import FloatArray
 from facepipe.payload import PayloadContent, Precision
-from facepipe.processors.bone_payload import PayloadReport, write_payload
-from facepipe.processors.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
-from facepipe.processors.skin import SkinReport
 from facepipe.stage import Face
+from facepipe.verbs.bone_payload import PayloadReport, write_payload
+from facepipe.verbs.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
+from facepipe.verbs.skin import SkinReport
 
 GROUPS = ("nose", "mouth", "chin")  # of MakeHuman's targets
 TELLING = (

@@ -18,8 +18,8 @@ import facepipe
 from facepipe.importers import makehuman
 from facepipe.parts import FloatArray
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
-from facepipe.processors.fit_bones import FitBones, Target, read_limits, read_targets
 from facepipe.stage import Face
+from facepipe.verbs.fit_bones import FitBones, Target, read_limits, read_targets
 
 if TYPE_CHECKING:
     from PIL.Image import Image

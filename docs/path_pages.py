@@ -111,27 +111,27 @@ FIELDS = (
     FileField(
         "project of a rebuild",
         "template, database, scan, landmarks",
-        "facepipe.processors.rebuild.project:_file",
+        "facepipe.scanning.rebuild.project:_file",
         "file_named",
         _BELOW,
     ),
     FileField(
-        "project of a rebuild", "work", "facepipe.processors.rebuild.project:read_project", "check_writable", _WITHIN
+        "project of a rebuild", "work", "facepipe.scanning.rebuild.project:read_project", "check_writable", _WITHIN
     ),
     FileField(
         "work folder",
         "results of steps",
-        "facepipe.processors.rebuild.steps:WorkFolder.place",
+        "facepipe.scanning.rebuild.steps:WorkFolder.place",
         "check_writable",
         _WITHIN,
     ),
     FileField(
-        "work folder", "corrections", "facepipe.processors.rebuild.steps:WorkFolder.correction", "check_found", _FOUND
+        "work folder", "corrections", "facepipe.scanning.rebuild.steps:WorkFolder.correction", "check_found", _FOUND
     ),
     FileField(
         "work folder",
         "corrections, all",
-        "facepipe.processors.rebuild.steps:WorkFolder.corrections",
+        "facepipe.scanning.rebuild.steps:WorkFolder.corrections",
         "check_found",
         _FOUND,
     ),
@@ -146,27 +146,21 @@ FIELDS = (
     ),
     FileField("OBJ, MTL", "mtllib, map_Kd", "facepipe.importers.materials_mtl:_beside", "check_copied", _BELOW),
     FileField("ONNX", "external_data location", "facepipe_onnx.read:_tensor_problem", "", "refused, whatever it says"),
-    FileField("landmarks JSON", "image", "facepipe.processors.photo_fit.landmark_file:read_landmarks", "", _CONFORMS),
+    FileField("landmarks JSON", "image", "facepipe.photo.fit.landmark_file:read_landmarks", "", _CONFORMS),
     # what lies in a folder, or beside a file
     FileField("folder of shapes", "*.obj", "facepipe.importers.obj:_files", "files_in", _FOUND),
     FileField("folder of shapes", "landmarks.json", "facepipe.importers.obj:read", "file_beside", _FOUND),
     FileField("folder of ICT-FaceKit", "FaceXModel", "facepipe.importers.ict_model:read_model", "check_found", _FOUND),
     FileField("folder of ICT-FaceKit", "*.obj", "facepipe.importers.ict_model:_read_folder", "file_beside", _FOUND),
-    FileField("folder of photos", "photos", "facepipe.processors.scan_photos.photos:photo_files", "files_in", _FOUND),
-    FileField("folder of masks", "masks", "facepipe.processors.scan_photos.photos:_mask", "file_beside", _FOUND),
+    FileField("folder of photos", "photos", "facepipe.scanning.photos.photos:photo_files", "files_in", _FOUND),
+    FileField("folder of masks", "masks", "facepipe.scanning.photos.photos:_mask", "file_beside", _FOUND),
+    FileField("folder of people", "photos", "facepipe.photo.fit.train_photo_action:_photos", "files_in", _FOUND),
+    FileField("photo", "*.landmarks.json", "facepipe.photo.fit.train_photo_action:_photos", "file_beside", _FOUND),
+    FileField("scan", "*.landmarks.json", "facepipe.scanning.rebuild.scan_input:landmark_file", "file_beside", _FOUND),
     FileField(
-        "folder of people", "photos", "facepipe.processors.photo_fit.train_photo_action:_photos", "files_in", _FOUND
+        "scan of a project", "*.landmarks.json", "facepipe.scanning.rebuild.project:_scan", "file_beside", _FOUND
     ),
-    FileField(
-        "photo", "*.landmarks.json", "facepipe.processors.photo_fit.train_photo_action:_photos", "file_beside", _FOUND
-    ),
-    FileField(
-        "scan", "*.landmarks.json", "facepipe.processors.rebuild.scan_input:landmark_file", "file_beside", _FOUND
-    ),
-    FileField(
-        "scan of a project", "*.landmarks.json", "facepipe.processors.rebuild.project:_scan", "file_beside", _FOUND
-    ),
-    FileField("network", "*.onnx.json", "facepipe.learn.features.description:describe", "file_beside", _FOUND),
+    FileField("network", "*.onnx.json", "facepipe.networks.description:describe", "file_beside", _FOUND),
     FileField("graph", "*.onnx.json", "facepipe_onnx.read:_sidecar_problems", "file_beside", _FOUND),
     FileField("graph that is shown", "*.onnx.json", "facepipe_web.viewer:_entry", "check_found", _FOUND),
     # where results go, with what is written beside them

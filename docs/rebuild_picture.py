@@ -17,7 +17,8 @@ from PIL import Image
 from facepipe.cli import main
 from facepipe.importers import ict, load
 from facepipe.pictures import save_png
-from facepipe.processors.database import WholeFace, create_database, save_database, whole_face
+from facepipe.scanning.database import create_database, save_database
+from facepipe.verbs.whole_faces import WholeFace, whole_face
 
 HERE = Path(__file__).parent
 DATA = HERE.parent.parent / "shared" / "data"

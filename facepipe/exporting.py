@@ -13,18 +13,18 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reports import ExportReport
 from facepipe.kinds import Watch, unwatched
+from facepipe.neural.options import AttachOptions
 from facepipe.parts import HeldFace, HeldLevels
-from facepipe.processors.neural_rig.options import AttachOptions
-from facepipe.processors.sliders.options import DISTIL, DistilOptions
 from facepipe.registry import exporter, outputs
+from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
     from facepipe.importers.rename_table import Rename, Renamed
+    from facepipe.neural import AttachedNeuralRig
     from facepipe.parts import HasParts
-    from facepipe.processors.neural_rig import AttachedNeuralRig
-    from facepipe.processors.sliders import DistilReport
     from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage import Face
+    from facepipe.verbs.sliders import DistilReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,7 +159,7 @@ def _made(face: Face, form: Any, rig: Path | None, attach: AttachOptions, learne
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
     if learned is not None:
-        from facepipe.processors.sliders import DistilSliders
+        from facepipe.verbs.sliders import DistilSliders
 
         parts, report = DistilSliders(**vars(learned))(face.parts())
         return _Made(face=HeldFace(parts), distilled=report)
@@ -167,7 +167,7 @@ def _made(face: Face, form: Any, rig: Path | None, attach: AttachOptions, learne
         return _Made(face=face)
     if getattr(form, "encoder", False):
         return _Made(face=_encoded(face, rig))
-    from facepipe.processors.neural_rig import AttachNeuralRig, load_neural_rig
+    from facepipe.neural import AttachNeuralRig, load_neural_rig
 
     attached = AttachNeuralRig(options=attach)(face.parts(), load_neural_rig(rig), face.where)
     return _Made(face=HeldFace(attached.parts), attached=attached)
@@ -184,8 +184,8 @@ def _renamed(made: _Made, face: Face, form: Any, naming: Rename) -> _Made:
 
 
 def _encoded(face: Face, rig: Path) -> _EncodedFace:
-    from facepipe.processors.database import Topology
-    from facepipe.processors.neural_rig import load_encoder
+    from facepipe.neural import load_encoder
+    from facepipe.verbs.whole_faces import Topology
 
     encoder = load_encoder(rig)
     encoder.check(Topology.of(face.parts()).digest, face.where)

@@ -120,7 +120,7 @@ def one_sample_a_pixel() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def few_lamps() -> Iterator[None]:
     """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
-    from facepipe.learn.photo import lighting, shadows
+    from facepipe.photo.descent import lighting, shadows
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "_RINGS", ())

@@ -32,7 +32,7 @@ from torch.nn.functional import smooth_l1_loss
 from train_features import BATCH, HELD_OUT, batches, say
 
 from facepipe.core.atomic import write_bytes
-from facepipe.learn.one_thread import short_floats
+from facepipe.rig.torch.one_thread import short_floats
 
 RATE = 6e-4
 WEIGHTS = {"semantics": 1.0, "light": 0.3, "marks": 0.3, "shape": 0.5, "attributes": 1.0}

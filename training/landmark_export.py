@@ -12,7 +12,7 @@ from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, MaskNet
 from onnx import TensorProto
 from torch import nn
 
-from facepipe.learn.networks.graph_writer import GraphWriter
+from facepipe.graph_writer import GraphWriter
 from facepipe.onnx_graph import Array
 
 _LARGE = 1000  # numbers

@@ -33,7 +33,7 @@ from script_arguments import add_training
 from torch import Tensor, nn
 
 from facepipe.core.atomic import write_bytes
-from facepipe.learn.one_thread import short_floats
+from facepipe.rig.torch.one_thread import short_floats
 
 HELD_OUT = 0.08  # share of the heads
 BATCH = 16  # heads, each seen twice

@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from facepipe.core.atomic import write_bytes
-from facepipe.learn.one_thread import short_floats
+from facepipe.rig.torch.one_thread import short_floats
 
 _BATCH = 32
 _SPREAD = 2.0  # square cells that the heat of a landmark shall cover

@@ -13,15 +13,15 @@ from facepipe.checks.views import FaceView, Problem, array, at, unlisted, value,
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import digest
+from facepipe.neural import load_neural_rig
 from facepipe.parts import FaceParts
-from facepipe.processors.database import Topology
-from facepipe.processors.neural_rig import load_neural_rig
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault
 from facepipe.stage import Face
 from facepipe.stage.neural_rig_link import NeuralRigLink, read_neural_rig_link
 from facepipe.stage.prims import exact_name
 from facepipe.stage.slider_network import read_slider_network
+from facepipe.verbs.whole_faces import Topology
 
 
 def slider_names(prim: Usd.Prim | None) -> list[str]:

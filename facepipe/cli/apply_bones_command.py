@@ -11,7 +11,7 @@ from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
-from facepipe.processors.apply_bones_action import ApplyCoefficients
+from facepipe.verbs.apply_bones_action import ApplyCoefficients
 
 if TYPE_CHECKING:
     from facepipe.payload import Header, PayloadContent
@@ -48,8 +48,8 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     import facepipe
     from facepipe.core.atomic import write_bytes
     from facepipe.payload import decode
-    from facepipe.processors.apply_bones import beyond_limits, check_fits, limit_warnings, posed_points, within_limits
-    from facepipe.processors.bone_payload import payload_bytes
+    from facepipe.verbs.apply_bones import beyond_limits, check_fits, limit_warnings, posed_points, within_limits
+    from facepipe.verbs.bone_payload import payload_bytes
 
     out = output_of(arguments, [action.face, action.coefficients])
     data, face = payload_bytes(action.coefficients), facepipe.read(action.face)
@@ -74,8 +74,8 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
 def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
     import facepipe
     from facepipe.payload import decode, read_header
-    from facepipe.processors.apply_bones import beyond_limits, limit_warnings
-    from facepipe.processors.bone_payload import payload_bytes
+    from facepipe.verbs.apply_bones import beyond_limits, limit_warnings
+    from facepipe.verbs.bone_payload import payload_bytes
 
     where = action.coefficients
     face, data = facepipe.read(action.face), payload_bytes(where)

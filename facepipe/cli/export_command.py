@@ -29,11 +29,11 @@ from facepipe import registry
 from facepipe.cli.parser import Parser, add_options, add_output, add_rename, output_of
 from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
-from facepipe.processors.neural_rig.options import AttachOptions
-from facepipe.processors.sliders.options import DISTIL, DistilOptions
+from facepipe.neural.options import AttachOptions
+from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
-    from facepipe.processors.sliders import DistilReport
+    from facepipe.verbs.sliders import DistilReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:

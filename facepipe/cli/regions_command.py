@@ -11,10 +11,10 @@ from facepipe.cli.action_line import ActionLine
 from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
-from facepipe.processors.regions_action import AuthorRegions
+from facepipe.verbs.regions_action import AuthorRegions
 
 if TYPE_CHECKING:
-    from facepipe.processors.regions import RegionCount
+    from facepipe.verbs.regions import RegionCount
 
 _LINE = ActionLine(AuthorRegions)
 __doc__ = _LINE.__doc__  # of --help
@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _list(arguments: argparse.Namespace, picture: Path | None) -> int:
     import facepipe
     from facepipe.parts import all_regions
-    from facepipe.processors.regions import count_regions, draw_regions, region_table
+    from facepipe.verbs.regions import count_regions, draw_regions, region_table
 
     face = facepipe.read(arguments.face)
     whole = count_regions(all_regions(face.meshes))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import Blendshape, Inbetween, Mesh, Skin, UvSet
-from facepipe.processors.blend.normals import normal_offsets
+from facepipe.verbs.blend.normals import normal_offsets
 
 _SHARE = 1e-6  # weights and masks, UVs and colours nearer than this are the same
 _STEPS = 2.0**-22  # of the largest coordinate: what float32 loses in base + offset - base

@@ -13,10 +13,10 @@ from facepipe.core.arrays import FloatArray
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
 from facepipe.performing import job_of, read_kept
-from facepipe.processors.blend import BlendFaces, BlendSession, Weights
-from facepipe.processors.blend.result import result_parts
-from facepipe.processors.blend.weights import weights_from_json
 from facepipe.stage import Face, open_face
+from facepipe.verbs.blend import BlendFaces, BlendSession, Weights
+from facepipe.verbs.blend.result import result_parts
+from facepipe.verbs.blend.weights import weights_from_json
 
 _DEFAULT = "default"
 

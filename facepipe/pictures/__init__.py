@@ -8,19 +8,15 @@ if TYPE_CHECKING:
     from facepipe.pictures.face_picture import PictureOptions, picture, poses, save_png
     from facepipe.pictures.heatmap import HeatMap
     from facepipe.pictures.overlay import contact_sheet
-    from facepipe.pictures.photo_report import PhotoSheet, SheetPhoto, photo_page
     from facepipe.pictures.regions import RegionColors
 else:
     __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "HeatMap",
-    "PhotoSheet",
     "PictureOptions",
     "RegionColors",
-    "SheetPhoto",
     "contact_sheet",
-    "photo_page",
     "picture",
     "poses",
     "save_png",

@@ -108,7 +108,7 @@ class PhotoLights:
 
 
 def hidden_harmonics(sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatArray:
-    """(n, 9) what self-shadowing adds to the harmonics of unit normals (n, 3), as `facepipe.learn.photo.shadows`.
+    """(n, 9) what self-shadowing adds to the harmonics of unit normals (n, 3), as `facepipe.photo.descent.shadows`.
 
     :param axes: (3, 3) rows: the harmonics' axes in the frame of sky and normals
     """

@@ -20,8 +20,8 @@ from facepipe.geometry.heat_weights import SMALLEST_SHARE, heat_weights, influen
 from facepipe.importers import load
 from facepipe.importers.ict_topology import LANDMARKS
 from facepipe.parts import FaceParts
-from facepipe.processors.skin.from_face import from_face
-from facepipe.processors.skin.surface import Surface, surface_of
+from facepipe.verbs.skin.from_face import from_face
+from facepipe.verbs.skin.surface import Surface, surface_of
 
 HEAD = "root/neck/head"
 JAW = f"{HEAD}/jaw"

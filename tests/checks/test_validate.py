@@ -27,7 +27,7 @@ from facepipe.checks.usd_registry import available, register
 from facepipe.core.errors import InputError
 from facepipe.core.reading import digest
 from facepipe.importers import load
-from facepipe.processors.neural_rig import save_neural_rig
+from facepipe.neural import save_neural_rig
 from facepipe.stage import Face, save_parts
 from facepipe.stage.neural_rig_link import author_neural_rig_link
 from facepipe.stage.slider_network import author_slider_network

@@ -22,7 +22,7 @@ from facepipe.cooking import CookOptions
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.parts import Recipe
-from facepipe.processors.rebuild.steps import WorkFolder
+from facepipe.scanning.rebuild.steps import WorkFolder
 from facepipe.stage import save_parts
 
 Capsys = pytest.CaptureFixture[str]

@@ -18,7 +18,7 @@ from rebuild_stages import put_scans
 from small_head import make
 
 import facepipe
-from facepipe.processors.database import save_database
+from facepipe.scanning.database import save_database
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.needs_torch

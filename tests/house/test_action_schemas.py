@@ -16,7 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.declare import Field, fields_of, option, schema_of
 from facepipe.kinds import FOUND, StageAction
 from facepipe.performing import recipe_to
-from facepipe.processors.rebuild import RegisterScansOptions
+from facepipe.scanning.rebuild import RegisterScansOptions
 
 # a source of any action; `rebuild` alone reads it
 _PROJECT = 'template = "smile.toml"\ndatabase = "smile.toml"\n[neutral]\nscan = "smile.toml"\n'

@@ -17,7 +17,7 @@ from places import REPOSITORY
 from facepipe.stage import save_parts
 
 PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
-ACTION, TEST = "facepipe/processors/scale_shapes_action.py", "tests/processors/test_scale_shapes.py"
+ACTION, TEST = "facepipe/verbs/scale_shapes_action.py", "tests/processors/test_scale_shapes.py"
 HOUSE = ("test_action_page.py", "test_action_schemas.py", "test_readme.py")
 FILES = ("README.md", "pyproject.toml", "tests/conftest.py", *(f"tests/house/{name}" for name in HOUSE))
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "docs").glob("*.*"))

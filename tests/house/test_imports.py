@@ -86,7 +86,9 @@ def test_export_loads_what_it_needs(tmp_path: Path) -> None:
     assert exit_code("sample", head, "--textures", "64") == 0
     (modules,) = loaded(("export", str(head), "-o", str(tmp_path / "head.glb")))
     assert {"pxr", "numpy"} <= {*modules}
-    assert not {"torch", "onnx", "onnxruntime", "facepipe.learn", "facepipe.heads", "facepipe.cli.view"} & {*modules}
+    assert not {"torch", "onnx", "onnxruntime", "facepipe.rig.torch", "facepipe.heads", "facepipe.cli.view"} & {
+        *modules
+    }
     assert len(ours(modules)) <= MOST_FOR_EXPORT, ours(modules)
 
 
@@ -117,7 +119,7 @@ def packages() -> list[str]:
             for walk_package in pkgutil.walk_packages(
                 root.__path__, f"{name}.", onerror=lambda _: None
             )  # without torch
-            if walk_package.ispkg and not walk_package.name.startswith("facepipe.learn")
+            if walk_package.ispkg and not walk_package.name.startswith("facepipe.photo.renderer")
         ),
     ]
 

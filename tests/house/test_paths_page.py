@@ -190,7 +190,7 @@ OPENED = {
         facepipe.actions:_own facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
         facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.controls:bone_sliders
         facepipe.heads.controls:identity_sliders facepipe.heads.surfaces:picture_of
-        facepipe.processors.photo_fit.masks:own_network facepipe.rig.conventions:_tables
+        facepipe.networks.masks:own_network facepipe.rig.conventions:_tables
         facepipe.stage.api_schemas:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
         facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:_page_files
@@ -198,33 +198,33 @@ OPENED = {
     "it was typed, and is checked by the command line or its reader": """
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
         facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
-        facepipe.processors.blend.blend_action:BlendFaces.check
-        facepipe.processors.database.info_action:DatabaseInfo.look
-        facepipe.processors.neural_rig.checkpoint:Checkpoint._file
-        facepipe.processors.rebuild.fit_neutral_action:FitNeutralAction.check
-        facepipe.processors.rebuild.scan_input:scan_input facepipe.processors.scan_photos.photos:read_photos
-        facepipe.processors.video_frames.clip:_most_pixels facepipe.stage.files:check_stage_file
+        facepipe.verbs.blend.blend_action:BlendFaces.check
+        facepipe.scanning.database.info_action:DatabaseInfo.look
+        facepipe.neural.checkpoint:Checkpoint._file
+        facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
+        facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos
+        facepipe.photo.frames.clip:_most_pixels facepipe.stage.files:check_stage_file
         facepipe_blender.panel:FACEPIPE_OT_export.invoke facepipe_blender.panel:FACEPIPE_OT_export.execute
         facepipe_blender.panel:_deliver
         """,
     "it is made here: in a temporary folder, or as a result whose place was checked": """
         facepipe.cli.action_line:ActionLine.run facepipe.cli.demo_command:run facepipe.hosting.host_face:face_to_bytes
-        facepipe.processors.database.array_file:write_arrays
-        facepipe.processors.database.database_report:DatabaseReport.as_text facepipe.processors.eval_action:Eval.write
-        facepipe.processors.neural_rig.bake_action:Bake.text
-        facepipe.processors.rebuild.rebuild_report:RebuildPictures.write
-        facepipe.processors.scan_photos.structure:_write_photos facepipe.processors.scan_photos.structure:_match
-        facepipe.processors.scan_photos.structure:_set_lenses facepipe.processors.scan_photos.structure:_triangulated
-        facepipe.processors.scan_photos.surface:_read_mesh facepipe.stage.face:Face.deriving
+        facepipe.verbs.array_file:write_arrays
+        facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval_action:Eval.write
+        facepipe.neural.bake_action:Bake.text
+        facepipe.scanning.rebuild.rebuild_report:RebuildPictures.write
+        facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
+        facepipe.scanning.photos.structure:_set_lenses facepipe.scanning.photos.structure:_triangulated
+        facepipe.scanning.photos.surface:_read_mesh facepipe.stage.face:Face.deriving
         facepipe.stage.files:_without_times facepipe.stage.levels:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.assets:write_assets facepipe_web.server:_Handler._file
         """,
     "what calls it has asked": """
-        facepipe.processors.rebuild.steps:WorkFolder.__init__ facepipe.processors.rebuild.steps:WorkFolder.step
-        facepipe.processors.rebuild.steps:WorkFolder._read
-        facepipe.processors.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
+        facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
+        facepipe.scanning.rebuild.steps:WorkFolder._read
+        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
         facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
         facepipe.stage.array_counts:check_arrays

@@ -18,7 +18,7 @@ from places import REPOSITORY
 import facepipe
 from facepipe.cli import commands_of, demo_command
 from facepipe.performing import read_kept
-from facepipe.processors.blend import BlendFaces
+from facepipe.verbs.blend import BlendFaces
 
 SHARED = REPOSITORY.parent / "shared"
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")

@@ -13,10 +13,10 @@ from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.learn.networks import FoundFace, find_landmarks
-from facepipe.learn.networks.files import DenseLandmarkSession, dense_landmark_model, landmark_model
-from facepipe.learn.photo.landmark_rig import dense_points
-from facepipe.processors.photo_fit.gaze import pupil_points
+from facepipe.networks import FoundFace, find_landmarks
+from facepipe.networks.files import DenseLandmarkSession, dense_landmark_model, landmark_model
+from facepipe.photo.descent.landmark_rig import dense_points
+from facepipe.photo.fit.gaze import pupil_points
 
 pytestmark = pytest.mark.needs_torch
 
@@ -26,10 +26,10 @@ SIZE, YAW = 320, 0.25
 @cache
 def head() -> tuple[FoundFace, np.ndarray, np.ndarray, np.ndarray]:
     """What is found in a render of a head; where its 68 landmarks, its dense ones and its pupils are, in pixels."""
-    from facepipe.learn.camera import Camera
-    from facepipe.learn.face_model import FaceModel, Look
-    from facepipe.learn.light import ambient, distant
-    from facepipe.learn.photo.working_photo import to_srgb
+    from facepipe.photo.descent.working_photo import to_srgb
+    from facepipe.photo.renderer.camera import Camera
+    from facepipe.photo.renderer.face_model import FaceModel, Look
+    from facepipe.photo.renderer.light import ambient, distant
 
     parts = make(106)
     face = FaceModel(parts)

@@ -11,10 +11,10 @@ from with_torch import torch
 
 from facepipe import heads
 from facepipe.geometry.face_crops import TEMPLATE, face_crop, plain_crop, turned_crop
-from facepipe.learn.features.crops import sample_crop
+from facepipe.networks.crops import sample_crop
+from facepipe.networks.masks import FaceMask, face_mask
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Light, Studio
-from facepipe.processors.photo_fit import FaceMask, face_mask
 from facepipe.rig import build
 
 pytestmark = pytest.mark.needs_torch

@@ -19,20 +19,20 @@ from PIL import Image, ImageDraw
 from with_torch import torch
 
 from facepipe import heads
-from facepipe.learn.camera import Camera
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.features.crops import sample_crop
-from facepipe.learn.features.description import CLASSES
-from facepipe.learn.features.extractor import Extractor, load_extractor
-from facepipe.learn.light import ambient, distant
-from facepipe.learn.rasterise import rasterise
-from facepipe.learn.surfaces import opaque_surfaces
+from facepipe.networks.crops import sample_crop
+from facepipe.networks.description import CLASSES
 from facepipe.parts import FaceParts
+from facepipe.photo.features.extractor import Extractor, load_extractor
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import ambient, distant
+from facepipe.photo.renderer.rasterise import rasterise
+from facepipe.photo.renderer.surfaces import opaque_surfaces
 from facepipe.pictures.camera import portrait
 
 pytestmark = pytest.mark.needs_torch
 
-FILE = Path(str(files("facepipe.learn.networks") / "face_features.onnx"))
+FILE = Path(str(files("facepipe.networks") / "face_features.onnx"))
 SEED = 41  # of a sample that training does not draw
 SIZE = 224  # pixels a side of the renders
 PERSONS = 8

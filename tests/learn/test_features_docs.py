@@ -15,7 +15,7 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import ARCFACE_TEMPLATE, TEMPLATE
-from facepipe.learn.features.description import (
+from facepipe.networks.description import (
     CELEBAMASK,
     CLASSES,
     DEFAULT_SIZES,
@@ -24,8 +24,8 @@ from facepipe.learn.features.description import (
     class_matrix,
     describe,
 )
-from facepipe.learn.features.extractor import load_extractor
-from facepipe.learn.features.operators import OPERATORS
+from facepipe.photo.features.extractor import load_extractor
+from facepipe.photo.features.operators import OPERATORS
 
 pytestmark = pytest.mark.needs_torch
 

@@ -16,8 +16,8 @@ from with_torch import torch
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
-from facepipe.learn.features.description import CELEBAMASK, CLASSES, class_matrix, describe
-from facepipe.learn.features.extractor import load_extractor
+from facepipe.networks.description import CELEBAMASK, CLASSES, class_matrix, describe
+from facepipe.photo.features.extractor import load_extractor
 
 pytestmark = pytest.mark.needs_torch
 

@@ -14,8 +14,8 @@ from onnx import TensorProto, helper, numpy_helper
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.learn.features.onnx_file import read_model
-from facepipe.learn.features.onnx_module import OnnxModule
+from facepipe.networks.onnx_file import read_model
+from facepipe.photo.features.onnx_module import OnnxModule
 
 pytestmark = pytest.mark.needs_torch
 

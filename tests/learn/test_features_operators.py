@@ -11,8 +11,8 @@ from feature_graphs import make_model, reference
 from onnx import TensorProto, helper
 from with_torch import torch
 
-from facepipe.learn.features.onnx_module import OnnxModule
-from facepipe.learn.features.operators import OPERATORS
+from facepipe.photo.features.onnx_module import OnnxModule
+from facepipe.photo.features.operators import OPERATORS
 
 pytestmark = pytest.mark.needs_torch
 

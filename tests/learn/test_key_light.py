@@ -10,7 +10,7 @@ import pytest
 from photo_people import joint_loss, model, portrait
 from with_torch import torch
 
-from facepipe.learn.light import DARK, KeyLight, hue_cost
+from facepipe.photo.renderer.light import DARK, KeyLight, hue_cost
 from facepipe.pictures.lighting import Light, Samples, Studio
 
 pytestmark = pytest.mark.needs_torch

@@ -14,8 +14,8 @@ from small_head import make
 from with_torch import torch
 
 from facepipe.core.errors import InputError
-from facepipe.learn.networks import FoundFace, find_landmarks, follow_face, landmark_model
-from facepipe.learn.networks.files import LandmarkSession
+from facepipe.networks import FoundFace, find_landmarks, follow_face, landmark_model
+from facepipe.networks.files import LandmarkSession
 
 pytestmark = pytest.mark.needs_torch
 
@@ -30,9 +30,9 @@ def rendered(seed: int, *, size: int, share: float, yaw: float) -> tuple[FloatAr
 
     :param share: of the picture's height that brows to chin fill
     """
-    from facepipe.learn.camera import Camera
-    from facepipe.learn.face_model import FaceModel, Look
-    from facepipe.learn.light import ambient, distant
+    from facepipe.photo.renderer.camera import Camera
+    from facepipe.photo.renderer.face_model import FaceModel, Look
+    from facepipe.photo.renderer.light import ambient, distant
 
     parts = make(seed)
     face = FaceModel(parts)

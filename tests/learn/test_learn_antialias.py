@@ -10,11 +10,11 @@ import pytest
 from small_head import make
 from with_torch import tensor, torch
 
-from facepipe.learn.antialias import Outline, antialias, mesh_edges
-from facepipe.learn.camera import Camera, rotation_matrices
-from facepipe.learn.light import ambient, distant, shade
-from facepipe.learn.rasterise import barycentrics, interpolate, rasterise
-from facepipe.learn.surfaces import PointNormals
+from facepipe.photo.renderer.antialias import Outline, antialias, mesh_edges
+from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.light import ambient, distant, shade
+from facepipe.photo.renderer.rasterise import barycentrics, interpolate, rasterise
+from facepipe.photo.renderer.surfaces import PointNormals
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import Scene, build_scene
 

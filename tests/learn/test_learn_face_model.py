@@ -17,10 +17,10 @@ from small_head import make
 from with_torch import tensor, torch
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.learn.camera import Camera
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.light import ambient, distant
 from facepipe.parts import FaceParts, Material, MaterialFaces, Texture, TextureInput
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import ambient, distant
 from facepipe.pictures.camera import portrait
 from facepipe.rig import build
 
@@ -195,7 +195,7 @@ def test_the_rest_of_facepipe_does_without_torch() -> None:
         "import sys; sys.modules['torch'] = None; import importlib.util as u; find = u.find_spec\n"
         "u.find_spec = lambda name, *rest: None if name == 'torch' else find(name, *rest)\n"
         "from facepipe.core.errors import InputError\n"
-        "try:\n    import facepipe.learn\nexcept InputError as error:\n    print(error)"
+        "try:\n    import facepipe.photo.renderer\nexcept InputError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", hidden], check=True, timeout=600, capture_output=True, text=True)
     assert "pip install 'facepipe[train]'" in done.stdout

@@ -9,9 +9,9 @@ from small_head import make
 from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.learn.camera import Camera, rotation_matrices
-from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.surfaces import PointNormals, bilinear
+from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.light import ambient, basis, distant, shade
+from facepipe.photo.renderer.surfaces import PointNormals, bilinear
 from facepipe.pictures import textures
 from facepipe.pictures.camera import portrait
 

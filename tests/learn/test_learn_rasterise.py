@@ -10,9 +10,9 @@ from small_head import make
 from with_torch import tensor, torch
 
 from facepipe.geometry import rasterise as geometry
-from facepipe.learn.camera import Camera
-from facepipe.learn.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 from facepipe.parts import FaceParts
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import build_scene
 

@@ -15,10 +15,10 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.importers import load
-from facepipe.learn.fixed_matrix import FixedMatrix
-from facepipe.learn.rig import DifferentiableRig
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
+from facepipe.rig.torch.fixed_matrix import FixedMatrix
+from facepipe.rig.torch.rig import DifferentiableRig
 
 pytestmark = pytest.mark.needs_torch
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from with_torch import torch
 
-from facepipe.learn.light import DARK
-from facepipe.learn.photo.descent import Descent, Unknowns, descend
-from facepipe.learn.photo.landmark_fit import State
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo.descent.descent import Descent, Unknowns, descend
+from facepipe.photo.descent.landmark_fit import State
+from facepipe.photo.options import PhotoFitOptions
+from facepipe.photo.renderer.light import DARK
 
 pytestmark = pytest.mark.needs_torch
 

@@ -22,17 +22,17 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import quarter_turned
-from facepipe.learn.features.extractor import load_extractor
-from facepipe.learn.light import shade
-from facepipe.learn.photo.descent import descend
-from facepipe.learn.photo.fit import fit_photos, pose_space
-from facepipe.learn.photo.fit_input import check_photos
-from facepipe.learn.photo.landmark_fit import State
-from facepipe.learn.photo.result import PhotoFit
-from facepipe.learn.photo.upright import UprightPhotos
-from facepipe.learn.photo.view_image import project
 from facepipe.parts import FaceParts, SliderNetwork
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo.descent.descent import descend
+from facepipe.photo.descent.fit import fit_photos, pose_space
+from facepipe.photo.descent.fit_input import check_photos
+from facepipe.photo.descent.landmark_fit import State
+from facepipe.photo.descent.result import PhotoFit
+from facepipe.photo.descent.upright import UprightPhotos
+from facepipe.photo.descent.view_image import project
+from facepipe.photo.features.extractor import load_extractor
+from facepipe.photo.options import PhotoFitOptions
+from facepipe.photo.renderer.light import shade
 from facepipe.rig import slide
 
 pytestmark = [pytest.mark.needs_torch, pytest.mark.usefixtures("few_lamps")]

@@ -19,12 +19,12 @@ from with_torch import tensor, torch
 
 from facepipe import heads
 from facepipe.core.errors import InputError
-from facepipe.learn.camera import Camera
-from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
-from facepipe.learn.photo.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points
-from facepipe.learn.photo.pose import FOCAL, PoseSpace
-from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts, Slider, SliderNetwork
+from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
+from facepipe.photo.descent.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points
+from facepipe.photo.descent.pose import FOCAL, PoseSpace
+from facepipe.photo.descent.subject import Subject
+from facepipe.photo.renderer.camera import Camera
 from facepipe.pictures import camera as render_camera
 from facepipe.rig import slide
 

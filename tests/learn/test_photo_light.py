@@ -10,16 +10,16 @@ import pytest
 from photo_people import joint_loss, model, portrait
 from with_torch import torch
 
-from facepipe.learn.camera import Camera
-from facepipe.learn.face_model import Look
-from facepipe.learn.light import DARK, ambient, basis, shade
-from facepipe.learn.photo.descent import descend
-from facepipe.learn.photo.joint_loss import single
-from facepipe.learn.photo.lighting import in_better_light, lit, relight, renew_shadows
-from facepipe.learn.photo.seen_surface import SeenSurface
-from facepipe.learn.photo.shadows import Shadows
-from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo.descent.descent import descend
+from facepipe.photo.descent.joint_loss import single
+from facepipe.photo.descent.lighting import in_better_light, lit, relight, renew_shadows
+from facepipe.photo.descent.seen_surface import SeenSurface
+from facepipe.photo.descent.shadows import Shadows
+from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
+from facepipe.photo.options import PhotoFitOptions
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.face_model import Look
+from facepipe.photo.renderer.light import DARK, ambient, basis, shade
 
 pytestmark = pytest.mark.needs_torch
 

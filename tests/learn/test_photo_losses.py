@@ -12,10 +12,10 @@ import pytest
 from photo_people import SMILE, Portrait, joint_loss, moved, portrait, subject
 from with_torch import tensor, torch
 
-from facepipe.learn.features.extractor import Extractor, load_extractor
-from facepipe.learn.photo.joint_loss import FeatureLosses, attributes, color_loss, content, identity
-from facepipe.learn.photo.landmark_fit import Priors
-from facepipe.learn.photo.pose import FOCAL
+from facepipe.photo.descent.joint_loss import FeatureLosses, attributes, color_loss, content, identity
+from facepipe.photo.descent.landmark_fit import Priors
+from facepipe.photo.descent.pose import FOCAL
+from facepipe.photo.features.extractor import Extractor, load_extractor
 
 pytestmark = pytest.mark.needs_torch
 

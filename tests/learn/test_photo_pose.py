@@ -12,10 +12,10 @@ from scipy.optimize import least_squares, rosen
 from scipy.spatial.transform import Rotation
 from with_torch import tensor, torch
 
-from facepipe.learn.camera import Camera
-from facepipe.learn.photo.landmark_fit import Minimum, Quadratic, levenberg_marquardt
-from facepipe.learn.photo.pose import FOCAL, PoseSpace
-from facepipe.learn.photo.working_photo import WorkingPhoto, to_linear, to_srgb
+from facepipe.photo.descent.landmark_fit import Minimum, Quadratic, levenberg_marquardt
+from facepipe.photo.descent.pose import FOCAL, PoseSpace
+from facepipe.photo.descent.working_photo import WorkingPhoto, to_linear, to_srgb
+from facepipe.photo.renderer.camera import Camera
 
 pytestmark = pytest.mark.needs_torch
 

@@ -9,11 +9,11 @@ import pytest
 from photo_people import Portrait, joint_loss, model, portrait
 from with_torch import torch
 
-from facepipe.learn.light import DARK
-from facepipe.learn.photo.descent import Descent, Unknowns
-from facepipe.learn.photo.fit import fit_result
-from facepipe.learn.photo.result import FittedView
-from facepipe.learn.photo.view_image import view_image
+from facepipe.photo.descent.descent import Descent, Unknowns
+from facepipe.photo.descent.fit import fit_result
+from facepipe.photo.descent.result import FittedView
+from facepipe.photo.descent.view_image import view_image
+from facepipe.photo.renderer.light import DARK
 
 pytestmark = pytest.mark.needs_torch
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from solids import ball
 from with_torch import torch
 
-from facepipe.learn.light import ambient, basis, distant, shade
-from facepipe.learn.photo.shadows import sky_visibility, transfer_of, visibility
+from facepipe.photo.descent.shadows import sky_visibility, transfer_of, visibility
+from facepipe.photo.renderer.light import ambient, basis, distant, shade
 
 pytestmark = pytest.mark.needs_torch
 

@@ -17,26 +17,26 @@ from with_torch import torch
 
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.face_crops import from_crop
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.light import ambient
-from facepipe.learn.photo.amortised.graph import start_graph, start_metadata
-from facepipe.learn.photo.amortised.guess import Guess, load_start
-from facepipe.learn.photo.amortised.losses import POSE_MEAN, POSE_STD, PictureLoss, relative_pose
-from facepipe.learn.photo.amortised.network import SIZE, Output, held
-from facepipe.learn.photo.amortised.pictures import HEAD, Picture
-from facepipe.learn.photo.amortised.pose import CropSpace
-from facepipe.learn.photo.amortised.renders import Portraits, random_people
-from facepipe.learn.photo.amortised.training import Trained, train_start
-from facepipe.learn.photo.fit import fit_photos, pose_space
-from facepipe.learn.photo.joint_loss import single
-from facepipe.learn.photo.landmark_fit import State
-from facepipe.learn.photo.landmark_rig import LandmarkRig
-from facepipe.learn.photo.pose import FOCAL
-from facepipe.learn.photo.subject import Subject
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
-from facepipe.photo_options import PhotoFitOptions, StartOptions
-from facepipe.processors.photo_fit import FitPhoto
+from facepipe.photo.amortised.graph import start_graph, start_metadata
+from facepipe.photo.amortised.guess import Guess, load_start
+from facepipe.photo.amortised.losses import POSE_MEAN, POSE_STD, PictureLoss, relative_pose
+from facepipe.photo.amortised.network import SIZE, Output, held
+from facepipe.photo.amortised.pictures import HEAD, Picture
+from facepipe.photo.amortised.pose import CropSpace
+from facepipe.photo.amortised.renders import Portraits, random_people
+from facepipe.photo.amortised.training import Trained, train_start
+from facepipe.photo.descent.fit import fit_photos, pose_space
+from facepipe.photo.descent.joint_loss import single
+from facepipe.photo.descent.landmark_fit import State
+from facepipe.photo.descent.landmark_rig import LandmarkRig
+from facepipe.photo.descent.pose import FOCAL
+from facepipe.photo.descent.subject import Subject
+from facepipe.photo.fit import FitPhoto
+from facepipe.photo.options import PhotoFitOptions, StartOptions
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import ambient
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.needs_torch

@@ -19,10 +19,10 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
-from facepipe.processors.sliders import DistilReport, DistilSliders
-from facepipe.processors.sliders.distil import LEVER_MM, _driven
 from facepipe.rig import build, slide
 from facepipe.stage import save_parts
+from facepipe.verbs.sliders import DistilReport, DistilSliders
+from facepipe.verbs.sliders.distil import LEVER_MM, _driven
 
 pytestmark = pytest.mark.needs_torch
 

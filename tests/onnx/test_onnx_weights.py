@@ -20,8 +20,8 @@ from neural_faces import face, neural_rig
 from slider_faces import jointless, random_values, sample_with_sliders
 
 from facepipe.core.errors import ExportError, InputError
+from facepipe.neural import with_neural_rig
 from facepipe.parts import FaceParts, Slider
-from facepipe.processors.neural_rig import with_neural_rig
 from facepipe.rig import build, slide
 from facepipe.stage import save_parts
 

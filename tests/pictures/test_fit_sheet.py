@@ -11,9 +11,9 @@ import scan_domes
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import Material
-from facepipe.pictures.rebuild_pictures import FitPicture, fit_sheet
-from facepipe.processors.database.whole_faces import whole_parts, whole_points
+from facepipe.scanning.rebuild_pictures import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
+from facepipe.verbs.whole_faces import whole_parts, whole_points
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

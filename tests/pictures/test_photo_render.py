@@ -10,9 +10,9 @@ from baked_face import camera_at, light, person, view_of, with_cards
 
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, PhotoView
+from facepipe.photo.pictures.photo_render import photo_render
 from facepipe.pictures.lighting import Samples
 from facepipe.pictures.photo_light import PhotoLights
-from facepipe.pictures.photo_render import photo_render
 from facepipe.rig import build
 
 SIZE = 160
@@ -34,9 +34,9 @@ def test_it_is_what_the_fit_sees(parts: FaceParts, view: PhotoView) -> None:
     """Another renderer: edges, textures and shadows are sampled otherwise."""
     from scipy.spatial.transform import Rotation
 
-    from facepipe.learn.face_model import FaceModel
-    from facepipe.learn.photo.result import FittedCamera, FittedView
-    from facepipe.learn.photo.view_image import view_image
+    from facepipe.photo.descent.result import FittedCamera, FittedView
+    from facepipe.photo.descent.view_image import view_image
+    from facepipe.photo.renderer.face_model import FaceModel
 
     assert view.key is not None
     inverse = np.linalg.inv(view.transform)

@@ -24,8 +24,8 @@ from facepipe.importers import load
 from facepipe.importers.ict import Options as IctOptions
 from facepipe.parts import Animation, FaceParts, Skeleton, Slider
 from facepipe.performing import perform
-from facepipe.processors.animate import Animate, Performance, read_performance
 from facepipe.stage import save_parts
+from facepipe.verbs.animate import Animate, Performance, read_performance
 
 Capsys = pytest.CaptureFixture[str]
 DEGREES = 180 / np.pi

@@ -17,10 +17,10 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.payload import PayloadContent, Precision, encode
-from facepipe.processors.apply_bones import ApplyBones
 from facepipe.rig import rest_coefficients
 from facepipe.stage import Face, save_parts
 from facepipe.stage.animation_source import play
+from facepipe.verbs.apply_bones import ApplyBones
 
 Capsys = pytest.CaptureFixture[str]
 TOLERANCE = 1e-5  # head heights

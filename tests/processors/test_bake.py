@@ -15,8 +15,7 @@ from pxr import Sdf, Usd, UsdGeom
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.parts import Animation, FaceParts
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     FrameBlocksOptions,
     Motion,
     ReadMotion,
@@ -26,11 +25,12 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.processors.neural_rig.sample_motion import BakeMotion
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.neural.sample_motion import BakeMotion
+from facepipe.parts import Animation, FaceParts
 from facepipe.rig import slide
 from facepipe.stage import save_parts
 from facepipe.stage.read_controls import ControlTrack, is_recorded
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
 
 FEW = ("--spread", 12, "--sweep", 5, "--together", 6)
 WHOLE = FrameBlocksOptions(block=1000, margin=0)

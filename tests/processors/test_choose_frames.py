@@ -21,12 +21,12 @@ import facepipe
 from facepipe.core.arrays import ByteArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.colors import to_srgb
-from facepipe.processors.video_frames import clip as clips
-from facepipe.processors.video_frames import search
-from facepipe.processors.video_frames.choice import choose, relative_sharpness
-from facepipe.processors.video_frames.clip import Clip
-from facepipe.processors.video_frames.frame_colors import srgb_picture
-from facepipe.processors.video_frames.look import Look
+from facepipe.photo.frames import clip as clips
+from facepipe.photo.frames import search
+from facepipe.photo.frames.choice import choose, relative_sharpness
+from facepipe.photo.frames.clip import Clip
+from facepipe.photo.frames.frame_colors import srgb_picture
+from facepipe.photo.frames.look import Look
 
 av = pytest.importorskip("av")
 
@@ -302,7 +302,7 @@ def test_a_clip_that_breaks_off_later_leaves_no_folder(
     clip: tuple[Path, list[Shot]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Found when its frames are written."""
-    from facepipe.processors.video_frames import frame_files
+    from facepipe.photo.frames import frame_files
 
     def broken(*_: object) -> list[str]:
         raise InputError("clip.mp4", "is damaged")

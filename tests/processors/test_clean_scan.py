@@ -11,7 +11,7 @@ from solids import ball
 
 from facepipe.core.errors import InputError
 from facepipe.importers.scan_file import read_scan
-from facepipe.processors.clean_scan import CleanScan
+from facepipe.scanning.clean_scan import CleanScan
 from facepipe.scans import Scan
 
 

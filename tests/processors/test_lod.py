@@ -23,8 +23,8 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import components, edges, point_triangles
 from facepipe.parts import FaceParts, Mesh, Skeleton
-from facepipe.processors.lod.cards import _lengthwise, cards_of
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.lod.cards import _lengthwise, cards_of
 
 COUNTS = (1200, 500, 200)
 

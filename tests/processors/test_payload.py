@@ -31,9 +31,9 @@ from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.payload import MAX_VALUES, PayloadContent, Precision, decode, encode, read_header
-from facepipe.processors.apply_bones import ApplyBones
-from facepipe.processors.bone_payload import write_payload
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.apply_bones import ApplyBones
+from facepipe.verbs.bone_payload import write_payload
 
 JOINTS = tuple(f"root/joint{i}" for i in range(11))
 TOLERANCE = 1e-5  # of the head height

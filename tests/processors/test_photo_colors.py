@@ -15,10 +15,10 @@ from scan_actors import Actor, ict
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.similarity import Similarity, fit_similarity
-from facepipe.processors.scan_photos import PhotoCamera, ScanPhotos, ScanPhotosOptions
-from facepipe.processors.scan_photos.depth import pixel_rays
-from facepipe.processors.scan_photos.photo_colors import PhotoColors
-from facepipe.processors.scan_texture.scan_samples import scan_samples
+from facepipe.scanning.photos import PhotoCamera, ScanPhotos, ScanPhotosOptions
+from facepipe.scanning.photos.depth import pixel_rays
+from facepipe.scanning.photos.photo_colors import PhotoColors
+from facepipe.scanning.texture.scan_samples import scan_samples
 from facepipe.scans import Scan
 
 LENS = (-0.11, 0.05, 0.002, -0.003)

@@ -31,9 +31,9 @@ from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
 from facepipe.pictures.heatmap import NO_VALUE
 from facepipe.pictures.regions import region_colors
-from facepipe.processors.region_legend import RegionLegend, read_legend
-from facepipe.processors.regions import SetRegions
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.region_legend import RegionLegend, read_legend
+from facepipe.verbs.regions import SetRegions
 
 RED, GREEN, BLUE = COLORS[:3]
 Array = np.ndarray[Any, Any]

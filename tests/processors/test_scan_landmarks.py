@@ -21,9 +21,9 @@ from facepipe.geometry.polygons import small_holes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.pictures.surface_view import draw_surface
-from facepipe.processors.scan_landmarks import FindScanLandmarks
-from facepipe.processors.scan_landmarks.find import _Search
-from facepipe.processors.scan_landmarks.search import (
+from facepipe.scanning.landmarks import FindScanLandmarks
+from facepipe.scanning.landmarks.find import _Search
+from facepipe.scanning.landmarks.search import (
     MIRRORED,
     Candidate,
     FaceFrame,

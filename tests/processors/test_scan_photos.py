@@ -24,7 +24,7 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.similarity import Similarity, fit_similarity
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.importers.scan_ply import read_ply
-from facepipe.processors.scan_photos import (
+from facepipe.scanning.photos import (
     Cameras,
     PhotoCamera,
     ScanPhotos,

@@ -17,7 +17,7 @@ from PIL import Image
 
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.declare import fields_of
-from facepipe.processors.scan_photos import (
+from facepipe.scanning.photos import (
     Cameras,
     ScanPhotos,
     ScanPhotosOptions,
@@ -25,9 +25,9 @@ from facepipe.processors.scan_photos import (
     read_markers,
     write_cameras,
 )
-from facepipe.processors.scan_photos.photos import read_photos
-from facepipe.processors.scan_photos.scan import PhotoScan, ScanPhotosReport, bars
-from facepipe.processors.scan_photos.structure import Structure
+from facepipe.scanning.photos.photos import read_photos
+from facepipe.scanning.photos.scan import PhotoScan, ScanPhotosReport, bars
+from facepipe.scanning.photos.structure import Structure
 from facepipe.scans import Scan, ScanLandmarks
 
 FloatArray = npt.NDArray[np.floating]
@@ -164,7 +164,7 @@ def test_photos_without_a_camera_are_named(tmp_path: Path) -> None:
         landmarks=ScanLandmarks(points=np.zeros((0, 3))),
         report=ScanPhotosReport(warnings=("of the surface",)),
     )
-    scan = "facepipe.processors.scan_photos.scan"
+    scan = "facepipe.scanning.photos.scan"
     with (
         mock.patch(f"{scan}.find_structure", return_value=structure),
         mock.patch.object(ScanPhotos, "_scan", return_value=made),

@@ -18,22 +18,22 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.core.errors import FitError
 from facepipe.geometry.similarity import Similarity
-from facepipe.processors.scan_photos import (
+from facepipe.scanning.photos import (
     PhotoCamera,
     ScanPhotosOptions,
     triangulate,
 )
-from facepipe.processors.scan_photos.photos import Photo
-from facepipe.processors.scan_photos.stereo import RectifiedView, _sampled, depth_map, disparities, rectify
-from facepipe.processors.scan_photos.structure import (
+from facepipe.scanning.photos.photos import Photo
+from facepipe.scanning.photos.stereo import RectifiedView, _sampled, depth_map, disparities, rectify
+from facepipe.scanning.photos.structure import (
     Structure,
     _structure,
     _triangulated,
     colmap_module,
     find_structure,
 )
-from facepipe.processors.scan_photos.subject import choose_pairs, find_subject, move_camera, upright
-from facepipe.processors.scan_photos.surface import Cloud, _normals, clean, make_surface
+from facepipe.scanning.photos.subject import choose_pairs, find_subject, move_camera, upright
+from facepipe.scanning.photos.surface import Cloud, _normals, clean, make_surface
 
 FloatArray = npt.NDArray[np.floating]
 
@@ -196,7 +196,7 @@ def test_each_photo_of_a_known_camera_has_a_lens_of_its_own() -> None:
     pixels = np.zeros((8, 8, 3), np.uint8)
     photos = [Photo(name=name, pixels=pixels, full_size=(8, 8)) for name in ("a.png", "b.png")]
     known = {photo.name: camera_at(np.array([0.0, 0.0, 700.0])) for photo in photos}
-    module = "facepipe.processors.scan_photos.structure"
+    module = "facepipe.scanning.photos.structure"
     folders = []
     for cameras in (known, None):
         with mock.patch.multiple(

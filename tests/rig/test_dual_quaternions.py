@@ -19,10 +19,10 @@ from pxr import UsdSkel
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts
-from facepipe.processors.fit_bones.checks import check_rig
 from facepipe.rig import build, coefficient_matrices
 from facepipe.rig.neural_rig import bones_in
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.fit_bones.checks import check_rig
 
 
 def dual_face() -> FaceParts:
@@ -120,6 +120,6 @@ def test_what_knows_linear_skinning_alone_refuses() -> None:
 
 @pytest.mark.slow
 def test_the_differentiable_rig_refuses() -> None:
-    learn = pytest.importorskip("facepipe.learn.rig", reason="needs torch")
+    learn = pytest.importorskip("facepipe.rig.torch.rig", reason="needs torch")
     with pytest.raises(InputError, match="which the differentiable rig does not support"):
         learn.DifferentiableRig(build(dual_face()))

@@ -379,8 +379,8 @@ def test_what_verbs_set_is_exported_rendered_and_can_be_left_out(tmp_path: Path,
     capsys.readouterr()
     face, posed = facepipe.open(person), tmp_path / "posed.usda"
     from facepipe.payload import PayloadContent
-    from facepipe.processors.apply_bones import ApplyBones
-    from facepipe.processors.sliders import SetSliders
+    from facepipe.verbs.apply_bones import ApplyBones
+    from facepipe.verbs.sliders import SetSliders
 
     coefficients = rest_coefficients(len(face.skeleton.joints))
     coefficients[3, 6:] = 1.3

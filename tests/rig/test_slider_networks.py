@@ -81,7 +81,7 @@ def check_graph(parts: Any, graph: Deformer) -> None:
 def test_torch_is_the_rig() -> None:
     from with_torch import torch
 
-    from facepipe.learn.rig import DifferentiableRig
+    from facepipe.rig.torch.rig import DifferentiableRig
 
     parts = networked(network((8, 6)))
     rig, random = build(parts), np.random.default_rng(2)

@@ -10,7 +10,7 @@ import numpy as np
 from pages import blocks
 from places import REPOSITORY
 
-from facepipe.processors.neural_rig import Motion
+from facepipe.neural import Motion
 
 DOCS = (REPOSITORY / "docs/neural_rig.md").read_text(encoding="utf-8")
 

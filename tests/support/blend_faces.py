@@ -17,9 +17,9 @@ from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.vectors import unit_vectors
 from facepipe.importers import ict, makehuman
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
-from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
 from facepipe.rig import mesh_spaces
 from facepipe.stage import Face
+from facepipe.verbs.blend import Blend, BlendOptions, BlendSession, Weights
 
 KINDS = ("sample", "ict", "makehuman")
 EYES = {"makehuman": ("EyeLeft", "EyeRight")} | dict.fromkeys(("sample", "ict"), ("EyeballLeft", "EyeballRight"))

@@ -96,7 +96,7 @@ def photo(data: Callable[[], bytes]) -> Callable[[Path], Words]:
     """A photo to fit."""
 
     def build(folder: Path) -> Words:
-        from facepipe.processors.photo_fit import read_photo
+        from facepipe.photo.fit import read_photo
 
         (folder / "photo").write_bytes(data())
         return lambda: read_photo(folder / "photo")

@@ -10,8 +10,8 @@ from import_data import shared
 
 from facepipe.importers import makehuman
 from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree, stacked
 from facepipe.rig import Rig, build, rest_coefficients
+from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree, stacked
 
 MM = 100.0  # millimetres in a unit of MakeHuman
 

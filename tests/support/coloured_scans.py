@@ -24,8 +24,8 @@ from facepipe.pictures.camera import Camera
 from facepipe.pictures.face_picture import pictures
 from facepipe.pictures.lighting import EVEN
 from facepipe.pictures.surface_view import draw_surface
-from facepipe.processors.rebuild import AuthorNeutral
 from facepipe.scans import Scan
+from facepipe.verbs.author_neutral import AuthorNeutral
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

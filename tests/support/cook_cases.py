@@ -17,7 +17,7 @@ from region_painter import legend_of, paint, save
 from small_sources import made
 
 import facepipe
-from facepipe.processors.neural_rig import save_neural_rig
+from facepipe.neural import save_neural_rig
 from facepipe.rig import build
 from facepipe.stage import save_parts
 

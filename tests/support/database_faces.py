@@ -9,7 +9,7 @@ import numpy as np
 from faces import grid_mesh
 
 from facepipe.parts import Blendshape, FaceParts
-from facepipe.processors.database import WholeFace, whole_face
+from facepipe.verbs.whole_faces import WholeFace, whole_face
 
 SHAPES = ("jawOpen", "mouthSmileLeft", "browInnerUp")
 _MODES = 9

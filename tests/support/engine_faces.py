@@ -19,10 +19,10 @@ from small_head import make
 import facepipe
 from facepipe.importers import load
 from facepipe.parts import FaceParts
-from facepipe.processors.skin import SkinFace, SkinOptions
 from facepipe.rig import rest_coefficients
 from facepipe.rig.trs import decompose
 from facepipe.stage import Face
+from facepipe.verbs.skin import SkinFace, SkinOptions
 
 LAYOUTS: dict[str, dict[str, Any]] = {
     "plain": {},

@@ -30,9 +30,9 @@ from small_head import make
 from turning_clip import portrait, write_video
 
 from facepipe.cli import main
-from facepipe.learn.photo import lighting, shadows
+from facepipe.photo.descent import lighting, shadows
 from facepipe.pictures import PictureOptions
-from facepipe.processors.database import save_database
+from facepipe.scanning.database import save_database
 from facepipe.stage import save_parts
 
 HEADS = """

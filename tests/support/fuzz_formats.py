@@ -53,7 +53,7 @@ from small_sources import made
 import facepipe
 from facepipe.actions import summaries
 from facepipe.cli import main
-from facepipe.processors.database import DatabaseOptions, create_database, save_database
+from facepipe.scanning.database import DatabaseOptions, create_database, save_database
 from facepipe.stage import save_parts
 
 Rng = random.Random
@@ -286,7 +286,7 @@ def put_project() -> None:
 
 
 def read_project() -> None:
-    from facepipe.processors.rebuild import read_project as read
+    from facepipe.scanning.rebuild import read_project as read
 
     read(Path("anna.toml"))
 
@@ -374,7 +374,7 @@ def put_neural(bones: bool) -> Callable[[], None]:
     """A rig, with an encoder where it has no bones."""
 
     def put() -> None:
-        from facepipe.processors.neural_rig import save_neural_rig
+        from facepipe.neural import save_neural_rig
 
         save_parts(neural_faces.face(joints=bones), Path("face.usda"))
         rig = neural_faces.neural_rig(facepipe.open("face.usda").parts(), bones=bones)
@@ -654,20 +654,20 @@ def put_photo(kind: str, **options: Any) -> Callable[[], None]:
 
 
 def read_photo() -> None:
-    from facepipe.processors.photo_fit import read_photo as read
+    from facepipe.photo.fit import read_photo as read
 
     read(Path("a.png"))
 
 
 def read_photos() -> None:
-    from facepipe.processors.scan_photos.photos import read_photos as read
+    from facepipe.scanning.photos.photos import read_photos as read
 
     read([Path("a.png")], 64)
 
 
 def read_landmarks() -> None:
-    from facepipe.processors.photo_fit import read_photo as read
-    from facepipe.processors.photo_fit.landmark_file import read_landmarks as landmarks
+    from facepipe.photo.fit import read_photo as read
+    from facepipe.photo.fit.landmark_file import read_landmarks as landmarks
 
     landmarks(Path("a.landmarks.json"), read(Path("a.png")))
 
@@ -699,7 +699,7 @@ def damage_texture(rng: Rng, part: str) -> list[Line]:
 
 
 def put_cameras() -> None:
-    from facepipe.processors.scan_photos.cameras import Cameras, write_cameras
+    from facepipe.scanning.photos.cameras import Cameras, write_cameras
 
     one = camera_at(np.array([120.0, 60.0, 700.0]), 0.4, distortion=(-0.11, 0.05, 0.002, -0.003))
     write_cameras(Path("rig.json"), Cameras(cameras={"a.jpg": one, "b.jpg": one}, unit="cm"))
@@ -710,13 +710,13 @@ def put_cameras() -> None:
 
 
 def read_cameras() -> None:
-    from facepipe.processors.scan_photos.cameras import read_cameras as read
+    from facepipe.scanning.photos.cameras import read_cameras as read
 
     read(Path("rig.json"))
 
 
 def read_markers() -> None:
-    from facepipe.processors.scan_photos.triangulation import read_markers as read
+    from facepipe.scanning.photos.triangulation import read_markers as read
 
     read(Path("markers.json"))
 
@@ -854,7 +854,7 @@ def put_training() -> None:
 def train() -> None:
     from neural_training import FEW_SAMPLES, FEW_STEPS
 
-    from facepipe.processors.neural_rig import SampleMotion, TrainNeuralRig
+    from facepipe.neural import SampleMotion, TrainNeuralRig
 
     motion = SampleMotion(options=FEW_SAMPLES)(facepipe.open("head.usda").parts(), "head.usda")
     TrainNeuralRig(options=FEW_STEPS)(motion, checkpoint=Path("head.training"))

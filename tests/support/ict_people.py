@@ -11,8 +11,8 @@ from scan_simulator import SimulatedScan
 from facepipe.geometry.identity_model import IdentityModel
 from facepipe.importers import ict as ict_importer
 from facepipe.importers import load
-from facepipe.processors.database import FaceDatabase
-from facepipe.processors.rebuild import Template
+from facepipe.scanning.database import FaceDatabase
+from facepipe.scanning.rebuild import Template
 from facepipe.scans import Scan, ScanLandmarks
 
 

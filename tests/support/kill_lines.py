@@ -102,8 +102,8 @@ def _one_scan() -> None:
     import scan_domes
     from photo_booth import camera_at
 
-    from facepipe.processors import scan_photos
-    from facepipe.processors.scan_photos import Cameras, PhotoScan, ScanPhotosReport
+    from facepipe.scanning import photos as scan_photos
+    from facepipe.scanning.photos import Cameras, PhotoScan, ScanPhotosReport
 
     scan, landmarks = scan_domes.scan(9)
     cameras = Cameras(cameras={"a.jpg": camera_at(np.array([120.0, 60.0, 700.0]), 0.4)}, unit="cm")
@@ -113,8 +113,8 @@ def _one_scan() -> None:
 
 def _one_look() -> None:
     """A face that turns in two frames, and nothing to say against it."""
-    from facepipe.processors.video_frames import frame_files, search
-    from facepipe.processors.video_frames.look import Look
+    from facepipe.photo.frames import frame_files, search
+    from facepipe.photo.frames.look import Look
 
     known = {"pitch": 0.0, "sharpness": 1.0, "lids": 0.1, "lips": 0.0, "error": 1.0}
     looks = tuple(Look(number=i, time=0.1 * i, yaw=0.5 * i, **known) for i in range(2))
@@ -127,8 +127,8 @@ def _one_face() -> None:
     """The landmarks of a scan are those of the dome."""
     import scan_domes
 
-    from facepipe.processors.scan_landmarks import find
-    from facepipe.processors.scan_landmarks.search import face_frame
+    from facepipe.scanning.landmarks import find
+    from facepipe.scanning.landmarks.search import face_frame
 
     scan, landmarks = scan_domes.scan(9)
     frame = face_frame(landmarks.points)
@@ -451,7 +451,7 @@ def _domes() -> None:
     from rebuild_project import GAIN, PERSON, PROJECT, motion, put
     from skin_joints import without_joints
 
-    from facepipe.processors.database import save_database
+    from facepipe.scanning.database import save_database
     from facepipe.scans import ScanLandmarks
     from facepipe.stage import save_parts
 

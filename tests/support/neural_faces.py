@@ -15,14 +15,14 @@ from neural_training import turning_face
 from slider_faces import jointless
 
 import facepipe
+from facepipe.neural import load_neural_rig, save_neural_rig
 from facepipe.parts import FaceParts, Slider
-from facepipe.processors.database import Topology, whole_points
-from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
 from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, share_limits, values_of
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import Topology, whole_points
 
 CONTROLS = (
     Control(name="jaw"),

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import scan_domes
 
+from facepipe.neural import SampleMotionOptions, TrainNeuralRigOptions
 from facepipe.parts import Animation, FaceParts, Slider
-from facepipe.processors.neural_rig import SampleMotionOptions, TrainNeuralRigOptions
 
 SAMPLES = SampleMotionOptions(spread=200, sweep=9, together=100)
 OPTIONS = TrainNeuralRigOptions(width=24, steps=1500, patience=1500)

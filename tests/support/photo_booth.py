@@ -24,7 +24,7 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
-from facepipe.processors.scan_photos import PhotoCamera
+from facepipe.scanning.photos import PhotoCamera
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]

@@ -9,19 +9,19 @@ import numpy as np
 from small_head import make
 from with_torch import torch
 
-from facepipe.learn.face_model import FaceModel, Look
-from facepipe.learn.light import DARK, KeyLight, ambient, distant
-from facepipe.learn.photo.descent import Unknowns
-from facepipe.learn.photo.fit import priors_of
-from facepipe.learn.photo.joint_loss import JointLoss, single
-from facepipe.learn.photo.landmark_fit import LandmarkFit, Priors, State
-from facepipe.learn.photo.landmark_rig import front_axes, landmark_points
-from facepipe.learn.photo.pose import FOCAL, PoseSpace
-from facepipe.learn.photo.shadows import Shadows
-from facepipe.learn.photo.subject import Subject
-from facepipe.learn.photo.working_photo import WorkingPhoto, to_srgb
 from facepipe.parts import FaceParts
-from facepipe.photo_options import PhotoFitOptions
+from facepipe.photo.descent.descent import Unknowns
+from facepipe.photo.descent.fit import priors_of
+from facepipe.photo.descent.joint_loss import JointLoss, single
+from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
+from facepipe.photo.descent.landmark_rig import front_axes, landmark_points
+from facepipe.photo.descent.pose import FOCAL, PoseSpace
+from facepipe.photo.descent.shadows import Shadows
+from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
+from facepipe.photo.options import PhotoFitOptions
+from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.light import DARK, KeyLight, ambient, distant
 
 SMILE = {"jawOpen": 0.3, "mouthSmileLeft": 0.5, "mouthSmileRight": 0.4}
 

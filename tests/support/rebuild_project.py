@@ -13,7 +13,7 @@ from command_line import done
 
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.processors.database import save_database
+from facepipe.scanning.database import save_database
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 

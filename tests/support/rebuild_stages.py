@@ -11,8 +11,9 @@ from expression_domes import PERSON
 
 import facepipe
 from facepipe.parts import Recipe
-from facepipe.processors.database import Quality, whole_face
+from facepipe.scanning.database import Quality
 from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import whole_face
 
 SEEN = {"open": {"jawOpen": 0.8}, "both": {"jawOpen": 0.4, "browUp": 1.0}}
 QUALITY = Quality(surface_mean_mm=0.1, surface_p95_mm=0.4, coverage=0.9, flipped_triangles=3)

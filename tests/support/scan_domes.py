@@ -12,8 +12,9 @@ from solids import ball
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Landmarks, Mesh, Skeleton, Skin, Slider
-from facepipe.processors.database import FaceDatabase, WholeFace, create_database, whole_face
+from facepipe.scanning.database import FaceDatabase, create_database
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.verbs.whole_faces import WholeFace, whole_face
 
 POSE = Similarity(
     rotation=np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]]),

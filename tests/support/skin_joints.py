@@ -17,10 +17,10 @@ from small_head import make
 from facepipe import heads
 from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
-from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinReport
-from facepipe.processors.skin.features import eyeballs_of
-from facepipe.processors.skin.surface import surface_of
 from facepipe.stage import Face
+from facepipe.verbs.skin import JointSet, JointSpec, SkinFace, SkinReport
+from facepipe.verbs.skin.features import eyeballs_of
+from facepipe.verbs.skin.surface import surface_of
 
 Array = np.ndarray[Any, Any]
 

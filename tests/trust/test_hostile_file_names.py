@@ -16,7 +16,7 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.parts import FaceParts, Material, Texture, TextureInput
-from facepipe.processors.rebuild import read_project
+from facepipe.scanning.rebuild import read_project
 from facepipe.stage import save_parts
 
 IMAGE = b"\x89PNG\r\n\x1a\n"
@@ -107,7 +107,7 @@ def test_expressions_have_names_that_files_can_have(tmp_path: Path, name: str) -
 @pytest.mark.needs_torch
 def test_networks_with_data_in_other_files_are_refused(tmp_path: Path) -> None:
     """In constants of nodes too, which the runtime would read."""
-    from facepipe.learn.features.onnx_file import read_model
+    from facepipe.networks.onnx_file import read_model
 
     tensor = helper.make_tensor("t", TensorProto.FLOAT, [1], [1.0])
     tensor.data_location = TensorProto.EXTERNAL

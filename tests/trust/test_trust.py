@@ -219,7 +219,7 @@ def test_reads_are_confined_where_the_caller_says_so(show: Path) -> None:
     check_readable(show.parent / "other/a.usda")
     with trusting(Trust(roots=(show,), confined=True)):
         check_readable(show / "shots/a.usda")
-        check_readable(Path(facepipe.__file__).parent / "learn/networks/face_features.onnx")  # what comes with facepipe
+        check_readable(Path(facepipe.__file__).parent / "networks/face_features.onnx")  # what comes with facepipe
         for path in (show.parent / "other/a.usda", Path(facepipe.__file__).parents[1] / "a.usda"):
             with pytest.raises(InputError, match="outside the roots"):
                 check_readable(path)

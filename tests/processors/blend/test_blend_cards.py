@@ -12,8 +12,8 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
 from facepipe.heads import make
 from facepipe.parts import FaceParts, Mesh
-from facepipe.processors.blend.sources import stack
 from facepipe.stage import Face
+from facepipe.verbs.blend.sources import stack
 
 
 def mesh(parts: FaceParts, name: str) -> Mesh:

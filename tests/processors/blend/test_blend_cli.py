@@ -20,11 +20,11 @@ from facepipe.checks import validate
 from facepipe.cli import command_module
 from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
-from facepipe.processors.blend import Blend, BlendFaces, Weights
-from facepipe.processors.blend.lids import LidContact
-from facepipe.processors.blend.quality import _deviation
-from facepipe.processors.blend.weights import weights_to_json
 from facepipe.stage import save_parts
+from facepipe.verbs.blend import Blend, BlendFaces, Weights
+from facepipe.verbs.blend.lids import LidContact
+from facepipe.verbs.blend.quality import _deviation
+from facepipe.verbs.blend.weights import weights_to_json
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

@@ -11,9 +11,9 @@ from faces import replace_mesh, tiny_face
 from solvers import SOLVERS
 
 from facepipe.parts import FaceParts, Inbetween, Mesh
-from facepipe.processors.blend import BlendOptions, BlendSession, Weights
-from facepipe.processors.blend.session import Solution
 from facepipe.stage import Face
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.session import Solution
 
 WEIGHTS = Weights(regions={"mouth": (0.9, 0.1), "neck": (0.2, 0.8)}, default=(0.5, 0.5))
 

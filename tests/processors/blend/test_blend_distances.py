@@ -15,8 +15,8 @@ from blend_faces import EYES, REGION_WEIGHTS, TEETH, by_region, head, kinds, mes
 
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import point_triangles
-from facepipe.processors.blend import BlendSession
 from facepipe.stage import Face
+from facepipe.verbs.blend import BlendSession
 
 MORE_MM = {"sample": 0.35, "ict": 0.2, "makehuman": 0.2}  # the sample's people differ most
 SHAPES = ("jawOpen", "eyeBlinkLeft")

@@ -14,10 +14,10 @@ import facepipe
 from facepipe.checks import validate
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh
-from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
-from facepipe.processors.blend.quality import measure
-from facepipe.processors.blend.result import result_parts
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.blend import Blend, BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.quality import measure
+from facepipe.verbs.blend.result import result_parts
 
 HALF = Weights(default=(0.5, 0.5))
 

@@ -30,10 +30,10 @@ from faces import replace_mesh, tiny_face
 from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import Blendshape, FaceParts, Inbetween
-from facepipe.processors.blend import Blend, BlendOptions, BlendReport, BlendSession, Weights
-from facepipe.processors.blend.quality import measure
-from facepipe.processors.blend.session import Solution
 from facepipe.stage import Face
+from facepipe.verbs.blend import Blend, BlendOptions, BlendReport, BlendSession, Weights
+from facepipe.verbs.blend.quality import measure
+from facepipe.verbs.blend.session import Solution
 
 SHAPES = ("jawOpen", "eyeBlinkLeft", "eyeLookInLeft", "mouthSmileLeft")
 STEP_MM = {"sample": 0.15, "ict": 0.1}  # the sample's edges are longer

@@ -36,10 +36,10 @@ import facepipe
 from facepipe.checks import validate
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.parts import Skeleton
-from facepipe.processors.blend import Blend, BlendSession, Weights
 from facepipe.rig import build, matrix_coefficients
 from facepipe.rig.animation import local_transforms
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.blend import Blend, BlendSession, Weights
 
 RIGGED = ("sample", "makehuman")
 RANGE_MM = 0.2  # joints leave the range of their distances by no more than this, or by 5% of the distance

@@ -14,11 +14,11 @@ from faces import grid_mesh, replace_mesh, tiny_face
 import facepipe
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.parts import FaceParts, Mesh
-from facepipe.processors.blend import Blend, BlendOptions, BlendSession, Weights
-from facepipe.processors.blend.kept_parts import _default
-from facepipe.processors.blend.weights import Shares
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.blend import Blend, BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.kept_parts import _default
+from facepipe.verbs.blend.weights import Shares
 
 REGIONS = ("mouth", "neck")
 

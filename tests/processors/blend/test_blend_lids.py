@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.balls import fit_ball
 from facepipe.parts import FaceParts, Mesh
-from facepipe.processors.blend import BlendOptions, BlendSession
-from facepipe.processors.blend.lids import LidContact, lid_contacts
-from facepipe.processors.blend.session import Solution
 from facepipe.stage import Face
+from facepipe.verbs.blend import BlendOptions, BlendSession
+from facepipe.verbs.blend.lids import LidContact, lid_contacts
+from facepipe.verbs.blend.session import Solution
 
 LOOK, BLINK = "eyeLookInLeft", "eyeBlinkLeft"
 TOLERANCE = 1e-3  # mm; the eyeballs are balls to float32

@@ -32,8 +32,8 @@ from facepipe.geometry.balls import fit_ball
 from facepipe.geometry.differences import edge_vectors
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
-from facepipe.processors.blend import BlendOptions, BlendSession, Weights
 from facepipe.stage import Face
+from facepipe.verbs.blend import BlendOptions, BlendSession, Weights
 
 GLOBAL = ((0.3, 0.7), (1.0, 0.0), (0.25, 0.35, 0.4), (0.0, 0.5, 0.5))
 

@@ -24,9 +24,9 @@ from facepipe.core.errors import InputError
 from facepipe.declare import from_json, to_json
 from facepipe.parts import Recipe
 from facepipe.performing import read_kept, recipe_to
-from facepipe.processors.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights
-from facepipe.processors.blend.weights import weights_from_json, weights_to_json
 from facepipe.stage import save_parts
+from facepipe.verbs.blend import Blend, BlendFaces, BlendOptions, BlendSession, Weights
+from facepipe.verbs.blend.weights import weights_from_json, weights_to_json
 
 # --- recipes
 

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from facepipe import parts as p
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, point_triangles
-from facepipe.processors.blend.normals import blend_normals, normal_offsets
-from facepipe.processors.blend.rigs import blend_linear, blend_skeletons, blend_skins, rebase_animations
 from facepipe.rig import matrix_coefficients
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import compose, rotation_matrices
+from facepipe.verbs.blend.normals import blend_normals, normal_offsets
+from facepipe.verbs.blend.rigs import blend_linear, blend_skeletons, blend_skins, rebase_animations
 
 SEEDS = st.integers(0, 10**6)
 

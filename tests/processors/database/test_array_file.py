@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.processors.database.array_file import read_arrays
+from facepipe.verbs.array_file import read_arrays
 
 KIND = "facepipe test 1"
 NO_SUM = "0" * 64

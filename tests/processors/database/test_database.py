@@ -21,13 +21,11 @@ from places import SUPPORT
 
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.parts import Blendshape, FaceParts
-from facepipe.processors.database import (
+from facepipe.scanning.database import (
     AddOptions,
     DatabaseOptions,
     FaceDatabase,
     Quality,
-    Topology,
-    WholeFace,
     add_faces,
     carried_mean,
     create_database,
@@ -36,11 +34,11 @@ from facepipe.processors.database import (
     quality_from,
     remove_faces,
     save_database,
-    whole_face,
 )
-from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.database.database_file import FORMAT
-from facepipe.processors.database.incoming_faces import stage_sources
+from facepipe.scanning.database.database_file import FORMAT
+from facepipe.scanning.database.incoming_faces import stage_sources
+from facepipe.verbs.array_file import read_arrays, write_arrays
+from facepipe.verbs.whole_faces import Topology, WholeFace, whole_face
 
 EXACT = DatabaseOptions(tolerance_mm=1e-4)
 GOOD = Quality(surface_mean_mm=0.1, surface_p95_mm=0.4, coverage=0.9, flipped_triangles=0)
@@ -395,7 +393,7 @@ def test_an_update_killed_while_it_writes_leaves_the_file_as_it_was(small: Path,
 import os, signal, sys
 sys.path.insert(0, {str(SUPPORT)!r})
 from database_faces import sources
-from facepipe.processors.database import add_faces, load_database, save_database
+from facepipe.scanning.database import add_faces, load_database, save_database
 os.fsync = lambda file: os.kill(os.getpid(), signal.SIGKILL)  # all is written, nothing renamed yet
 save_database(add_faces(load_database({str(path)!r}), sources(1, 5)).database, {str(path)!r})
 """

@@ -14,7 +14,7 @@ from database_faces import person
 
 import facepipe
 from facepipe.parts import Recipe
-from facepipe.processors.database import load_database, quality_from
+from facepipe.scanning.database import load_database, quality_from
 from facepipe.stage import save_parts
 
 GOOD = {"surface_mean_mm": 0.1, "surface_p95_mm": 0.4, "coverage": 0.9, "flipped_triangles": 0}

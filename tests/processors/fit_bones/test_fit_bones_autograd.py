@@ -7,8 +7,8 @@ import numpy as np
 from autograd import jacobian as differentiated
 from bone_rigs import face_joints, head, jacobian, random_pose
 
-from facepipe.processors.fit_bones.skinning import Tree
 from facepipe.rig import Rig
+from facepipe.verbs.fit_bones.skinning import Tree
 
 
 def local(c: anp.ndarray) -> anp.ndarray:

@@ -17,8 +17,8 @@ import facepipe
 from facepipe.core import atomic
 from facepipe.parts import BoneLimits
 from facepipe.performing import recipe_to
-from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_limits, read_targets
 from facepipe.rig import build
+from facepipe.verbs.fit_bones import FitBones, FitBonesToTargets, read_limits, read_targets
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

@@ -23,10 +23,10 @@ from small_head import make
 import facepipe
 from facepipe.importers import load
 from facepipe.parts import FaceParts, all_regions
-from facepipe.processors.fit_bones import read_targets
-from facepipe.processors.fit_bones.residual import with_half_scales
 from facepipe.rig import CHANNELS, build, coefficient_matrices, rest_coefficients
 from facepipe.stage import Face
+from facepipe.verbs.fit_bones import read_targets
+from facepipe.verbs.fit_bones.residual import with_half_scales
 
 Capsys = pytest.CaptureFixture[str]
 TOLERANCE = 1e-5  # head heights

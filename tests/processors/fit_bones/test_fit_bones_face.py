@@ -19,7 +19,9 @@ from facepipe.checks import validate
 from facepipe.core.errors import FacepipeError, FitError, InputError, TopologyError
 from facepipe.importers import load
 from facepipe.parts import Animation, BoneLimits, FaceParts, Skeleton
-from facepipe.processors.fit_bones import (
+from facepipe.rig import CHANNELS, Rig, build, rest_coefficients
+from facepipe.stage import Face
+from facepipe.verbs.fit_bones import (
     FitBones,
     FitBonesReport,
     LimitRules,
@@ -28,10 +30,8 @@ from facepipe.processors.fit_bones import (
     read_targets,
     target_fits,
 )
-from facepipe.processors.fit_bones.bone_fit import BoneFit
-from facepipe.processors.fit_bones.solver import Fitted
-from facepipe.rig import CHANNELS, Rig, build, rest_coefficients
-from facepipe.stage import Face
+from facepipe.verbs.fit_bones.bone_fit import BoneFit
+from facepipe.verbs.fit_bones.solver import Fitted
 
 WIDE = {"t": (-0.11, 0.11), "r": (-0.65, 0.65), "s": (0.68, 1.42)}
 BUILDERS = {"small": small, "makehuman": head}

@@ -15,12 +15,12 @@ from places import REPOSITORY
 import facepipe
 from facepipe.core.errors import FitError
 from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
-from facepipe.processors.fit_bones.bone_fit import BoneFit
-from facepipe.processors.fit_bones.residual import half_scaled, with_half_scales
 from facepipe.rig import Rig, build, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
+from facepipe.verbs.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
+from facepipe.verbs.fit_bones.bone_fit import BoneFit
+from facepipe.verbs.fit_bones.residual import half_scaled, with_half_scales
 
 FACE_BONES = REPOSITORY / "docs" / "face_bones.json"
 

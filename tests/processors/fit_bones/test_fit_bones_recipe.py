@@ -24,7 +24,10 @@ from facepipe.declare import from_json, to_json
 from facepipe.parts import Animation, FaceParts
 from facepipe.payload import PayloadContent, encode
 from facepipe.performing import perform, read_kept, recipe_to
-from facepipe.processors.fit_bones import (
+from facepipe.rig import CHANNELS, build
+from facepipe.stage import save_parts
+from facepipe.stage.recipes import source_digest
+from facepipe.verbs.fit_bones import (
     FitBones,
     FitBonesOptions,
     FitBonesToTargets,
@@ -33,10 +36,7 @@ from facepipe.processors.fit_bones import (
     read_limits,
     read_targets,
 )
-from facepipe.processors.fit_bones.limits import limits_from_json
-from facepipe.rig import CHANNELS, build
-from facepipe.stage import save_parts
-from facepipe.stage.recipes import source_digest
+from facepipe.verbs.fit_bones.limits import limits_from_json
 
 LOOSE = ("--threshold-mm", "5")
 GOAL = ("--target", "goal.usda", *LOOSE)

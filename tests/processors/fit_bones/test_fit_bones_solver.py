@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.boxed_qp import BoxedQuadratic
-from facepipe.processors.fit_bones.bone_fit import BoneFit
-from facepipe.processors.fit_bones.skinning import SkinnedPoints, Tree
 from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
+from facepipe.verbs.fit_bones.bone_fit import BoneFit
+from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree
 
 SEEDS = st.integers(0, 2**32 - 1)
 

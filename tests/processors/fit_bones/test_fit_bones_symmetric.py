@@ -12,10 +12,10 @@ from faces import tiny_face
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import mirrored_name
-from facepipe.processors.fit_bones import variables as module
-from facepipe.processors.fit_bones.bone_fit import BoneFit
-from facepipe.processors.fit_bones.variables import symmetry
 from facepipe.rig import Rig, build, rest_coefficients
+from facepipe.verbs.fit_bones import variables as module
+from facepipe.verbs.fit_bones.bone_fit import BoneFit
+from facepipe.verbs.fit_bones.variables import symmetry
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 

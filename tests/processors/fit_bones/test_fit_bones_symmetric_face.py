@@ -16,8 +16,8 @@ import facepipe
 from facepipe.core.names import mirrored_name
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.performing import read_kept
-from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_targets
 from facepipe.rig import Rig, build, rest_coefficients
+from facepipe.verbs.fit_bones import FitBones, FitBonesToTargets, read_targets
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 

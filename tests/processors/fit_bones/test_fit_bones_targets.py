@@ -29,9 +29,9 @@ from facepipe import registry
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.importers import load, obj
 from facepipe.parts import FaceParts
-from facepipe.processors.fit_bones import FitBones, Target, read_targets
 from facepipe.rig import build
 from facepipe.stage import Face
+from facepipe.verbs.fit_bones import FitBones, Target, read_targets
 
 ABOUT = 2e-6  # units: float32 of the files
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from bone_rigs import MM, face_joints, head, jacobian, limits, random_pose
 
-from facepipe.processors.fit_bones import bone_fit
-from facepipe.processors.fit_bones.bone_fit import BoneFit
-from facepipe.processors.fit_bones.solver import SETTLED
-from facepipe.processors.fit_bones.together import _Memory, fit_together
 from facepipe.rig import rest_coefficients
+from facepipe.verbs.fit_bones import bone_fit
+from facepipe.verbs.fit_bones.bone_fit import BoneFit
+from facepipe.verbs.fit_bones.solver import SETTLED
+from facepipe.verbs.fit_bones.together import _Memory, fit_together
 
 
 def out_of_reach(count: int, reach: float, seed: int = 0) -> list[np.ndarray]:

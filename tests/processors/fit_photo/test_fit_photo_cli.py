@@ -27,7 +27,7 @@ import facepipe
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.performing import read_kept
-from facepipe.processors.photo_fit import FitPhoto, read_landmarks, read_photo
+from facepipe.photo.fit import FitPhoto, read_landmarks, read_photo
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
@@ -463,7 +463,9 @@ def test_without_torch_the_hint_is_one_line(studio: Path) -> None:
     line = [sys.executable, "-c", code, "fit-photo", *ONE, "-o", "out.usda"]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "facepipe: facepipe.learn: torch is not installed, expected: pip install 'facepipe[train]'\n"
+    assert (
+        done.stderr == "facepipe: facepipe.rig.torch: torch is not installed, expected: pip install 'facepipe[train]'\n"
+    )
     assert not (studio / "out.usda").exists()
 
 

@@ -18,9 +18,9 @@ from facepipe.heads import make
 from facepipe.heads.assembly import make_head
 from facepipe.heads.asset import asset
 from facepipe.parts import FaceParts
-from facepipe.processors.database import whole_points
-from facepipe.processors.photo_fit.person_model import IdentityReport, PersonModel, person_model
+from facepipe.photo.fit.person_model import IdentityReport, PersonModel, person_model
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.whole_faces import whole_points
 
 pytestmark = pytest.mark.needs_torch
 
@@ -46,7 +46,7 @@ def someone(seed: int) -> np.ndarray:
 
 
 def test_the_person_is_in_the_neutral_and_the_sliders(head: Path, model: PersonModel, tmp_path: Path) -> None:
-    from facepipe.learn.photo.subject import Subject
+    from facepipe.photo.descent.subject import Subject
 
     person, sliders = model.points(someone(1)), Subject.of(model.parts).free_sliders
     before = facepipe.open(head)
@@ -99,9 +99,9 @@ def test_landmarks_find_a_person_better_than_the_average_head(head: Path, tmp_pa
 
 def photograph(parts: FaceParts, yaw: float, path: Path, size: int = 256) -> None:
     """A black picture, and beside it where a camera sees the landmarks, which is all that a fit needs."""
-    from facepipe.learn.camera import Camera
-    from facepipe.learn.photo.landmark_rig import LandmarkRig
-    from facepipe.learn.photo.subject import Subject
+    from facepipe.photo.descent.landmark_rig import LandmarkRig
+    from facepipe.photo.descent.subject import Subject
+    from facepipe.photo.renderer.camera import Camera
 
     Image.new("RGB", (size, size)).save(path)
     rig = LandmarkRig.from_subject(Subject.of(parts))

@@ -26,15 +26,15 @@ from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser
 from facepipe.core import tokens
 from facepipe.core.errors import FitError, InputError
-from facepipe.learn.camera import Camera
-from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts, Material, Recipe, Slider
 from facepipe.performing import read_kept, recipe_to
-from facepipe.processors.photo_fit import AuthorPhotoFit, FitPhoto, Photo
-from facepipe.processors.photo_fit.author import clipping_range
-from facepipe.processors.sliders import SetSliders
+from facepipe.photo.descent.result import FittedCamera, FittedView, PhotoFit
+from facepipe.photo.fit import AuthorPhotoFit, FitPhoto, Photo
+from facepipe.photo.fit.author import clipping_range
+from facepipe.photo.renderer.camera import Camera
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
+from facepipe.verbs.sliders import SetSliders
 
 pytestmark = pytest.mark.needs_torch
 

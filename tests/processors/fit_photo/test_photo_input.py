@@ -16,7 +16,7 @@ from PIL import Image, ImageCms, features
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.colors import to_srgb
-from facepipe.processors.photo_fit import Photo, read_photo
+from facepipe.photo.fit import Photo, read_photo
 
 Array = np.ndarray[Any, Any]
 

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.core.errors import InputError
 from facepipe.importers.ict_topology import LANDMARKS
-from facepipe.processors.photo_fit import (
+from facepipe.photo.fit import (
     Landmarks68,
     Photo,
     mediapipe_landmarks,
@@ -29,7 +29,7 @@ from facepipe.processors.photo_fit import (
     read_photo,
     write_landmarks,
 )
-from facepipe.processors.photo_fit.photo_landmarks import MULTIPIE68_OF_MEDIAPIPE, one_face
+from facepipe.photo.fit.photo_landmarks import MULTIPIE68_OF_MEDIAPIPE, one_face
 
 Array = np.ndarray[Any, Any]
 

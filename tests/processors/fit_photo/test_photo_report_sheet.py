@@ -11,13 +11,13 @@ from small_head import make
 from with_torch import tensor
 
 from facepipe.core.errors import InputError
-from facepipe.learn.camera import Camera
-from facepipe.learn.light import DARK
-from facepipe.learn.photo.result import FittedCamera, FittedView, PhotoFit
 from facepipe.parts import FaceParts
-from facepipe.pictures import photo_page
-from facepipe.processors.photo_fit import Photo
-from facepipe.processors.photo_fit.report_folder import report_sheet
+from facepipe.photo.descent.result import FittedCamera, FittedView, PhotoFit
+from facepipe.photo.fit import Photo
+from facepipe.photo.fit.report_folder import report_sheet
+from facepipe.photo.pictures.photo_report import photo_page
+from facepipe.photo.renderer.camera import Camera
+from facepipe.photo.renderer.light import DARK
 from facepipe.rig import build, slide
 
 pytestmark = pytest.mark.needs_torch

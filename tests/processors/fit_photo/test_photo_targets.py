@@ -245,8 +245,8 @@ def test_the_face_is_what_a_viewer_sees(face: tuple[FaceParts, Rig]) -> None:
 
 
 def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: list[RecoveryTarget]) -> None:
-    from facepipe.learn.light import DARK
-    from facepipe.learn.photo import result
+    from facepipe.photo.descent import result
+    from facepipe.photo.renderer.light import DARK
 
     parts, rig = face
     target = smiling[0]
@@ -282,8 +282,8 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
 def test_the_truth_as_unknowns_of_a_fit_shows_the_same_points(smiling: list[RecoveryTarget]) -> None:
     import torch
 
-    from facepipe.learn.photo.fit import pose_space
-    from facepipe.learn.photo.subject import Subject
+    from facepipe.photo.descent.fit import pose_space
+    from facepipe.photo.descent.subject import Subject
 
     target, subject = smiling[0], Subject.of(make(0))
     space = pose_space(subject, SIZE, SIZE)

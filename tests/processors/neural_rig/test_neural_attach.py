@@ -11,9 +11,8 @@ from faces import with_head
 from neural_faces import CONTROLS, face, millimetres, neural_rig, random_values
 
 from facepipe.core.errors import InputError, TopologyError
+from facepipe.neural import AttachNeuralRig, AttachOptions, with_neural_rig
 from facepipe.parts import Animation, Blendshape, FaceParts
-from facepipe.processors.neural_rig import AttachNeuralRig, AttachOptions, with_neural_rig
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
 from facepipe.rig import (
     build,
     coefficient_matrices,
@@ -23,6 +22,7 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.rig.neural_rig import NeuralRig, with_influences
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
 
 PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
 

@@ -13,16 +13,16 @@ from neural_training import FEW_SAMPLES, FEW_STEPS, KilledError, turning_face
 
 import facepipe
 from facepipe.core.errors import InputError
-from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     Motion,
     SampleMotion,
     TrainEncoder,
     TrainEncoderOptions,
     TrainNeuralRig,
 )
-from facepipe.processors.neural_rig.checkpoint import KIND
+from facepipe.neural.checkpoint import KIND
 from facepipe.stage import save_parts
+from facepipe.verbs.array_file import read_arrays, write_arrays
 
 pytestmark = pytest.mark.needs_torch
 ENCODER = TrainEncoderOptions(points=16, encoder_steps=250)

@@ -13,10 +13,10 @@ from neural_training import AMOUNTS, FEW, acted, chewing_face
 from pxr import Sdf, Usd
 
 from facepipe.core.errors import InputError
-from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.neural_rig import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
-from facepipe.processors.neural_rig.sample_motion import controls_of
+from facepipe.neural import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
+from facepipe.neural.sample_motion import controls_of
 from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 NONE = SampleMotionOptions(spread=0, sweep=0, together=0)
 

@@ -9,9 +9,9 @@ import neural_faces
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig
-from facepipe.processors.neural_rig.neural_rig_file import KIND
+from facepipe.neural import load_neural_rig, save_neural_rig
+from facepipe.neural.neural_rig_file import KIND
+from facepipe.verbs.array_file import read_arrays, write_arrays
 
 WHOLE = {"name": "open", "minimum": 0.0, "maximum": 1.0, "default": 0.5}
 FAULTS: dict[str, Any] = {

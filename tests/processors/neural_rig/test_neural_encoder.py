@@ -16,7 +16,7 @@ from neural_training import turning_face
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.point_choice import farthest_points, halved, informative_points, well_placed
 from facepipe.geometry.ridge import ridge
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     Motion,
     SampleMotion,
     SampleMotionOptions,
@@ -120,7 +120,7 @@ def test_the_numbering_of_points_changes_nothing(motion: Motion) -> None:
 
 
 def test_torch_and_numpy_agree(motion: Motion, trained: TrainedEncoder) -> None:
-    from facepipe.learn.encoder_network import LAYER, evaluate
+    from facepipe.neural.learning.encoder_network import LAYER, evaluate
 
     encoder = trained.encoder
     names = ("point", "point_bias", "feature", "feature_bias", "token", "places", "reduce", "reduce_bias")

@@ -17,11 +17,11 @@ from neural_faces import CONTROLS, face, neural_rig, random_values
 from neural_graphs import TOLERANCE, Made, skinned
 
 import facepipe
-from facepipe.processors.neural_rig import load_neural_rig, save_neural_rig, with_neural_rig
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.neural import load_neural_rig, save_neural_rig, with_neural_rig
 from facepipe.rig import build
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
 
 __all__ = ["writing", "written"]
 
@@ -62,7 +62,7 @@ def test_matrices_on_the_glb_are_the_points_are_the_rig(
 def test_torch_is_onnxruntime(tmp_path: Path) -> None:
     from with_torch import torch
 
-    from facepipe.learn.rig import DifferentiableRig
+    from facepipe.rig.torch.rig import DifferentiableRig
 
     one = made("bones", "Y", 0.01, tmp_path)
     learned = DifferentiableRig(

@@ -12,8 +12,8 @@ from neural_faces import FRAMES, frames, moving, untrained_rig
 from neural_training import turning_face
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.processors.neural_rig import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
-from facepipe.processors.neural_rig.inverse_frames import ShapeData, SkinnedData
+from facepipe.neural import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
+from facepipe.neural.inverse_frames import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
 from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
 from facepipe.rig.neural_rig import (

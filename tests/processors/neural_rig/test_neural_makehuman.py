@@ -16,14 +16,14 @@ from neural_rig_teacher import HEAD, Teacher, teacher
 from node import node_packages, three_load
 from with_torch import torch
 
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     Motion,
     SampleMotionOptions,
     TrainNeuralRig,
     TrainNeuralRigOptions,
     with_neural_rig,
 )
-from facepipe.processors.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
 
 __all__ = ["torch", "writing", "written"]
 

@@ -9,9 +9,9 @@ import pytest
 from neural_training import FEW, chewing_face
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.neural_rig import SampleMotion, SampleMotionOptions
-from facepipe.processors.neural_rig.sample_motion import controls_of
+from facepipe.neural import SampleMotion, SampleMotionOptions
+from facepipe.neural.sample_motion import controls_of
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 
 def test_controls_are_sliders_and_the_shapes_that_none_of_them_drives() -> None:

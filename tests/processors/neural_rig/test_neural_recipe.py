@@ -12,8 +12,8 @@ from neural_faces import applied, face
 from neural_faces import saved_rig as saved
 
 from facepipe.core.errors import InputError
+from facepipe.neural import ApplyNeuralRig, save_neural_rig
 from facepipe.performing import perform, read_kept
-from facepipe.processors.neural_rig import ApplyNeuralRig, save_neural_rig
 
 
 @pytest.mark.parametrize("bones", [True, False])

@@ -15,7 +15,7 @@ from pxr import Usd
 
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.geometry.ridge import Examples
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     Motion,
     SampleMotion,
     SampleMotionOptions,
@@ -23,9 +23,9 @@ from facepipe.processors.neural_rig import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.processors.neural_rig.carried_rig import Subject, carried
-from facepipe.processors.neural_rig.options import RetargetOptions
-from facepipe.processors.neural_rig.retarget import RetargetNeuralRig, with_own_gains
+from facepipe.neural.carried_rig import Subject, carried
+from facepipe.neural.options import RetargetOptions
+from facepipe.neural.retarget import RetargetNeuralRig, with_own_gains
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
 
@@ -187,7 +187,7 @@ def test_noise_that_is_taken_off_leaves_what_is_likely() -> None:
     """Far-off inputs come nearer to the middle, and on average noise moves none elsewhere."""
     import torch
 
-    from facepipe.learn.deformation_network import denoised
+    from facepipe.neural.learning.deformation_network import denoised
 
     inputs = torch.tensor([[0.0, 3.0]], dtype=torch.float64).repeat(20000, 1)
     random = torch.Generator().manual_seed(0)

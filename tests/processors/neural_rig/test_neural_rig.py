@@ -16,8 +16,7 @@ from neural_training import OPTIONS, SAMPLES, KilledError, turning_face
 import facepipe
 from facepipe.core.errors import InputError
 from facepipe.geometry.shape_basis import local_basis, motion_basis
-from facepipe.parts import FaceParts
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     InvertNeuralRig,
     Motion,
     SampleMotion,
@@ -28,8 +27,9 @@ from facepipe.processors.neural_rig import (
     save_neural_rig,
     with_neural_rig,
 )
-from facepipe.processors.neural_rig.output_basis import output_metric, skinned_moves
-from facepipe.processors.neural_rig.straight_models import best_blendshapes, ridge
+from facepipe.neural.output_basis import output_metric, skinned_moves
+from facepipe.neural.straight_models import best_blendshapes, ridge
+from facepipe.parts import FaceParts
 from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
 
@@ -212,7 +212,7 @@ def test_unskinning_is_the_way_back(motion: Motion) -> None:
 
 def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
     """Of twenty controls two act together: with sparse units, few frames are enough to see that."""
-    from facepipe.learn.network_fit import Samples, train
+    from facepipe.rig.torch.network_fit import Samples, train
 
     random = np.random.default_rng(0)
     inputs = random.random((900, 20)) * (random.random((900, 20)) < 0.5)

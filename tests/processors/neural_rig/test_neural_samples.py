@@ -16,8 +16,7 @@ from neural_training import chewing_face
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.processors.database import Topology, whole_points
-from facepipe.processors.neural_rig import (
+from facepipe.neural import (
     FrameBlocksOptions,
     Motion,
     ReadMotion,
@@ -26,8 +25,9 @@ from facepipe.processors.neural_rig import (
     TrainNeuralRig,
     TrainNeuralRigOptions,
 )
-from facepipe.processors.neural_rig.motion import frame_blocks
+from facepipe.neural.motion import frame_blocks
 from facepipe.stage import open_face, save_parts
+from facepipe.verbs.whole_faces import Topology, whole_points
 
 FEW = SampleMotionOptions(spread=12, sweep=5, together=10)
 Change = Callable[[Usd.Stage], object]

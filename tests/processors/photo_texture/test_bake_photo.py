@@ -23,11 +23,11 @@ from facepipe.heads.assembly import make_head
 from facepipe.heads.people import Look
 from facepipe.heads.surfaces import dressed, other_cards
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput
-from facepipe.processors.photo_texture import author
-from facepipe.processors.photo_texture.observed import sampled
-from facepipe.processors.photo_texture.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
+from facepipe.photo.texture import author
 from facepipe.rig import build
 from facepipe.stage import Face
+from facepipe.textures.observed import sampled
+from facepipe.textures.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
 
 LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds
 SIZE = 256

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from baked_face import person
 
-from facepipe.processors.photo_texture.evened import too_dark, upper_lids
-from facepipe.processors.photo_texture.skin_surface import SkinSurface, skin_of
 from facepipe.rig import build
+from facepipe.textures.evened import too_dark, upper_lids
+from facepipe.textures.skin_surface import SkinSurface, skin_of
 
 
 @pytest.fixture(scope="module")

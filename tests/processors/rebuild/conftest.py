@@ -12,7 +12,7 @@ from command_line import exit_code
 from rebuild_project import put_drawer
 from rebuild_stages import Files, put_scans
 
-from facepipe.processors.database import save_database
+from facepipe.scanning.database import save_database
 from facepipe.stage import save_parts
 
 

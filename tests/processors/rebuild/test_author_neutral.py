@@ -17,10 +17,10 @@ from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.similarity import Similarity
 from facepipe.parts import FaceParts, Mesh, Recipe
-from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.rebuild.author_neutral import AuthorNeutral, AuthorNeutralReport, carried_skeleton
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.author_neutral import AuthorNeutral, AuthorNeutralReport, carried_skeleton
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 MOVE = Similarity(
     rotation=np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]),

@@ -22,14 +22,14 @@ from facepipe.heads import make
 from facepipe.heads.asset import asset
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
-from facepipe.processors.database import Topology, whole_points
-from facepipe.processors.rebuild import AuthorNeutral
-from facepipe.processors.rebuild.built_in_head import BuiltInHead
-from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.processors.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
-from facepipe.processors.rebuild.template import Template
+from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
+from facepipe.scanning.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
+from facepipe.scanning.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
+from facepipe.verbs.author_neutral import AuthorNeutral
+from facepipe.verbs.whole_faces import Topology, whole_points
 
 SIZE = 64  # texels
 CARDS = {"Brows", "Lashes", "Hair"}

@@ -24,18 +24,13 @@ from facepipe.declare import to_json
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.kinds import found_of
 from facepipe.performing import read_kept
-from facepipe.processors.database import (
-    Topology,
-    WholeFace,
-    create_database,
-    save_database,
-    whole_points,
-)
-from facepipe.processors.rebuild import FitNeutralOptions
-from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
+from facepipe.scanning.database import create_database, save_database
+from facepipe.scanning.rebuild import FitNeutralOptions
+from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
+from facepipe.verbs.whole_faces import Topology, WholeFace, whole_points
 
 pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 

@@ -18,8 +18,8 @@ import facepipe
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.kinds import found_of
-from facepipe.processors.database import save_database, whole_face, whole_points
-from facepipe.processors.rebuild import (
+from facepipe.scanning.database import save_database
+from facepipe.scanning.rebuild import (
     ExpressionScan,
     Rebuild,
     Rebuilt,
@@ -27,10 +27,11 @@ from facepipe.processors.rebuild import (
     Template,
     read_project,
 )
-from facepipe.processors.rebuild.register_scans import placed_neutral
-from facepipe.processors.rebuild.scan_fit import FaceOnScan, scan_distances
+from facepipe.scanning.rebuild.register_scans import placed_neutral
+from facepipe.scanning.rebuild.scan_fit import FaceOnScan, scan_distances
 from facepipe.scans import ScanLandmarks
 from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 SHOWN = 0.8  # of the person's own brows, which the neutral's scan has up
 GIVEN = SHOWN * OWN["browUp"]  # the same by the template's shape
@@ -141,7 +142,7 @@ def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
 def rebuilt(folder: Path) -> Rebuilt:
     project = read_project(folder / "anna.toml")
     template = Template.of(facepipe.open(folder / "head.usda").parts(), "head.usda")
-    with mock.patch("facepipe.processors.rebuild.steps.landmarks_of", side_effect=AssertionError):
+    with mock.patch("facepipe.scanning.rebuild.steps.landmarks_of", side_effect=AssertionError):
         return Rebuild(project, template)()
 
 
@@ -219,7 +220,7 @@ def test_register_scan_takes_the_neutrals_weights(
 def test_distances_are_those_of_the_skins_rows_and_none_elsewhere() -> None:
     template, (scan, _) = Template.of(scan_domes.face(), "head"), scan_domes.scan(PERSON)
     by_row = np.arange(len(template.rows)) + 1.0
-    with mock.patch("facepipe.processors.rebuild.scan_fit.row_distances", return_value=by_row):
+    with mock.patch("facepipe.scanning.rebuild.scan_fit.row_distances", return_value=by_row):
         distances = scan_distances(template, template.points, scan, scan_domes.POSE)
     expected = np.full(len(template.points), np.nan)
     expected[template.rows] = by_row

@@ -15,9 +15,10 @@ from rebuild_stages import Files
 
 import facepipe
 from facepipe.checks import validate
-from facepipe.processors.database import WholeFace, create_database, save_database, whole_face, whole_points
-from facepipe.processors.rebuild.personal_template import _change
+from facepipe.scanning.database import create_database, save_database
+from facepipe.scanning.rebuild.personal_template import _change
 from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import WholeFace, whole_face, whole_points
 
 
 def test_starting_shapes_are_the_templates_carried_over(stages: Files) -> None:

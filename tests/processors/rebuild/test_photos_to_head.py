@@ -15,9 +15,9 @@ from scan_actors import Actor
 
 from facepipe.kinds import unwatched
 from facepipe.performing import recipe_to
-from facepipe.processors.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.processors.rebuild.scan_input import scan_input
-from facepipe.processors.scan_photos import Cameras, PhotoScan, ScanPhotos, ScanPhotosReport
+from facepipe.scanning.photos import Cameras, PhotoScan, ScanPhotos, ScanPhotosReport
+from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
+from facepipe.scanning.rebuild.scan_input import scan_input
 from facepipe.scans import Scan, ScanLandmarks
 
 

@@ -18,13 +18,13 @@ import facepipe
 from facepipe.checks import validate
 from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
-from facepipe.processors.database import whole_face
-from facepipe.processors.database.array_file import read_arrays, write_arrays
-from facepipe.processors.rebuild.rebuild_action import _named_steps
-from facepipe.processors.rebuild.steps import KIND
+from facepipe.scanning.rebuild.rebuild_action import _named_steps
+from facepipe.scanning.rebuild.steps import KIND
 from facepipe.scans import Scan
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import file_recipe
+from facepipe.verbs.array_file import read_arrays, write_arrays
+from facepipe.verbs.whole_faces import whole_face
 
 
 def test_a_project_becomes_the_actor(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

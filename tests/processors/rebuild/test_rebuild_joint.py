@@ -21,8 +21,8 @@ from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.processors.database import save_database, whole_face
-from facepipe.processors.rebuild import (
+from facepipe.scanning.database import save_database
+from facepipe.scanning.rebuild import (
     ExpressionScan,
     FitNeutral,
     FitTogether,
@@ -38,6 +38,7 @@ from facepipe.processors.rebuild import (
 )
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
+from facepipe.verbs.whole_faces import whole_face
 
 BUMP = np.array([-4.0, 30.0])  # on the brow, away from what jawOpen moves
 PROJECT = """

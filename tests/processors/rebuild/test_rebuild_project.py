@@ -9,9 +9,9 @@ import pytest
 from rebuild_project import HEAD
 
 from facepipe.core.errors import InputError
-from facepipe.processors.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
-from facepipe.processors.rebuild.project import Refinement
-from facepipe.processors.rebuild.steps import WorkFolder
+from facepipe.scanning.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
+from facepipe.scanning.rebuild.project import Refinement
+from facepipe.scanning.rebuild.steps import WorkFolder
 
 
 @pytest.fixture

@@ -22,7 +22,10 @@ from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.rebuild_pictures import (
+from facepipe.scanning.database import save_database
+from facepipe.scanning.rebuild import Rebuild, Rebuilt, Template, read_project
+from facepipe.scanning.rebuild.rebuild_report import RebuildPictures, ShapeRow, shape_rows, shapes_table
+from facepipe.scanning.rebuild_pictures import (
     ChangedShapes,
     Turntable,
     change_mm,
@@ -31,9 +34,6 @@ from facepipe.pictures.rebuild_pictures import (
     stacked,
     turntable,
 )
-from facepipe.processors.database import save_database
-from facepipe.processors.rebuild import Rebuild, Rebuilt, Template, read_project
-from facepipe.processors.rebuild.rebuild_report import RebuildPictures, ShapeRow, shape_rows, shapes_table
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 
@@ -67,7 +67,7 @@ class Made:
         """What the pictures are drawn of, from the stages' results."""
         project = read_project(self.folder / "p.toml")
         template = Template.of(open_face(project.template).parts(), "head.usda")
-        with mock.patch("facepipe.processors.rebuild.steps.landmarks_of", side_effect=AssertionError):
+        with mock.patch("facepipe.scanning.rebuild.steps.landmarks_of", side_effect=AssertionError):
             rebuilt = Rebuild(project, template)()
         return RebuildPictures(project=project, template=template, rebuilt=rebuilt), rebuilt
 

@@ -19,8 +19,8 @@ from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_la
 from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
 from facepipe.performing import read_kept
-from facepipe.processors.database import quality_from
-from facepipe.processors.rebuild.personal_template_action import PersonalTemplateAction
+from facepipe.scanning.database import quality_from
+from facepipe.scanning.rebuild.personal_template_action import PersonalTemplateAction
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 

@@ -10,7 +10,7 @@ from ict_people import ict_database, ict_template, ours, read
 from scan_actors import COMPOSITES, Actor, ict
 from scan_simulator import SimulatedScan, simulate
 
-from facepipe.processors.rebuild import (
+from facepipe.scanning.rebuild import (
     ExpressionScan,
     FitNeutral,
     NeutralFit,

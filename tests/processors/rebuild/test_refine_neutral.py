@@ -23,14 +23,15 @@ from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe
-from facepipe.processors.database import Quality, whole_points
-from facepipe.processors.rebuild import RefineNeutral, RefineNeutralOptions, Template
-from facepipe.processors.rebuild.composites import shown_before
-from facepipe.processors.rebuild.refine_neutral import flipped_before
-from facepipe.processors.rebuild.template import region_weights
+from facepipe.scanning.database import Quality
+from facepipe.scanning.rebuild import RefineNeutral, RefineNeutralOptions, Template
+from facepipe.scanning.rebuild.composites import shown_before
+from facepipe.scanning.rebuild.refine_neutral import flipped_before
+from facepipe.scanning.rebuild.template import region_weights
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
+from facepipe.verbs.whole_faces import whole_points
 
 _PERSON = 9
 _OWN = grid(31)[0]

@@ -10,7 +10,7 @@ from ict_people import ict_database, ict_template, read
 from scan_actors import Actor, ict
 from scan_simulator import simulate
 
-from facepipe.processors.rebuild import (
+from facepipe.scanning.rebuild import (
     FitNeutral,
     FitNeutralOptions,
     NeutralFit,

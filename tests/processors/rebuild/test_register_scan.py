@@ -21,12 +21,12 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
-from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.rebuild import Template
-from facepipe.processors.rebuild.options import RegisterScansOptions
-from facepipe.processors.rebuild.register_scan_action import RegisterScanAction
-from facepipe.processors.rebuild.register_scans import NeutralScan, RegisterScans, placed_neutral
+from facepipe.scanning.rebuild import Template
+from facepipe.scanning.rebuild.options import RegisterScansOptions
+from facepipe.scanning.rebuild.register_scan_action import RegisterScanAction
+from facepipe.scanning.rebuild.register_scans import NeutralScan, RegisterScans, placed_neutral
 from facepipe.scans import Scan
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 
 def test_an_expression_is_a_shape_over_the_personal_template(stages: Files) -> None:

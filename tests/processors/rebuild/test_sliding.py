@@ -18,10 +18,10 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.heads.assembly import average
 from facepipe.heads.asset import asset
 from facepipe.pictures.surface_view import draw_surface
-from facepipe.processors.rebuild import FitNeutral
-from facepipe.processors.rebuild.built_in_head import BuiltInHead
-from facepipe.processors.rebuild.template import Template
-from facepipe.processors.scan_landmarks import FindScanLandmarks, find
+from facepipe.scanning.landmarks import FindScanLandmarks, find
+from facepipe.scanning.rebuild import FitNeutral
+from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.template import Template
 from facepipe.scans import ScanLandmarks
 
 FAR_MM = 2.2  # RMS along each coordinate of landmarks that are seen from far alone

@@ -18,10 +18,10 @@ from facepipe.checks import validate
 from facepipe.geometry.example_rigging.split import Split
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.processors.database import whole_face, whole_points
-from facepipe.processors.rebuild.author_neutral import AuthorNeutral
-from facepipe.processors.rebuild.split_expressions import _report
+from facepipe.scanning.rebuild.split_expressions import _report
 from facepipe.scans import Scan, ScanLandmarks
+from facepipe.verbs.author_neutral import AuthorNeutral
+from facepipe.verbs.whole_faces import whole_face, whole_points
 
 
 def test_shapes_become_the_persons_own(stages: Files) -> None:

@@ -22,11 +22,12 @@ from scan_simulator import SimulatedScan, simulate
 import facepipe
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
-from facepipe.processors.database import WholeFace, create_database, save_database, whole_face
-from facepipe.processors.rebuild import Rebuild, Template, read_project
-from facepipe.processors.rebuild.register_scans import Composite
-from facepipe.processors.rebuild.scan_check import ScanCheck, ScanChecks, misfits
+from facepipe.scanning.database import create_database, save_database
+from facepipe.scanning.rebuild import Rebuild, Template, read_project
+from facepipe.scanning.rebuild.register_scans import Composite
+from facepipe.scanning.rebuild.scan_check import ScanCheck, ScanChecks, misfits
 from facepipe.stage import open_face, save_parts
+from facepipe.verbs.whole_faces import WholeFace, whole_face
 
 PROJECT = """
 template = "head.usda"

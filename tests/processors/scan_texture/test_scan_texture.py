@@ -25,15 +25,18 @@ from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.parts import FaceParts, TextureInput
-from facepipe.processors.database import Topology, create_database, save_database, whole_face, whole_points
-from facepipe.processors.photo_texture import Baker, SkinSurface, inner, skin_of
-from facepipe.processors.rebuild.template import Template
-from facepipe.processors.scan_texture import ScanTextures, bake_scan, lay_on
-from facepipe.processors.scan_texture.scan_baking import under_hair
-from facepipe.processors.scan_texture.scan_relief import baked_relief, is_finer, median_edge
-from facepipe.processors.scan_texture.scan_samples import scan_samples
+from facepipe.scanning.database import create_database, save_database
+from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.texture import ScanTextures, bake_scan, lay_on
+from facepipe.scanning.texture.scan_baking import under_hair
+from facepipe.scanning.texture.scan_relief import baked_relief, is_finer, median_edge
+from facepipe.scanning.texture.scan_samples import scan_samples
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
+from facepipe.textures.bake import Baker
+from facepipe.textures.evened import inner
+from facepipe.textures.skin_surface import SkinSurface, skin_of
+from facepipe.verbs.whole_faces import Topology, whole_face, whole_points
 
 SIZE = 256  # texels
 CENTIMETRES = Similarity(rotation=np.eye(3), translation=np.zeros(3), scale=10.0)

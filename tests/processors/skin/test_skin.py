@@ -20,12 +20,12 @@ import facepipe
 from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts, Skeleton
-from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions, SkinReport, read_joints
-from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.registry import exporter
 from facepipe.rig import rest_coefficients
 from facepipe.stage import Face, save_parts
 from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.skin import JointSet, JointSpec, SkinFace, SkinOptions, SkinReport, read_joints
+from facepipe.verbs.skin.surface import Surface, surface_of
 
 STEEPEST = 0.35  # of a weight, per mm
 Array = np.ndarray[Any, Any]

@@ -14,10 +14,10 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import edges
 from facepipe.geometry.skin_decomposition import _Solver, decompose
 from facepipe.parts import Blendshape, FaceParts
-from facepipe.processors.skin import JointSet, JointSpec, SkinFace, SkinOptions
-from facepipe.processors.skin.from_joints import from_joints
-from facepipe.processors.skin.surface import surface_of
 from facepipe.stage import Face
+from facepipe.verbs.skin import JointSet, JointSpec, SkinFace, SkinOptions
+from facepipe.verbs.skin.from_joints import from_joints
+from facepipe.verbs.skin.surface import surface_of
 
 Array = np.ndarray[Any, Any]
 

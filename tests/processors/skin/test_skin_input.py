@@ -20,9 +20,9 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.differences import cotangent_weights
 from facepipe.geometry.warp import fit_warp
 from facepipe.parts import FaceParts, Landmarks, Mesh, Skin
-from facepipe.processors.skin import JointSet, JointSpec, SkinFace
-from facepipe.processors.skin.surface import surface_of
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.skin import JointSet, JointSpec, SkinFace
+from facepipe.verbs.skin.surface import surface_of
 
 Array = np.ndarray[Any, Any]
 

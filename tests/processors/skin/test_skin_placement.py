@@ -11,12 +11,12 @@ from skin_joints import TWO, bare, head, landmark_joints, skinned
 
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Skeleton
-from facepipe.processors.skin import JointSet, JointSpec, SkinFace
-from facepipe.processors.skin.features import eyeballs_of
-from facepipe.processors.skin.surface import surface_of
 from facepipe.rig import rest_coefficients
 from facepipe.rig.animation import local_transforms
 from facepipe.stage import Face
+from facepipe.verbs.skin import JointSet, JointSpec, SkinFace
+from facepipe.verbs.skin.features import eyeballs_of
+from facepipe.verbs.skin.surface import surface_of
 
 Array = np.ndarray[Any, Any]
 

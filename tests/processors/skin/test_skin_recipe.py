@@ -16,8 +16,8 @@ import facepipe
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import FaceParts, Recipe
 from facepipe.performing import perform, read_kept, recipe_to
-from facepipe.processors.skin import Skin
 from facepipe.stage import save_parts
+from facepipe.verbs.skin import Skin
 
 JOINTS = {"unit": "mm", "joints": {"head": {"position": [0, 60, 20]}, "head/jaw": {"position": [0, 0, 15]}}}
 

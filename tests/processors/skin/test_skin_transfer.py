@@ -21,12 +21,12 @@ from skin_joints import ICT_KIND, head, retopologised, weights_of, without_joint
 from facepipe.checks import validate_stage
 from facepipe.core.errors import InputError
 from facepipe.geometry.warp import fit_warp, nearest_rotations
-from facepipe.processors.skin import SkinFace, SkinOptions, SkinReport
-from facepipe.processors.skin.correspondence import _sides
-from facepipe.processors.skin.features import Slit, eyeballs_of
-from facepipe.processors.skin.surface import Surface, surface_of
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.skin import SkinFace, SkinOptions, SkinReport
+from facepipe.verbs.skin.correspondence import _sides
+from facepipe.verbs.skin.features import Slit, eyeballs_of
+from facepipe.verbs.skin.surface import Surface, surface_of
 
 Array = np.ndarray[Any, Any]
 RNG = np.random.default_rng(4)

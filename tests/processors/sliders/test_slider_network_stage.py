@@ -23,10 +23,10 @@ from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.importers.slider_network import read_network
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.performing import read_kept
-from facepipe.processors.sliders import AuthorNetwork, AuthorSliders, SetSliders, SlidersOfFace, read_table
 from facepipe.rig import build, slide
 from facepipe.stage import Face, save_parts
 from facepipe.stage.differences import same
+from facepipe.verbs.sliders import AuthorNetwork, AuthorSliders, SetSliders, SlidersOfFace, read_table
 
 TOLERANCE = 1e-5
 JOINTS, SHAPES = ("root", "root/jaw", "root/jaw/lip"), ("jawOpen", "mouthSmileLeft")

@@ -19,9 +19,9 @@ from small_head import make
 import facepipe
 from facepipe.parts import Animation, BoneLimits, FaceParts, Slider
 from facepipe.performing import perform, read_kept
-from facepipe.processors.sliders import SetSliders, SlidersOfFace, read_table
 from facepipe.rig import CHANNELS, slide
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.sliders import SetSliders, SlidersOfFace, read_table
 
 Capsys = pytest.CaptureFixture[str]
 DOCS = (REPOSITORY / "docs/sliders.md").read_text(encoding="utf-8")

@@ -26,13 +26,13 @@ from facepipe.core.names import mirrored_name
 from facepipe.importers import makehuman
 from facepipe.parts import Blendshape, BoneLimits, FaceParts, Slider
 from facepipe.performing import perform, read_kept
-from facepipe.processors.fit_bones import LimitRules, read_limits
-from facepipe.processors.sliders import ShapeSlidersReport, SlidersFromShapes, SlidersOfFace
-from facepipe.processors.sliders import shape_names as names_module
-from facepipe.processors.sliders.shape_fits import channel_effects
-from facepipe.processors.sliders.shape_names import PAIRS, ShapeSlider, parse_pairs, shape_sliders
 from facepipe.rig import CHANNELS, Rig, build, rest_coefficients, slide
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.fit_bones import LimitRules, read_limits
+from facepipe.verbs.sliders import ShapeSlidersReport, SlidersFromShapes, SlidersOfFace
+from facepipe.verbs.sliders import shape_names as names_module
+from facepipe.verbs.sliders.shape_fits import channel_effects
+from facepipe.verbs.sliders.shape_names import PAIRS, ShapeSlider, parse_pairs, shape_sliders
 
 Capsys = pytest.CaptureFixture[str]
 LIMITS = REPOSITORY / "docs/slider_bones.json"

@@ -10,8 +10,8 @@ from slider_tables import LIST, MATRIX, TOML
 
 from facepipe.core.errors import InputError
 from facepipe.parts import Slider
-from facepipe.processors.sliders import Drive, SliderRule, SliderTable, read_table, slider_table
 from facepipe.rig import CHANNELS, rest_coefficients, slide
+from facepipe.verbs.sliders import Drive, SliderRule, SliderTable, read_table, slider_table
 
 JOINTS = ("root", "root/jaw", "root/lidLeft", "root/lidRight")
 SHAPES = ("jawOpen", "smileLeft", "smileRight")

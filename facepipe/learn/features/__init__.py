@@ -1,1 +1,0 @@
-"""Feature extractors: networks that measure how alike two pictures of a face are, with gradients to the pixels."""

@@ -1,1 +1,0 @@
-"""A face from photos: sliders, expression, camera and light that show what the photos show."""

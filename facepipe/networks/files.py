@@ -1,0 +1,153 @@
+"""The shipped networks: where they are, those of landmarks in onnxruntime."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.networks.onnx_file import read_model
+
+_BATCH = 32
+_KEY = "facepipe.features"
+
+
+def landmark_model() -> Path:
+    """The file that finds the 68 landmarks of a face in a crop, and whether there is one."""
+    return _own("landmarks.onnx")
+
+
+def dense_landmark_model() -> Path:
+    """The file that finds many points of the built-in head's skin in a crop of a face, and how far off they may be."""
+    return _own("dense_landmarks.onnx")
+
+
+def feature_model() -> Path:
+    """The file that sees content, identity and attributes in a crop of a face."""
+    return _own("face_features.onnx")
+
+
+def _own(name: str) -> Path:
+    return Path(str(files("facepipe.networks") / name))
+
+
+def _session(data: bytes) -> Any:
+    import onnxruntime as ort
+
+    settings = ort.SessionOptions()
+    settings.intra_op_num_threads = 1
+    settings.log_severity_level = 4
+    return ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
+
+
+class _CropSession:
+    """An ONNX file that looks at crops of faces."""
+
+    kind: str
+    outputs: tuple[str, ...]
+
+    def __init__(self, source: Path | bytes) -> None:
+        """
+        :param source: a file, or its bytes
+        :raises InputError: no file, no ONNX model, one with data in other files, or one of another kind
+        """
+        where = "landmark network" if isinstance(source, bytes) else source
+        data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
+        try:
+            self._session = _session(data)
+        except Exception as error:  # onnxruntime's own classes share no other base
+            raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
+        outputs = {output.name for output in self._session.get_outputs()}
+        try:
+            described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
+            known = described["kind"] == self.kind and set(self.outputs) <= outputs
+            self.size = int(described["size"])
+            self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
+            self._describe(described, data)
+        except (LookupError, TypeError, ValueError):
+            known = False
+        if not known:
+            what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
+            raise InputError(where, what)
+
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        """Read what else there is to know; LookupError, TypeError or ValueError where it is missing."""
+
+    def _run(self, crops: FloatArray) -> tuple[FloatArray, ...]:
+        """The outputs of sRGB crops (b, 3, S, S) in 0..1."""
+        rows = []
+        for start in range(0, len(crops), _BATCH):
+            rows.append(self._session.run(list(self.outputs), {"image": self._scaled(crops[start : start + _BATCH])}))
+        return tuple(np.concatenate(column).astype(np.float64) for column in zip(*rows, strict=True))
+
+    def _scaled(self, pixels: FloatArray) -> FloatArray:
+        return (np.asarray(pixels, np.float32) - self._mean) / self._std
+
+
+class LandmarkSession(_CropSession):
+    """An ONNX file of the kind ``landmarks``."""
+
+    kind, outputs = "landmarks", ("landmarks", "presence")
+    cell: int  # pixels between the windows of a map
+
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        from onnx import load_from_string
+
+        from facepipe.networks.presence_map import presence_map
+
+        graph, self.cell = presence_map(load_from_string(data))
+        try:
+            self._map = _session(graph)
+        except Exception as error:  # of onnxruntime
+            raise ValueError("its map can't be read") from error
+
+    def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (b, 68, 2) in pixels of the crops and presence (b,) of sRGB crops (b, 3, S, S) in 0..1."""
+        if not len(crops):
+            return np.zeros((0, 68, 2)), np.zeros(0)
+        landmarks, presence = self._run(crops)
+        return landmarks * self.size, presence[:, 0]
+
+    def presence_map(self, level: FloatArray) -> FloatArray:
+        """(r, c) presence in an sRGB picture's (3, h, w) windows as large as a crop, a cell apart, before its sigmoid.
+
+        :param level: sides that are multiples of a cell, and a crop's at least
+        """
+        found: FloatArray = self._map.run(None, {"image": self._scaled(level)[None]})[0][0, 0]
+        return found
+
+
+class DenseLandmarkSession(_CropSession):
+    """An ONNX file of the kind ``dense-landmarks``."""
+
+    kind, outputs = "dense-landmarks", ("landmarks", "errors")
+    zoom: float  # of its crops beyond `face_crop`
+    mirrored: list[int]  # for each landmark that of the other side
+
+    def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
+        self.zoom = float(described["zoom"])
+        self.mirrored = [int(row) for row in described["mirrored"]]
+
+    def __call__(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Landmarks (b, n, 2) and the errors to expect of them (b, n), both in pixels of crops (b, 3, S, S)."""
+        landmarks, errors = self._run(crops)
+        return landmarks * self.size, errors * self.size
+
+
+@cache
+def own_landmark_session() -> LandmarkSession:
+    """The network of `landmark_model`, loaded once."""
+    return LandmarkSession(landmark_model())
+
+
+@cache
+def own_dense_session() -> DenseLandmarkSession:
+    """The network of `dense_landmark_model`, loaded once."""
+    return DenseLandmarkSession(dense_landmark_model())

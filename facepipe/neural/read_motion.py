@@ -1,0 +1,205 @@
+"""Examples of any rig from a stage: controls over time, and the point cache of what they moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.vectors import transformed
+from facepipe.neural.frames_of_stages import AnimatedFace, read_targets
+from facepipe.neural.motion import Motion, frame_blocks
+from facepipe.neural.options import FrameBlocksOptions
+from facepipe.parts import FaceParts
+from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.stage.point_cache import PointCache, read_point_cache
+from facepipe.stage.read_controls import ControlTrack, read_controls
+from facepipe.verbs.cached_points import CachedPoints, cached_points
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import Topology
+
+Codes = npt.NDArray[np.float64]
+
+_SAME = 1e-6  # of a time code
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadMotion:
+    """Reads what another program baked of its own rig; docs/neural_rig.md has the convention.
+
+    :param prims: paths of prims whose own numbers are the controls; none for what the convention says
+    """
+
+    options: FrameBlocksOptions = field(default_factory=FrameBlocksOptions)
+    prims: Sequence[str] = ()
+
+    def __call__(self, path: Path) -> Motion:
+        """The frames of a stage, float32.
+
+        Frames are the times at which controls or points have samples; what has none at a time must be held there. Rest
+        is the first frame with all controls at their defaults, else the points authored without time. Where no mesh
+        has points over time, a face is what its rig makes of the SkelAnimation that moves it, at the samples of that.
+
+        :raises InputError: no readable USD, no controls, nothing that moves points, a single frame, NaN, values beyond
+            limits, no rest, or a time at which controls or points are not known
+        :raises TopologyError: a mesh whose number of points changes
+        """
+        tracks = read_controls(path, self.prims)
+        sampled = sorted({float(code) for track in tracks for code in track.codes})
+        if not sampled:
+            what = "no control with time samples, expected facepipe:control:<name>, sliders or shape weights"
+            raise InputError(path, what)
+        cache = read_point_cache(path, also=sampled)
+        if not cache.moving.any():
+            return self._animated(path, tracks, np.array(sampled), cache)
+        if len(cache.codes) < 2:
+            raise InputError(path, "one frame, expected several")
+        guessed = [(mesh.mesh.name, mesh.guessed) for mesh in cache.meshes]
+        _check_times(path, tracks, np.array(sampled), cache.codes, cache.codes[cache.moving], guessed)
+        return self._motion(path, tracks, cache, cached_points(cache, path), cache.codes)
+
+    def _animated(self, path: Path, tracks: Sequence[ControlTrack], sampled: Codes, cache: PointCache) -> Motion:
+        """The frames of a face that a SkelAnimation moves, with its bones."""
+        face = AnimatedFace.read(path) if cache.has_face else None
+        moving = np.zeros(0) if face is None else _snapped(face.codes(cache.codes_per_second), sampled)
+        if face is None or not len(moving):
+            what = "expected meshes whose points have time samples, or a face that a SkelAnimation moves over time"
+            raise InputError(path, f"no point cache, {what}")
+        if len(moving) < 2:
+            raise InputError(path, "one frame, expected several")
+        codes = np.union1d(sampled, moving)
+        between = ~np.isin(codes, moving) & (codes > moving[0]) & (codes < moving[-1])
+        _check_times(path, tracks, sampled, codes, moving, [(face.animation.name, between)])
+        return self._motion(path, tracks, cache, face, moving)
+
+    def _motion(
+        self,
+        path: Path,
+        tracks: Sequence[ControlTrack],
+        cache: PointCache,
+        placed: CachedPoints | AnimatedFace,
+        codes: Codes,
+    ) -> Motion:
+        controls = tuple(_control(path, track) for track in tracks)
+        values = np.stack([track.at(codes) for track in tracks], axis=1)
+        chosen, blocks = frame_blocks(codes, values, self.options)
+        to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
+        rest = transformed(_rest(path, controls, values, placed), to)
+        points = np.empty((len(chosen), *rest.shape), np.float32)
+        for own, number in zip(points, chosen, strict=True):
+            own[:] = transformed(placed.sample(int(number)), to)
+        bones, coefficients = placed.bones(to, chosen) if isinstance(placed, AnimatedFace) else (None, None)
+        return Motion(
+            where=str(path),
+            topology=Topology.of(FaceParts(meshes=placed.meshes)),
+            controls=controls,
+            values=values[chosen],
+            points=points,
+            rest=rest,
+            blocks=blocks,
+            bones=bones,
+            coefficients=coefficients,
+            source="samples",
+            between=len(values) - len(chosen),
+        )
+
+
+def _snapped(codes: Codes, to: Codes) -> Codes:
+    """Time codes, those next to others as these are: they went by seconds."""
+    near = np.asarray(to)[np.clip(np.searchsorted(to, codes - _SAME), 0, len(to) - 1)]
+    return np.where(np.abs(near - codes) < _SAME, near, codes)
+
+
+def _check_times(
+    path: Path,
+    tracks: Sequence[ControlTrack],
+    sampled: Codes,
+    codes: Codes,
+    moving: Codes,
+    points: Sequence[tuple[str, BoolArray]],
+) -> None:
+    """:param codes: (f,) of controls and points
+    :param moving: those at which points are sampled
+    :param points: what holds points, and (f,) whether they are between two samples that differ
+    :raises InputError: the first time at which controls or points are not known
+    """
+    faults: list[tuple[float, str, str]] = []
+    for name, known, ends in (("points", sampled, moving), ("controls", moving, sampled)):
+        beyond = known[(known < ends[0]) | (known > ends[-1])]
+        if len(beyond):
+            faults.append((float(beyond[0]), name, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
+    between = "no sample, between two that differ"
+    for name, guessed in (
+        *((track.where, track.guessed(codes)) for track in tracks),
+        *points,
+    ):
+        faults += [(float(code), name, between) for code in codes[guessed][:1]]
+    if faults:
+        code, name, fault = min(faults)
+        expected = "expected controls and points sampled at the same times"
+        raise InputError(f"{path} -> {name} -> time code {code:g}", f"{fault}, {expected}")
+
+
+def _control(path: Path, track: ControlTrack) -> Control:
+    """Its limits, where they are not authored, are how far it goes; of one that never moves, any."""
+    default = float(track.values[0]) if track.default is None else track.default
+    low = min(default, float(track.values.min())) if track.minimum is None else track.minimum
+    high = max(default, float(track.values.max())) if track.maximum is None else track.maximum
+    if not low <= default <= high:
+        raise InputError(f"{path} -> {track.where}", f"default {default:g}, expected {low:g} to {high:g}")
+    return Control(name=track.name, minimum=low, maximum=high if low < high else low + 1.0, default=default)
+
+
+def _rest(
+    path: Path, controls: Sequence[Control], values: FloatArray, placed: CachedPoints | AnimatedFace
+) -> FloatArray:
+    """(n, 3) world points in stage units."""
+    at_rest = np.flatnonzero((values == [control.default for control in controls]).all(axis=1))
+    if len(at_rest):
+        return placed.sample(int(at_rest[0]))
+    if placed.untimed is None:
+        what = "no frame with all controls at their defaults, and no points without time, expected one of them"
+        raise InputError(path, what)
+    return placed.untimed()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SubjectFrames:
+    """Whole points, and what the controls of the rig were."""
+
+    points: FloatArray  # (f, n, 3) millimetres
+    values: FloatArray | None  # (f, c); None: unknown
+    between: int = 0  # other frames, left out where clips were cut into blocks
+
+
+def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
+    """Points over time, and controls over time where the stage has both, by name; others are at their defaults.
+
+    :raises InputError: no readable USD, NaN, or controls of which the rig has none
+    :raises TopologyError: other meshes than the rig was learned on
+    """
+    if not any(len(track.codes) for track in read_controls(path)):
+        return SubjectFrames(points=read_targets(path, rig).points, values=None)
+    motion = ReadMotion()(path)
+    if motion.topology.digest != rig.topology:
+        raise TopologyError(path, "other meshes than those of the neural rig, expected its topology")
+    return SubjectFrames(points=motion.points, values=_known_values(path, motion, rig), between=motion.between)
+
+
+def _known_values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:
+    """(f, c) in the order of the rig, within its limits."""
+    names = [control.name for control in motion.controls]
+    if not set(names) & {control.name for control in rig.controls}:
+        some = ", ".join(control.name for control in rig.controls[:6])
+        raise InputError(path, f"controls {', '.join(names[:6])} over time, expected some of {some}")
+    values = np.tile(rig.values({}), (len(motion.values), 1))
+    for number, control in enumerate(rig.controls):
+        if control.name in names:
+            column = motion.values[:, names.index(control.name)]
+            values[:, number] = np.clip(column, control.minimum, control.maximum)
+    return values

@@ -1,0 +1,292 @@
+"""Carry a neural rig to a new subject, of some frames of that subject: the document's second submodel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray, require_finite
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
+from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.geometry.ridge import Examples
+from facepipe.neural.carried_rig import Subject, carried
+from facepipe.neural.invert import InvertNeuralRig
+from facepipe.neural.options import RetargetOptions
+from facepipe.neural.retarget_network import learned_by_network
+from facepipe.rig.neural_jacobian import with_points
+from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
+
+_Way = Callable[[FloatArray], FloatArray]  # (n, 3) of (n, 3)
+_NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
+_GAIN_NOISES = 10.0 ** np.arange(-3.0, 1.01)  # millimetres
+_GAIN_POINTS = 400  # that the gains are found from
+_GAIN_STEPS = 3  # of Gauss and Newton: bones turn points, which is nearly straight
+_GAIN_DOUBT = 0.01  # what a squared change of a gain costs, in squares of the noise at a point
+_GAIN_CHANGE = 1e-4  # of a gain: how points answer to it
+_LEAST_TURN = 1e-3  # of what a control does most to a bone coefficient: less is rounding of the training
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetargetReport(Report):
+    """How near the subject's rig comes to frames of the subject that it was not made of, in millimetres.
+
+    Where controls are found, each way has its own: those that it comes nearest with.
+    """
+
+    frames: int = 0
+    held_out: int
+    between: int = 0  # other frames, left out where clips were cut into blocks
+    controls: Literal["given", "found"]
+    shapes: int = 0
+    noise_mm: float = 0.0
+    motion_mean_mm: float  # of the held-out frames, from rest
+    error_mean_mm: float
+    error_max_mm: float
+    transfer_mean_mm: float  # of deformation transfer from the other subject's frames
+    copy_mean_mm: float  # of the other subject's deltas as they are
+
+
+def compared(
+    retargeted: NeuralRig, rig: NeuralRig, subject: Subject, points: FloatArray, values: FloatArray | None
+) -> RetargetReport:
+    """The report on frames (f, n, 3), without those that were learned, which are added later.
+
+    :param retargeted: the subject's rig
+    :param rig: the first subject's
+    :param values: (f, c) controls of the frames, or None
+    """
+    still = rig.points(rig.values({}))
+    triangles, free = subject.topology.triangles, np.zeros(len(still), bool)
+    there, back = Transfer(subject.rest, triangles, free), Transfer(still, triangles, free)
+
+    def distances(model: NeuralRig, as_its_own: _Way, as_subjects: _Way) -> FloatArray:
+        controls = values
+        if controls is None:
+            controls = InvertNeuralRig()(model, np.stack([as_its_own(point) for point in points])).values
+        made = np.stack([as_subjects(model.points(row)) for row in controls])
+        return np.asarray(np.linalg.norm(made - points, axis=2))
+
+    off = distances(retargeted, lambda one: one, lambda one: one)
+    copied = distances(rig, lambda one: still + one - subject.rest, lambda one: subject.rest + one - still)
+    transferred = distances(
+        rig,
+        lambda one: back.solve(subject.rest[None], one[None]),
+        lambda one: there.solve(still[None], one[None]),
+    )
+    return RetargetReport(
+        held_out=len(points),
+        controls="found" if values is None else "given",
+        motion_mean_mm=float(np.linalg.norm(points - subject.rest, axis=2).mean()),
+        error_mean_mm=float(off.mean()),
+        error_max_mm=float(off.max()),
+        transfer_mean_mm=float(transferred.mean()),
+        copy_mean_mm=float(copied.mean()),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Retargeted:
+    """The subject's rig, and how good it is."""
+
+    rig: NeuralRig
+    report: RetargetReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetargetNeuralRig:
+    """Parameters of one subject's rig drive another.
+
+    The rig is first carried over by deformation transfer. What frames of the subject are beyond that is learned point
+    by point: a linear map of the rig's controls and of the point's own motion, under noise (`geometry.point_ridge`).
+    Both are straight, so the composed model is one neural rig. Controls that aren't given are found by the inverse of
+    what is there: first of the carried rig, then of the one that was learned.
+
+    Source: neural-face-rig, claims 1 and 7-9, S401-S404 and S501-S502; point by point and in closed form, where the
+    document has a network of the whole deformation and draws its noise; mode network is that.
+    """
+
+    options: RetargetOptions = field(default_factory=RetargetOptions)
+
+    @one_thread()
+    def __call__(
+        self,
+        rig: NeuralRig,
+        subject: Subject,
+        points: FloatArray,
+        values: FloatArray | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> Retargeted:
+        """The rig of a subject.
+
+        :param points: (f, n, 3) millimetres, of the new subject
+        :param values: (f, c) controls of the frames; None: those are found that the rig so far comes nearest with
+        :param done: called as each time that controls were found and learned from, at most `calls` times
+        :raises InputError: NaN, or fewer than two frames
+        :raises TopologyError: other meshes or joints than those of the rig, or counts that don't fit
+        """
+        _check(rig, subject, values, points)
+        points = np.asarray(points, dtype=np.float64)
+        kept = min(max(1, round(len(points) * (1.0 - self.options.held_out))), len(points) - 1)
+        base = carried(rig, subject)
+        tried, noise = self._learned(base, points[:kept], None if values is None else values[:kept], -1.0, done)
+        report = compared(tried, rig, subject, points[kept:], None if values is None else values[kept:])
+        done()
+        whole, _ = self._learned(base, points, values, noise, done)
+        report = replace(report, frames=kept, shapes=len(whole.shapes), noise_mm=noise)
+        return Retargeted(rig=whole, report=report)
+
+    @property
+    def calls(self) -> int:
+        """How often `done` is called at most."""
+        return 2 * self.options.rounds + 1
+
+    def _learned(
+        self,
+        base: NeuralRig,
+        points: FloatArray,
+        values: FloatArray | None,
+        noise: float,
+        done: Callable[[], object],
+    ) -> tuple[NeuralRig, float]:
+        """The rig, and the noise that it was learned under; where controls are found, again with those of the last."""
+        if values is not None:
+            return self._fitted(base, values, points, noise)
+        learned, chosen = base, noise
+        for _ in range(self.options.rounds):
+            learned, chosen = self._fitted(base, InvertNeuralRig()(learned, points).values, points, noise)
+            done()
+        return learned, chosen
+
+    def _fitted(
+        self, base: NeuralRig, values: FloatArray, points: FloatArray, noise: float = -1.0
+    ) -> tuple[NeuralRig, float]:
+        base = with_own_gains(base, values, points)
+        examples = _subject_examples(base, values, points)
+        if self.options.mode == "network":
+            return self._by_network(base, values, examples.moved), 0.0
+        noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
+        noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
+        maps = examples.maps(max(noise, 1e-6))
+        shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_vector)
+        return with_basis(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
+
+    def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:
+        options = self.options
+        return learned_by_network(
+            base,
+            values,
+            moved,
+            noise=options.noise,
+            steps=options.steps,
+            tolerance=options.tolerance_mm,
+            most=options.shapes,
+        )
+
+
+def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: FloatArray) -> None:
+    subject.checked(rig)
+    if len(points) < 2:
+        raise InputError(subject.where, f"{len(points)} frames, expected two or more")
+    for label, array, shape in (
+        ("points", points, (len(points), len(rig.rest), 3)),
+        ("controls", values, (len(points), len(rig.controls))),
+    ):
+        if array is not None and np.shape(array) != shape:
+            raise TopologyError(f"{subject.where} -> {label}", f"shape {np.shape(array)}, expected {shape}")
+        if array is not None:
+            require_finite(array, subject.where, label)
+
+
+def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Examples:
+    """Frames as examples for every point: its own motion by the rig, before bones, and how far it went beyond that.
+
+    :param values: (f, c) controls of the frames
+    :param points: (f, n, 3) millimetres
+    """
+    outputs = rig.outputs(values)
+    own_motion = rig.morphed(outputs) - rig.rest
+    return Examples(
+        inputs=from_default(rig.controls, values),
+        vectors=own_motion,
+        strengths=_strengths(rig),
+        moved=_before_bones(rig, outputs, points) - rig.rest - own_motion,
+    )
+
+
+def _before_bones(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> FloatArray:
+    """(f, n, 3) what points (f, n, 3) were before the rig's bones moved them, of outputs (f, r + m)."""
+    bones = rig.bones
+    if bones is None:
+        return np.asarray(points, dtype=np.float64)
+    local = map(bones.local_transforms, rig.coefficients(outputs))
+    return np.stack(
+        [
+            bones.unskin(np.asarray(frame, np.float64), bones.skinning_matrices(one))
+            for frame, one in zip(points, local, strict=True)
+        ]
+    )
+
+
+def _strengths(rig: NeuralRig) -> FloatArray:
+    """(c, n) millimetres that each control alone moves each point, at the further one of its limits."""
+    rest = rig.values({})
+    strengths = np.zeros((len(rig.controls), len(rig.rest)))
+    still = rig.points(rest)
+    for number, control in enumerate(rig.controls):
+        for limit in (control.minimum, control.maximum):
+            moved = rest.copy()
+            moved[number] = limit
+            strengths[number] = np.maximum(strengths[number], np.linalg.norm(rig.points(moved) - still, axis=1))
+    return strengths
+
+
+def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> NeuralRig:
+    """The rig whose controls move its bones as strongly as the subject's do: a gain on each control's straight part.
+
+    Gains are shared by all points, so frames determine them better than any point's own map; a difference that points
+    can make alike by maps of their own counts less (generalised least squares: residuals weighed by the inverse of what
+    such maps and the noise are expected to bring). Controls that frames don't determine keep a gain of 1.
+
+    :param values: (f, c) controls of the frames
+    :param points: (f, n, 3) millimetres
+    """
+    turns = np.abs(rig.linear[:, len(rig.shapes) :])
+    moving = np.flatnonzero((turns > _LEAST_TURN * turns.max(axis=0, initial=0.0)).any(axis=1))
+    if not len(moving):
+        return rig
+    chosen = np.arange(0, len(rig.rest), max(1, len(rig.rest) // _GAIN_POINTS))
+    some, points = with_points(rig, chosen), points[:, chosen]
+    noise, gains = _subject_examples(some, values, points).best_noise(_GAIN_NOISES), np.ones(len(moving))
+    for _ in range(_GAIN_STEPS):
+        now = _scaled(some, moving, gains)
+        slopes = _slopes(some, now, moving, values, points)
+        matrix, off = _subject_examples(now, values, points).normal(slopes, max(noise, 1e-6))
+        gains -= np.linalg.solve(matrix + _GAIN_DOUBT * np.eye(len(moving)), off + _GAIN_DOUBT * (gains - 1.0))
+    return _scaled(rig, moving, gains)
+
+
+def _scaled(rig: NeuralRig, controls: IntArray, gains: FloatArray) -> NeuralRig:
+    linear = rig.linear.copy()
+    linear[controls, len(rig.shapes) :] *= gains[:, None]
+    return replace(rig, linear=linear)
+
+
+def _slopes(rig: NeuralRig, now: NeuralRig, controls: IntArray, values: FloatArray, points: FloatArray) -> FloatArray:
+    """(f, k, n, 3) how points before bones answer to the gains of k controls."""
+    x, outputs, shapes = from_default(rig.controls, values), now.outputs(values), len(rig.shapes)
+    still = _before_bones(now, outputs, points)
+    slopes = np.zeros((len(x), len(controls), *still.shape[1:]))
+    for frame, row in enumerate(x[:, controls]):
+        moved = np.flatnonzero(row)
+        if not len(moved):
+            continue
+        changed = np.tile(outputs[frame], (len(moved), 1))
+        changed[:, shapes:] += _GAIN_CHANGE * row[moved, None] * rig.linear[controls[moved], shapes:]
+        there = _before_bones(now, changed, np.broadcast_to(points[frame], (len(moved), *still.shape[1:])))
+        slopes[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
+    return slopes

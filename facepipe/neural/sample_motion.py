@@ -1,0 +1,291 @@
+"""A face's own motion: its controls set in many ways, and where the points go; baked to a file too, with its clips."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.geometry.vectors import transformed
+from facepipe.neural.motion import Motion, ReadClips, RecordedClips
+from facepipe.neural.options import FrameBlocksOptions, SampleMotionOptions
+from facepipe.parts import FaceParts
+from facepipe.rig import Rig, build, slide
+from facepipe.rig.neural_rig import Control, bones_in, coefficients_in
+from facepipe.stage import Face
+from facepipe.stage.point_cache import save_point_cache
+from facepipe.stage.read_controls import read_clips
+from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import Topology
+
+_WHOLE = FrameBlocksOptions(block=1_000_000, margin=0)  # clips are cut where they are learned from
+_APART = 3.0  # time codes from a clip's last frame to the next one's first: readers take more than 2.5 for an end
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleMotion:
+    """Sets the sliders of a face, and the shapes that no slider drives, and evaluates them with `facepipe.rig`.
+
+    :param also: shapes to set beside the sliders that drive them
+    """
+
+    options: SampleMotionOptions = field(default_factory=SampleMotionOptions)
+    also: Collection[str] = ()
+
+    def __call__(
+        self,
+        parts: FaceParts,
+        where: str,
+        done: Callable[[], object] = lambda: None,
+        clips: RecordedClips | None = None,
+    ) -> Motion:
+        """Frames of whole points, float32.
+
+        :param clips: frames of the face's controls to evaluate too
+        :param done: called once for each frame
+        :raises InputError: a face without controls, or no frame asked for
+        """
+        controls = controls_of(parts, self.also)
+        if not controls:
+            raise InputError(where, "has neither sliders nor shapes, expected something to set")
+        values: FloatArray = np.zeros((0, len(controls)))
+        blocks: IntArray = np.zeros(0, dtype=int)
+        if clips is None or self.options.count(len(controls)):
+            values, blocks = plan(controls, self.options)
+        if clips is not None:
+            values, blocks = clips.after(values, blocks)
+        motion = evaluated(parts, where, controls, values, blocks, _Sliders(parts, controls), done)
+        return (
+            motion
+            if clips is None
+            else replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
+        )
+
+
+def evaluated(
+    parts: FaceParts,
+    where: str,
+    controls: tuple[Control, ...],
+    values: FloatArray,
+    blocks: IntArray,
+    pose: Callable[[FloatArray], tuple[FloatArray, Mapping[str, float]]],
+    done: Callable[[], object] = lambda: None,
+) -> Motion:
+    """What the rig of a face makes of (f, c) values.
+
+    :param pose: bone coefficients (j, 9) and shape weights of (c,) values
+    :param done: called once for each frame
+    """
+    rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    rest = _placed(rig, to, *pose(np.array([control.default for control in controls])))
+    points = np.empty((len(values), len(rest), 3), np.float32)
+    coefficients = np.empty((len(values), len(rig.joints), 9))
+    for number, row in enumerate(values):
+        coefficients[number], weights = pose(row)
+        points[number] = _placed(rig, to, coefficients[number], weights)
+        done()
+    bones = bones_in(rig, to) if rig.joints else None
+    return Motion(
+        where=where,
+        topology=Topology.of(parts),
+        controls=controls,
+        values=values,
+        points=points,
+        rest=rest,
+        blocks=blocks,
+        bones=bones,
+        coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
+    )
+
+
+def _placed(rig: Rig, to: FloatArray, coefficients: FloatArray, weights: Mapping[str, float]) -> FloatArray:
+    points = rig.evaluate(weights, coefficients=coefficients)
+    return transformed(points, to)
+
+
+def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, ...]:
+    """The sliders that have a range, and the shapes that none of them drives, 0 to 1, in the order of the rig.
+
+    :param also: shapes that are controls though sliders drive them
+    """
+    sliders = [slider for slider in parts.sliders if slider.minimum < slider.maximum]
+    driven = {shape for slider in sliders for shape, _ in slider.shapes} - set(also) | {
+        slider.name for slider in sliders
+    }
+    found = [
+        Control(name=slider.name, minimum=slider.minimum, maximum=slider.maximum, default=slider.default)
+        for slider in sliders
+    ]
+    return (*found, *(Control(name=shape) for shape in parts.shapes if shape not in driven))
+
+
+class _Sliders:
+    """Bone coefficients and shape weights of values: of sliders, and of shapes that none of them drives."""
+
+    def __init__(self, parts: FaceParts, controls: Sequence[Control]) -> None:
+        self._parts = parts
+        own = {slider.name for slider in parts.sliders}
+        self._slider = [control.name in own for control in controls]
+        self._names = [control.name for control in controls]
+
+    def __call__(self, values: FloatArray) -> tuple[FloatArray, dict[str, float]]:
+        """(j, 9) and weights by name, of (c,)."""
+        pairs = list(zip(self._names, map(float, values), self._slider, strict=True))
+        set_sliders = {name: value for name, value, slider in pairs if slider}
+        others = {one.name: one.default for one in self._parts.sliders if one.name not in set_sliders}
+        joints, network = self._parts.skeleton.joints, self._parts.slider_network
+        coefficients, weights = slide(self._parts.sliders, joints, {**others, **set_sliders}, network)
+        for name, value, slider in pairs:
+            if not slider:
+                weights[name] = weights.get(name, 0.0) + value
+        return coefficients, weights
+
+
+def plan(controls: Sequence[Control], options: SampleMotionOptions) -> tuple[FloatArray, IntArray]:
+    """(f, c) values and (f,) blocks: each sweep is a block; what is drawn at random stands alone, a block each.
+
+    :raises InputError: no frame asked for
+    """
+    low, high, rest = (
+        np.array([getattr(control, key) for control in controls]) for key in ("minimum", "maximum", "default")
+    )
+    pieces = list(_sweeps(low, high, rest, options.sweep))
+    random = np.random.default_rng(options.seed)
+    spread = low + (high - low) * _hypercube(options.spread, len(controls), random)
+    singles = np.concatenate(
+        [
+            np.where(_moved(options.spread, len(controls), options.busy, random), spread, rest),
+            _combinations(low, high, rest, options.together, random),
+        ]
+    )
+    sizes = [len(piece) for piece in pieces] + [1] * len(singles)
+    values = np.concatenate([*pieces, singles])
+    if not len(values):
+        raise InputError("motion", "no frame, expected some of spread, sweep or together")
+    return values, np.repeat(np.arange(len(sizes)), sizes)
+
+
+def _hypercube(count: int, controls: int, random: np.random.Generator) -> FloatArray:
+    """(count, controls) in 0..1: of each control, one in each `count`-th of its range (McKay et al. 1979)."""
+    if not count:
+        return np.zeros((0, controls))
+    order = np.stack([random.permutation(count) for _ in range(controls)], axis=1)
+    return np.asarray((order + random.random((count, controls))) / count)
+
+
+def _moved(count: int, controls: int, busy: float, random: np.random.Generator) -> BoolArray:
+    """(count, controls) which of them a frame moves: a share of them up to `busy`, another in each frame."""
+    share = np.full(count, 1.0) if busy == 1.0 else busy * random.random(count)
+    moved = random.random((count, controls)) < share[:, None]
+    moved[np.arange(count), random.integers(controls, size=count)] = True  # no frame stays at rest
+    return np.asarray(moved)
+
+
+def _sweeps(low: FloatArray, high: FloatArray, rest: FloatArray, count: int) -> Iterator[FloatArray]:
+    """Each control from one limit to the other, the others at rest."""
+    for control in range(len(low)) if count else ():
+        frames = np.tile(rest, (count, 1))
+        frames[:, control] = np.linspace(low[control], high[control], count)
+        yield frames
+
+
+def _combinations(
+    low: FloatArray, high: FloatArray, rest: FloatArray, count: int, random: np.random.Generator
+) -> FloatArray:
+    """(count, c): two or three controls anywhere, the others at rest; each control as often as any other."""
+    frames = np.tile(rest, (count, 1))
+    turns: list[int] = []
+    for row in range(count):
+        wanted = min(2 + row % 2, len(low))
+        while len(turns) < wanted:
+            turns += [one for one in random.permutation(len(low)).tolist() if one not in turns]
+        chosen, turns = turns[:wanted], turns[wanted:]
+        frames[row, chosen] = random.uniform(low[chosen], high[chosen])
+    return frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeReport(Report):
+    """What was baked."""
+
+    controls: int
+    points: int
+    frames: int
+    clip_frames: int  # of these, those of recorded clips
+    motion_mean_mm: float  # of all points and frames, from rest
+    still: tuple[str, ...]  # controls that no frame moves
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeMotion:
+    """Each control through its range, many at once at random, and clips: those of the face that move its controls, and
+    others. Evaluated by the face's own rig. Shapes that clips move are controls, whether sliders drive them or not.
+    """
+
+    options: SampleMotionOptions = field(default_factory=SampleMotionOptions)
+    clips: Sequence[Path] = ()
+
+    def controls(self, parts: FaceParts, path: Path) -> tuple[Control, ...]:
+        """The controls of a face, whose stage is at `path`."""
+        return controls_of(parts, self._moved(path))
+
+    def __call__(
+        self, face: Face, path: Path, out: str | os.PathLike[str], done: Callable[[], object] = lambda: None
+    ) -> BakeReport:
+        """Bake it to `out`, which `ReadMotion` reads.
+
+        :param path: of the face
+        :param done: called once for each frame
+        :raises InputError: a face without controls, no frame asked for, a clip of none of its controls, or a file that
+            can't be written
+        """
+        parts, moved = face.parts(), self._moved(path)
+        controls = controls_of(parts, moved)
+        own = {control.name for control in controls} & _moved_by((path,))
+        sources = [*([path] if own else []), *self.clips]
+        clips = ReadClips(options=_WHOLE)(sources, controls) if sources and controls else None
+        motion = SampleMotion(options=self.options, also=moved)(parts, str(path), done, clips)
+        save_point_cache(
+            out,
+            face.name,
+            parts.meshes,
+            controls,
+            motion.values,
+            motion.points,
+            motion.rest,
+            _frame_codes(motion.blocks),
+            face.stage.GetTimeCodesPerSecond() or 24.0,
+        )
+        return _report(motion, clips)
+
+    def _moved(self, path: Path) -> set[str]:
+        return _moved_by((path, *self.clips))
+
+
+def _frame_codes(blocks: IntArray) -> FloatArray:
+    """(f,) time codes: frames of a block follow one another, blocks are apart."""
+    return np.concatenate([[0.0], np.cumsum(np.where(np.diff(blocks), _APART, 1.0))])
+
+
+def _moved_by(paths: Iterable[Path]) -> set[str]:
+    """What clips on stages move."""
+    return {track.name for path in paths for clip in read_clips(path) for track in clip.tracks}
+
+
+def _report(motion: Motion, clips: RecordedClips | None) -> BakeReport:
+    moved = [np.linalg.norm(points - motion.rest, axis=1).mean() for points in motion.points]
+    return BakeReport(
+        controls=len(motion.controls),
+        points=motion.topology.point_count,
+        frames=len(motion.values),
+        clip_frames=0 if clips is None else len(clips.values),
+        motion_mean_mm=float(np.mean(moved)),
+        still=motion.constant,
+        warnings=motion.warnings,
+    )

@@ -1,0 +1,200 @@
+"""Train the encoder of a neural rig: deformation to controls, the document's first submodel backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
+from facepipe.geometry.point_choice import well_placed
+from facepipe.geometry.ridge import ridge
+from facepipe.neural.checkpoint import Checkpoint
+from facepipe.neural.motion import Motion
+from facepipe.neural.options import HEADS, TrainEncoderOptions
+from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
+from facepipe.rig.neural_rig import inputs
+
+if TYPE_CHECKING:
+    from facepipe.neural.learning.encoder_fit import EncoderSamples
+    from facepipe.neural.learning.encoder_network import EncoderSize
+
+
+_WATCHED = 0.1  # of the frames to learn from: their error says when to stop
+_CANDIDATES = 2048  # points that those of the encoder are chosen from
+_SEEN_WITH = 0.3  # mm of noise that points are chosen for: with much less, those of one place would do
+_CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
+_STILL = 1e-6  # mm: a point that moves no further does not move
+
+
+@dataclass(frozen=True, kw_only=True)
+class EncoderReport(Report):
+    """How near an encoder comes to the controls of frames that it was not trained on, in shares of their ranges.
+
+    Controls that move nothing, or the same as others do together, can't be found from points: they have large errors
+    here whatever the encoder.
+    """
+
+    frames: int
+    held_out: int
+    points: int  # that it looks at
+    steps: int
+    error_mean: float  # absolute, over controls and held-out frames
+    error_median: float  # of the controls' means
+    ridge_mean: float  # of a straight map from the same points, with the same noise
+    ridge_median: float
+    constant_mean: float  # of each control's mean over the frames learned from
+    errors: Mapping[str, float]  # control -> mean
+    ridge_errors: Mapping[str, float]
+    left_out: tuple[str, ...]  # controls that no frame moves
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedEncoder:
+    """An encoder, and how good it is."""
+
+    encoder: NeuralEncoder
+    report: EncoderReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainEncoder:
+    """A transformer over features of points, beside the straight map from them (ridge regression), to controls.
+
+    The loss is the mean square of the controls, from -1 to 1 over their ranges: each counts by its range, not by what
+    it moves. Source: neural-face-rig, claims 2-4 (S201-S203); points, order and the straight map are ours.
+    """
+
+    options: TrainEncoderOptions = field(default_factory=TrainEncoderOptions)
+
+    @one_thread()
+    def __call__(
+        self, motion: Motion, done: Callable[[], object] = lambda: None, checkpoint: Path | None = None
+    ) -> TrainedEncoder:
+        """Train on some blocks of frames, and measure on the others.
+
+        :param done: called once for each step
+        :param checkpoint: as `TrainNeuralRig` has it, whose part of the same file stays as it is
+        :raises InputError: no control or no point that moves, a single block of frames, or a checkpoint of another
+            training
+        """
+        from facepipe.neural.learning.encoder_fit import train_encoder
+
+        options, still = self.options, motion.constant
+        if len(still) == len(motion.controls):
+            raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
+        moving = motion.without(still)
+        learned, checked = moving.split(options.held_out, options.seed)
+        chosen, size = _chosen(learned, options)
+        several = len(np.unique(learned.blocks)) > 1
+        taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
+        kept = Checkpoint.for_training(checkpoint, "encoder", motion, options) if checkpoint else None
+        pairs = [_pairs(one, chosen) for one in (taught, watched)]
+        fitted = train_encoder(
+            pairs[0],
+            pairs[1],
+            moving.rest[chosen],
+            _straight(pairs[0], options),
+            size=size,
+            noise=options.noise_mm,
+            seed=options.seed,
+            steps=options.encoder_steps,
+            patience=options.encoder_patience,
+            done=done,
+            state=kept.state() if kept else None,
+            keep=kept.keep if kept else lambda _: None,
+        )
+        encoder = _encoder(moving, chosen, fitted.weights)
+        report = _report(encoder, _pairs(learned, chosen), _pairs(checked, chosen), options)
+        return TrainedEncoder(encoder=encoder, report=replace(report, steps=fitted.steps, left_out=still))
+
+
+def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, EncoderSize]:
+    """Whole points in the order of the sequence, and the network for them: all tokens have as many points."""
+    from facepipe.neural.learning.encoder_network import EncoderSize
+
+    moving = np.flatnonzero(np.abs(motion.points - motion.rest).max(axis=(0, 2)) > _STILL)
+    if not len(moving):
+        raise InputError(motion.where, "no point moves in any frame, expected some that do")
+    count = min(options.points, len(moving))
+    per_token = min(options.per_token, count)
+    count -= count % per_token
+    x = inputs(motion.controls, motion.values)
+    straight, _ = ridge(x, motion.points[:, moving].reshape(len(x), -1), _CONTROL_NOISE)
+    moves = straight.reshape(-1, len(moving), 3).transpose(1, 2, 0)
+    chosen = moving[well_placed(motion.rest[moving], moves, _SEEN_WITH, count, max(_CANDIDATES, count))]
+    size = EncoderSize(
+        per_token=per_token,
+        width=HEADS * options.head_width,
+        layers=options.layers,
+        heads=HEADS,
+        reduced=options.reduced,
+    )
+    return chosen, size
+
+
+def _pairs(motion: Motion, chosen: IntArray) -> EncoderSamples:
+    from facepipe.neural.learning.encoder_fit import EncoderSamples
+
+    offsets = np.asarray(motion.points[:, chosen] - motion.rest[chosen], np.float32)
+    return EncoderSamples(offsets=offsets, controls=inputs(motion.controls, motion.values))
+
+
+def _encoder(motion: Motion, chosen: IntArray, weights: Mapping[str, FloatArray]) -> NeuralEncoder:
+    arrays = {name: array for name, array in weights.items() if "." not in name and name != "scale"}
+    layers: dict[str, dict[str, FloatArray]] = {}
+    for name, array in weights.items():
+        if "." in name:
+            number, key = name.split(".")
+            layers.setdefault(number, {})[key] = array
+    return NeuralEncoder(
+        controls=motion.controls,
+        topology=motion.topology.digest,
+        point_count=motion.topology.point_count,
+        chosen=chosen,
+        rest=motion.rest[chosen].astype(np.float32),
+        scale=float(weights["scale"]),
+        heads=HEADS,
+        layers=tuple(EncoderLayer(**layers[number]) for number in sorted(layers, key=int)),
+        **arrays,
+    )
+
+
+def _straight(samples: EncoderSamples, options: TrainEncoderOptions) -> tuple[FloatArray, FloatArray]:
+    """(3 p, c) and (c,) of least squared error."""
+    from facepipe.neural.learning.encoder_fit import LEAST_NOISE
+
+    flat = samples.offsets.reshape(len(samples.offsets), -1).astype(np.float64)
+    return ridge(flat, samples.controls, max(options.noise_mm, LEAST_NOISE))
+
+
+def _report(
+    encoder: NeuralEncoder, learned: EncoderSamples, checked: EncoderSamples, options: TrainEncoderOptions
+) -> EncoderReport:
+    straight = _straight(learned, options)
+    by_ridge = np.clip(checked.offsets.reshape(len(checked.offsets), -1) @ straight[0] + straight[1], -1.0, 1.0)
+    found = encoder.of_offsets(checked.offsets)
+    off, ridge_off, constant_off = (
+        np.abs(one - checked.controls).mean(axis=0) / 2.0 for one in (found, by_ridge, learned.controls.mean(axis=0))
+    )
+    names = [control.name for control in encoder.controls]
+    return EncoderReport(
+        frames=len(learned.offsets),
+        held_out=len(checked.offsets),
+        points=len(encoder.chosen),
+        steps=0,
+        error_mean=float(off.mean()),
+        error_median=float(np.median(off)),
+        ridge_mean=float(ridge_off.mean()),
+        ridge_median=float(np.median(ridge_off)),
+        constant_mean=float(constant_off.mean()),
+        errors=dict(zip(names, off.tolist(), strict=True)),
+        ridge_errors=dict(zip(names, ridge_off.tolist(), strict=True)),
+        left_out=(),
+    )

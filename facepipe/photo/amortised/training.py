@@ -1,0 +1,275 @@
+"""Trains a network that guesses where a photo fit should start ([0180]-[0184]).
+
+It learns from people whose parameters are known first, then from the joint loss of pictures.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FitError, InputError
+from facepipe.geometry.face_crops import face_crop, to_crop
+from facepipe.geometry.landmarks import eye_distance
+from facepipe.parts import FaceParts
+from facepipe.photo.amortised.losses import PictureLoss, Taught, TaughtLoss, outside
+from facepipe.photo.amortised.network import SIZE, Output, StartNetwork
+from facepipe.photo.amortised.pictures import HEAD, Picture, batch, noisy_landmarks, varied
+from facepipe.photo.amortised.pose import CropSpace
+from facepipe.photo.amortised.renders import People, Portraits, random_people
+from facepipe.photo.descent.landmark_rig import LandmarkRig
+from facepipe.photo.descent.subject import Subject
+from facepipe.photo.options import BATCH, JOINT_BATCH, LANDMARK_BATCH, PhotoFitOptions, StartOptions
+from facepipe.photo.renderer.face_model import FaceModel
+from facepipe.rig.torch.one_thread import one_thread
+
+_RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
+_JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
+_CHECK = 25  # steps between two looks at the held-out pictures
+_NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
+HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
+
+
+class WarmUp:
+    """Adam on the distance from the truth, its rate rising and falling once in each part."""
+
+    def __init__(self, network: StartNetwork, portraits: Portraits, sigma: float, options: StartOptions) -> None:
+        """:param sigma: noise of landmarks, of the distance of the outer eye corners"""
+        self._network, self._portraits, self._sigma, self._options = network, portraits, sigma, options
+        self._loss = TaughtLoss(portraits.subject)
+        self._rng = np.random.default_rng([options.seed, 2])
+
+    def landmarks(self, done: Callable[[], object]) -> None:
+        """From the landmarks of ever new people alone: nothing has to be rendered for it."""
+        self._descend(self._options.landmark_batches, self._people, done)
+
+    def renders(self, renders: Sequence[Picture], done: Callable[[], object]) -> None:
+        """From pictures and landmarks together."""
+        batches = self._batches(renders)
+        self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
+
+    def _batches(self, renders: Sequence[Picture]) -> Iterator[list[Picture]]:
+        """Endless, each render once in a round."""
+        waiting: list[int] = []
+        while renders:
+            while len(waiting) < BATCH:
+                waiting += self._rng.permutation(len(renders)).tolist()
+            yield [renders[i] for i in waiting[:BATCH]]
+            waiting = waiting[BATCH:]
+
+    def _descend(
+        self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[], object]
+    ) -> None:
+        if not steps:
+            return
+        network = self._network.train()
+        optimiser = torch.optim.AdamW(network.parameters(), lr=_RATE, weight_decay=_DECAY)
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, total_steps=steps + 1, pct_start=0.1)
+        for step in range(steps):
+            images, marks, right = example()
+            loss = self._loss(network(images, marks), right)
+            if not bool(loss.detach().isfinite()):
+                raise FitError("training", f"a loss that is not finite in batch {step}, expected a number")
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _STEEPEST)
+            optimiser.step()
+            schedule.step()
+            done()
+        network.eval()
+
+    def _people(self) -> tuple[None, Tensor, Taught]:
+        subject, space, rng = self._portraits.subject, self._portraits.space, self._rng
+        people = random_people(subject, space, LANDMARK_BATCH, rng)
+        exact = self._portraits.marks(people)
+        marks = np.stack([one + self._noise(one) for one in exact])
+        matrices = np.stack([face_crop(mark, SIZE) for mark in marks])
+        places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
+        crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
+        return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
+
+    def _noise(self, marks: FloatArray) -> FloatArray:
+        return np.asarray(
+            self._sigma * self._rng.uniform() * eye_distance(marks) * self._rng.standard_normal(marks.shape)
+        )
+
+    def _pictures(self, chosen: Sequence[Picture]) -> tuple[Tensor, Tensor, Taught]:
+        crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
+        truths = [one.truth for one in chosen if one.truth is not None]
+        people = People(
+            shares=np.stack([truth.shares for truth in truths]),
+            expressions=np.stack([truth.expressions for truth in truths]),
+            poses=np.stack([truth.pose for truth in truths]),
+        )
+        space = CropSpace(
+            space=self._portraits.space,
+            crop=np.stack([crop.matrix for crop in crops]),
+            side=SIZE,
+            up_axis=self._portraits.subject.parts.up_axis,
+        )
+        images, marks = batch(crops)
+        return varied(images, self._rng), marks, Taught.from_people(people, space)
+
+
+class NetworkDescent:
+    """A network, and its best state by pictures that it does not learn from."""
+
+    def __init__(self, network: StartNetwork, loss: PictureLoss, judged: Sequence[Picture], seed: int) -> None:
+        self.network, self.best = network, dict[str, float]()
+        self._loss = loss
+        rng = np.random.default_rng([seed, 4])
+        self._marks = [noisy_landmarks(one, loss.options.landmark_sigma, rng) for one in judged]
+        self._judged = judged
+        self._state = copy.deepcopy(network.state_dict())
+        self.judge()
+
+    def judge(self) -> None:
+        """Look at the held-out pictures; the network with the least joint loss is kept."""
+        crops = [one.crop(marks) for one, marks in zip(self._judged, self._marks, strict=True)]
+        network = self.network.eval()
+        with torch.no_grad():
+            found = network(*batch(crops))
+            views = enumerate(zip(self._judged, crops, self._marks, strict=True))
+            rows = [self._loss(*view, row(found, i)) for i, view in views]
+        terms = {name: float(np.mean([float(one[name]) for one in rows])) for name in rows[0]}
+        if math.isfinite(terms["total"]) and (not self.best or terms["total"] < self.best["total"]):
+            self.best, self._state = terms, copy.deepcopy(network.state_dict())
+
+    def keep_best(self) -> StartNetwork:
+        """The network, back in its best state."""
+        self.network.load_state_dict(self._state)
+        self.network.eval()
+        return self.network
+
+    def descend(
+        self,
+        pictures: Sequence[Picture],
+        options: StartOptions,
+        done: Callable[[], object],
+    ) -> tuple[str, ...]:
+        """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
+        network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
+        optimiser = torch.optim.Adam(network.parameters(), lr=_JOINT_RATE)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _JOINT_RATE)
+        for step in range(options.steps):
+            optimiser.zero_grad()
+            if not self._slopes([pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)], rng):
+                return (_NOT_FINITE.format(step),)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _JOINT_STEEPEST)
+            optimiser.step()
+            schedule.step()
+            done()
+            if (step + 1) % _CHECK == 0 or step + 1 == options.steps:
+                self.judge()
+        return ()
+
+    def _slopes(self, pictures: Sequence[Picture], rng: np.random.Generator) -> bool:
+        """Add the gradients of the mean joint loss to the network's, picture by picture; whether they are finite."""
+        marks = [noisy_landmarks(one, self._loss.options.landmark_sigma, rng) for one in pictures]
+        crops = [picture.crop(each) for picture, each in zip(pictures, marks, strict=True)]
+        images, places = batch(crops)
+        outputs = self.network(varied(images, rng), places)
+        leaves = Output(*(output.detach().requires_grad_() for output in outputs))
+        outside(leaves).backward()
+        for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
+            loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
+            if not bool(loss.detach().isfinite()):
+                return False
+            loss.backward()
+        slopes = [leaf.grad for leaf in leaves]
+        if not all(slope is not None and bool(slope.isfinite().all()) for slope in slopes):
+            return False
+        torch.autograd.backward(list(outputs), slopes)
+        return True
+
+
+def row(found: Output, number: int) -> Output:
+    """The guess for one of a batch, as a batch of one."""
+    return Output(*(one[number : number + 1] for one in found))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """A network, and how good it is on pictures that it never saw."""
+
+    network: StartNetwork
+    subject: Subject
+    before: dict[str, float]  # terms of the joint loss at the defaults, means over the held-out pictures
+    after: dict[str, float]
+    held_out: int
+    photos: int  # 0: renders alone
+    warnings: tuple[str, ...] = ()
+
+
+def train_start(
+    parts: FaceParts,
+    options: StartOptions,
+    *,
+    photos: Sequence[Picture] = (),
+    expressions: Sequence[str] | None = None,
+    done: Callable[[], object] = lambda: None,
+) -> Trained:
+    """A network for first guesses about photos of people as the face can show them.
+
+    First it learns the parameters of random people from their landmarks and renders, then the joint loss of pictures
+    without them: of photos, or where there are none of the renders. On one thread, so that the same call gives the
+    same network.
+
+    :param photos: of people; some are held out
+    :param expressions: as for `fit_photos`
+    :param done: called after each of `options.total`
+    :raises InputError: a face without the landmarks or without sliders, or hardly any picture
+    :raises FitError: a loss of renders that is not finite
+    """
+    subject = Subject.of(parts, expressions)
+    # A step has to be quick, and light is found for each guess: its hue says nothing of the guess.
+    terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0, hue=0.0)
+    with one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(options.seed)
+        model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.from_subject(subject)
+        portraits = Portraits(subject, model, landmarks)
+        renders = _renders(portraits, options, done)
+        learnt, judged = _parted(photos or renders, options.seed)
+        network = StartNetwork(torch.as_tensor(subject.default_shares, dtype=torch.float32), len(subject.expressions))
+        network = network.to(memory_format=torch.channels_last)
+        descent = NetworkDescent(network, PictureLoss(subject, model, landmarks, terms), judged, options.seed)
+        before = descent.best
+        warm_up = WarmUp(network, portraits, terms.landmark_sigma, options)
+        warm_up.landmarks(done)
+        warm_up.renders(renders if photos else learnt, done)
+        descent.judge()
+        warnings = descent.descend(learnt, options, done)
+    return Trained(
+        network=descent.keep_best(),
+        subject=subject,
+        before=before,
+        after=descent.best,
+        held_out=len(judged),
+        photos=len(photos),
+        warnings=warnings,
+    )
+
+
+def _renders(portraits: Portraits, options: StartOptions, done: Callable[[], object]) -> list[Picture]:
+    """Each the same however many there are."""
+    pictures = []
+    for number in range(options.renders):
+        pictures.append(portraits.picture(np.random.default_rng([options.seed, 1, number])))
+        done()
+    return pictures
+
+
+def _parted(pictures: Sequence[Picture], seed: int) -> tuple[list[Picture], list[Picture]]:
+    """To learn from, and to judge by."""
+    judged = min(HELD_OUT, len(pictures) // 4)
+    if not judged:
+        raise InputError("training", f"{len(pictures)} pictures, expected 4 or more (photos, or renders)")
+    order = np.random.default_rng([seed, 0]).permutation(len(pictures))
+    return [pictures[i] for i in order[judged:]], [pictures[i] for i in order[:judged]]

@@ -1,0 +1,177 @@
+"""The few points of a face that its landmarks need, and how they fall onto a photo.
+
+Landmarks 0 to 16 of the Multi-PIE scheme lie on the contour of the face. Where that turns away from the viewer, the
+contour that a photo shows is another line on the skin, nearer to the front: such a landmark slides there, along the
+row of points that it lies in (after Zhu et al., "High-Fidelity Pose and Expression Normalization", CVPR 2015).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.geometry.rasterise import expand
+from facepipe.parts import FaceParts
+from facepipe.photo.descent.subject import Subject
+from facepipe.photo.renderer.camera import Camera
+from facepipe.rig import Rig
+from facepipe.rig.torch.rig import DifferentiableRig
+
+SCHEME, DENSE = "multipie68", "dense"
+COUNT = 68
+CONTOUR = slice(0, 17)
+_ROW = 0.012  # of the head height: half the width of a row
+_STATIONS = 24  # at which a row may have a point
+_INWARD = 0.22  # of the head height that a row reaches towards the middle and the front
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandmarkRig:
+    """Points of the landmarks, of the contour's rows, and of dense landmarks, as a rig of its own in float64."""
+
+    rig: DifferentiableRig
+    rows: tuple[IntArray, ...]  # 17 rows of numbers among the rig's points, each with the landmark itself
+    dense: slice  # of the rig's points: those that are landmarks beside the 68
+
+    @classmethod
+    def from_subject(cls, subject: Subject, *, dense: bool = False) -> LandmarkRig:
+        """
+        :param dense: whether the points of the scheme `DENSE` are landmarks too
+        :raises InputError: the face lacks the 68 landmarks
+        """
+        parts = subject.parts
+        points, mesh = landmark_points(parts)
+        rows = [_row(subject, points, number, mesh) for number in range(CONTOUR.stop)]
+        first = np.cumsum([COUNT, *map(len, rows)])
+        more = dense_points(parts) if dense else points[:0]
+        chosen = np.concatenate([points, *rows, more])
+        numbers = tuple(
+            np.concatenate([[k], np.arange(first[k], first[k + 1])]).astype(np.int64) for k in range(CONTOUR.stop)
+        )
+        rig = DifferentiableRig(
+            part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network, dtype=torch.float64
+        )
+        return cls(rig=rig, rows=numbers, dense=slice(int(first[-1]), int(first[-1]) + len(more)))
+
+    def landmarks(self, points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+        """(..., l, 2) pixels of the 68 landmarks, and the dense ones, of the rig's points (..., m, 3), and (..., 17, 2)
+        directions across the contour, outwards; landmarks with gradients, but not of the directions and the choice of
+        points."""
+        screen = camera.project(points)[..., :2]
+        labelled = screen[..., :COUNT, :]
+        outward = contour_normals(labelled[..., CONTOUR, :].detach())
+        contour = []
+        for number, row in enumerate(self.rows):
+            places = screen[..., torch.as_tensor(row), :]
+            reach = (places.detach() * outward[..., number, None, :]).sum(dim=-1)
+            chosen = reach.argmax(dim=-1)[..., None, None].expand(*reach.shape[:-1], 1, 2)
+            contour.append(places.gather(-2, chosen))
+        return torch.cat([*contour, labelled[..., CONTOUR.stop :, :], screen[..., self.dense, :]], dim=-2), outward
+
+
+def landmark_points(parts: FaceParts) -> tuple[IntArray, int]:
+    """(68,) points of the face's landmarks, meshes concatenated, and the number of the mesh that has them.
+
+    :raises InputError: no mesh has them, or not all of them
+    """
+    start = 0
+    for number, mesh in enumerate(parts.meshes):
+        if SCHEME in mesh.landmarks:
+            indices = np.asarray(mesh.landmarks[SCHEME].indices, dtype=np.int64)
+            if len(indices) != COUNT or indices.min() < 0 or indices.max() >= len(mesh.points):
+                raise InputError(
+                    f"{mesh.name} -> landmarks {SCHEME}", f"{len(indices)}, expected {COUNT} of its points"
+                )
+            return indices + start, number
+        start += len(mesh.points)
+    raise InputError(
+        f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected its {COUNT} (`facepipe landmarks --help`)"
+    )
+
+
+def dense_points(parts: FaceParts) -> IntArray:
+    """(d,) points of the face's landmarks of the scheme `DENSE`, meshes concatenated; none where it has none."""
+    start, found = 0, [np.zeros(0, np.int64)]
+    for mesh in parts.meshes:
+        if DENSE in mesh.landmarks:
+            found.append(start + np.asarray(mesh.landmarks[DENSE].indices, dtype=np.int64))
+        start += len(mesh.points)
+    return np.concatenate(found)
+
+
+def contour_normals(contour: Tensor) -> Tensor:
+    """(..., 17, 2) unit directions across a contour (..., 17, 2) in pixels, away from its middle."""
+    along = torch.cat(
+        [
+            contour[..., 1:2, :] - contour[..., :1, :],
+            contour[..., 2:, :] - contour[..., :-2, :],
+            contour[..., -1:, :] - contour[..., -2:-1, :],
+        ],
+        dim=-2,
+    )
+    across = torch.stack([-along[..., 1], along[..., 0]], dim=-1)
+    across = across / torch.linalg.vector_norm(across, dim=-1, keepdim=True).clamp(min=1e-9)
+    middle = contour.mean(dim=-2, keepdim=True)
+    outer = ((contour - middle) * across).sum(dim=-1, keepdim=True)
+    return torch.where(outer < 0, -across, across)
+
+
+def _row(subject: Subject, points: IntArray, number: int, mesh: int) -> IntArray:
+    """Points of the skin that contour landmark `number` may slide to: inwards and to the front of where it is."""
+    parts, rig = subject.parts, subject.rig
+    x, y, z = front_axes(parts, rig)
+    first, last = rig.mesh_offsets[mesh : mesh + 2]
+    contour = torch.as_tensor(np.stack([x[points[CONTOUR]], -y[points[CONTOUR]]], axis=1))
+    nx, ny = contour_normals(contour)[number].numpy() * (1, -1)
+    at = points[number]
+    row = np.arange(first, last)
+    dx, dy, dz = x[row] - x[at], y[row] - y[at], z[row] - z[at]
+    size = float(np.ptp(y[np.unique(points)])) / 0.5  # brow to chin is about half of a head
+    across, outward = np.abs(dx * ny - dy * nx), dx * nx + dy * ny
+    near = (across < _ROW * size) & (outward > -_INWARD * size) & (outward < 0.02 * size)
+    near &= (dz > 0) & (dz < _INWARD * size)
+    return _thinned(row[near], dz[near], across[near])
+
+
+def _thinned(points: IntArray, forward: FloatArray, across: FloatArray) -> IntArray:
+    """At most `_STATIONS` of the points, spread towards the front, those nearest to the middle of the row."""
+    if not len(points):
+        return points
+    station = np.minimum((forward / forward.max() * _STATIONS).astype(np.int64), _STATIONS - 1)
+    order = np.lexsort((across, station))
+    _, first = np.unique(station[order], return_index=True)
+    return points[order[first]]
+
+
+def front_axes(parts: FaceParts, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The rest points' right, up and front coordinates as the face looks at the viewer, in world space."""
+    world = rig.points @ rig.parent_world[:3, :3].T + rig.parent_world[:3, 3]
+    if parts.up_axis == "Z":
+        return world[:, 0], world[:, 2], -world[:, 1]
+    return world[:, 0], world[:, 1], world[:, 2]
+
+
+def part_of(rig: Rig, points: IntArray) -> Rig:
+    """The rig of some of the points only, each as often as it is named."""
+    order = np.argsort(points, kind="stable")
+    first, after = (np.searchsorted(points[order], np.arange(len(rig.points)), side) for side in ("left", "right"))
+    targets = []
+    for target in rig.targets:
+        row, step = expand(after[target.point_indices] - first[target.point_indices])
+        positions = order[first[target.point_indices][row] + step]
+        sorting = np.argsort(positions, kind="stable")
+        targets.append(replace(target, point_indices=positions[sorting], offsets=target.offsets[row[sorting]]))
+    return replace(
+        rig,
+        points=rig.points[points],
+        targets=tuple(targets),
+        influences=rig.influences[points],
+        dual=None if rig.dual is None else rig.dual[points],
+        mesh_names=("landmarks",),
+        mesh_offsets=np.array([0, len(points)]),
+    )

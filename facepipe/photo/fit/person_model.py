@@ -1,0 +1,259 @@
+"""Who a face may be: identity modes of its topology as the controls of a fit, and the person that a fit found.
+
+The fit is over standard deviations of the modes, with their Gaussian prior (Blanz and Vetter, "A Morphable Model for
+the Synthesis of 3D Faces", SIGGRAPH 1999): what no photo shows stays what is likeliest given the rest. The person
+becomes the face's neutral under the nearest values of its own sliders, so that these go on editing it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.reports import Report
+from facepipe.geometry.boxed_qp import BoxedQuadratic
+from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
+from facepipe.rig import Rig, build, slide
+from facepipe.scanning.database import load_database
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.author_neutral import AuthorNeutral
+from facepipe.verbs.same_topology import MILLIMETRES, in_order, world_to_world
+from facepipe.verbs.whole_faces import to_millimetres, whole_points
+
+REACH = 3.0  # standard deviations of a mode that a person may have
+SCHEME = "multipie68"
+_NEAR = 3  # points of the skin that a point of hair follows
+_AROUND = 1.2  # times the farthest landmark from their middle
+_SLIDER_SPREAD = 0.15  # of its range: standard deviation of a slider
+_APART_MM = 1.0  # what sliders may leave of a person's shape at a place
+_PLACES = 100  # that are independent of each other
+_RARE = 3.09  # quantile of the normal distribution of one in a thousand
+_ROUNDS = 2  # in which joints under sliders settle
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentityReport(Report):
+    """A person by the face's identity modes."""
+
+    modes: int
+    deviations: float  # root mean square of the modes' weights, in standard deviations; 1 is usual for a random person
+    beyond_sliders_mean_mm: float  # of the face: what its own sliders don't show, which is in the neutral
+    beyond_sliders_max_mm: float
+
+    @property
+    def usual(self) -> float:
+        """What the deviations of one in a thousand random people exceed.
+
+        Quantile of the chi-squared distribution: Wilson and Hilferty, "The Distribution of Chi-Square", PNAS 1931.
+        """
+        spread = 2 / (9 * self.modes)
+        return float((1 - spread + _RARE * spread**0.5) ** 1.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonModel:
+    """``points = mean + sum_k c_k modes_k`` of a face's n whole points in millimetres, c of a standard normal."""
+
+    parts: FaceParts
+    mean: FloatArray  # (n, 3)
+    modes: FloatArray  # (k, n, 3)
+    face: IntArray  # (m,) whole points of the skin around the landmarks
+    count: int  # whole points of the model, which come first; hair and the like follow the skin
+    built_in: bool  # the head in the box, whose eyes and mouth are fitted to the skin
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of the modes' sliders and shapes."""
+        return tuple(f"identityMode{number:03}" for number in range(len(self.modes)))
+
+    def fit_parts(self, expressions: frozenset[str]) -> FaceParts:
+        """The average person with sliders of the modes, in standard deviations, instead of the face's own.
+
+        :param expressions: shapes that stay
+        """
+        parts = AuthorNeutral().changed(self.parts, self.mean)
+        pieces = np.split(self.modes, np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1], axis=1)
+        meshes = []
+        for mesh, modes, to in zip(parts.meshes, pieces, to_millimetres(parts), strict=True):
+            kept = [shape for shape in mesh.blendshapes if shape.name in expressions]
+            own = _mode_shapes(self.names, mesh, modes, np.linalg.inv(to[:3, :3]))
+            meshes.append(replace(mesh, blendshapes=(*kept, *own)))
+        sliders = tuple(
+            Slider(name=name, group="identity", minimum=-REACH, maximum=REACH, shapes=((name, 1.0),))
+            for name in self.names
+        )
+        return replace(
+            parts, meshes=tuple(meshes), sliders=sliders, slider_network=None, animations=(), played=None, person=None
+        )
+
+    def points(self, weights: FloatArray) -> FloatArray:
+        """(n, 3) of the person with weights (k,) of the modes."""
+        points = np.asarray(self.mean + np.tensordot(weights, self.modes, axes=1))
+        if not self.built_in:
+            return points
+        from facepipe.heads.assembly import with_parts_fitted
+
+        return np.concatenate([10 * with_parts_fitted(points[: self.count] / 10), points[self.count :]])
+
+    def author(
+        self, face: Face, weights: FloatArray, sliders: Sequence[Slider]
+    ) -> tuple[dict[str, float], IdentityReport]:
+        """Put the person into the neutral of `face`, and find the values of its own sliders that stand for most of it.
+
+        With these values the face is the person; what they don't show is in the neutral. A new `Face` reads it.
+
+        :param sliders: that may move, those of who a person is
+        """
+        person, change = self.points(weights), AuthorNeutral().changed
+        values, beyond = self._nearest(person, sliders)
+        parts = change(self.parts, person)
+        for _ in range(_ROUNDS if values else 0):
+            parts = change(self.parts, person - _Sliders.from_parts(parts, sliders).moved(values))
+        if self.built_in:
+            from facepipe.heads.assembly import with_own_blinks
+
+            parts = with_own_blinks(parts, person[: self.count] / 10)
+        meshes = {mesh.name: mesh for mesh in parts.meshes}
+        author_changes(face, replace(parts, meshes=tuple(meshes[mesh.name] for mesh in face.meshes)))
+        report = IdentityReport(
+            modes=len(weights),
+            deviations=float(np.sqrt(np.mean(weights**2))),
+            beyond_sliders_mean_mm=float(beyond.mean()),
+            beyond_sliders_max_mm=float(beyond.max()),
+        )
+        return values, report
+
+    def _nearest(self, person: FloatArray, sliders: Sequence[Slider]) -> tuple[dict[str, float], FloatArray]:
+        """Values of sliders next to a person, within their ranges, and how far (m,) points of the face are from it.
+
+        ``min_s |D s - d|^2 / (m sigma^2 / places) + |(s - default) / spread|^2`` of the face's offsets d and what a
+        slider does at its end, D: sliders work together linearly but for what joints do.
+        """
+        wanted = (person - whole_points(self.parts))[self.face]
+        if not sliders:
+            return {}, np.linalg.norm(wanted, axis=1)
+        ends = np.array([slider.maximum - slider.default for slider in sliders])
+        rig = _Sliders.from_parts(self.parts, sliders)
+        moves = np.stack([rig.moved({slider.name: slider.maximum})[self.face] for slider in sliders])
+        flat = moves.reshape(len(sliders), -1) / ends[:, None]
+        scale = _PLACES / (len(wanted) * _APART_MM**2)
+        spread = _SLIDER_SPREAD * np.array([slider.maximum - slider.minimum for slider in sliders])
+        hessian = scale * flat @ flat.T + np.diag(1 / spread**2)
+        low, high = (np.array([getattr(one, end) - one.default for one in sliders]) for end in ("minimum", "maximum"))
+        off = BoxedQuadratic(hessian).minimise(-scale * flat @ wanted.ravel(), low, high)
+        values = {
+            slider.name: float(np.float32(slider.default + value)) for slider, value in zip(sliders, off, strict=True)
+        }
+        return values, np.linalg.norm(wanted - (off @ flat).reshape(-1, 3), axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sliders:
+    """What some sliders of a face do to its points, while the others stay as they are."""
+
+    rig: Rig
+    parts: FaceParts
+    rest: FloatArray  # (n, 3) with these at their defaults
+    defaults: Mapping[str, float]
+
+    @classmethod
+    def from_parts(cls, parts: FaceParts, sliders: Sequence[Slider]) -> _Sliders:
+        rig, defaults = build(parts), {slider.name: slider.default for slider in sliders}
+        return cls(rig=rig, parts=parts, defaults=defaults, rest=_evaluated(rig, parts, defaults))
+
+    def moved(self, values: Mapping[str, float]) -> FloatArray:
+        """(n, 3) millimetres that points move by values of some of them."""
+        to_mm = world_to_world(self.parts.meters_per_unit, self.parts.up_axis, MILLIMETRES)[:3, :3]
+        return (_evaluated(self.rig, self.parts, {**self.defaults, **values}) - self.rest) @ to_mm.T
+
+
+def _evaluated(rig: Rig, parts: FaceParts, values: Mapping[str, float]) -> FloatArray:
+    coefficients, weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
+    return rig.evaluate(weights, coefficients=coefficients)
+
+
+def person_model(parts: FaceParts, where: str, database: Path | None = None) -> PersonModel | None:
+    """The identity modes that a face has: those of a database, or of the head in the box; None: it has none.
+
+    :raises TopologyError: a database of another topology
+    :raises InputError: a database that can't be read, or a face without landmarks
+    """
+    if database is not None:
+        faces = load_database(database)
+        base = faces.topology.parts(faces.identity.mean)
+        modes = faces.identity.components * faces.identity.deviations[:, None, None]
+        return _on(parts, where, base, modes, built_in=False)
+    from facepipe.heads.asset import asset
+
+    head = asset()
+    if any(name not in {mesh.name for mesh in parts.meshes} for name in head.parts):
+        return None
+    from facepipe.heads.assembly import average
+    from facepipe.heads.assembly import modes as own_modes
+
+    try:
+        return _on(parts, where, average(), 10 * own_modes(), built_in=True)
+    except TopologyError:
+        return None
+
+
+def _on(parts: FaceParts, where: str, base: FaceParts, modes: FloatArray, *, built_in: bool) -> PersonModel:
+    """The model of some meshes of a face, with the others, such as hair, on the skin."""
+    first = in_order(base, "the model", parts, where).meshes
+    names = {mesh.name for mesh in first}
+    ordered = replace(parts, meshes=(*first, *(mesh for mesh in parts.meshes if mesh.name not in names)))
+    points, mean = whole_points(ordered), whole_points(base)
+    skin = _skin(ordered)
+    _, near = cKDTree(points[skin]).query(points[len(mean) :], k=_NEAR)
+    apart = np.linalg.norm(points[skin][near] - points[len(mean) :, None], axis=2)
+    shares = 1 / (apart + 0.1)
+    shares /= shares.sum(axis=1, keepdims=True)
+
+    def follow(moves: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("pk,...pkc->...pc", shares, moves[..., skin, :][..., near, :]))
+
+    return PersonModel(
+        parts=ordered,
+        mean=np.concatenate([mean, points[len(mean) :] + follow(mean - points[: len(mean)])]),
+        modes=np.concatenate([modes, follow(modes)], axis=1),
+        face=_around_landmarks(ordered, points, skin.start),
+        count=len(mean),
+        built_in=built_in,
+    )
+
+
+def _around_landmarks(parts: FaceParts, points: FloatArray, start: int) -> IntArray:
+    """Whole points of the mesh with the landmarks that lie no farther from their middle than these do, and some."""
+    mesh = next(mesh for mesh in parts.meshes if SCHEME in mesh.landmarks)
+    marks = points[start + np.asarray(mesh.landmarks[SCHEME].indices)]
+    away = np.linalg.norm(points[start : start + len(mesh.points)] - marks.mean(axis=0), axis=1)
+    return start + np.flatnonzero(away <= _AROUND * np.linalg.norm(marks - marks.mean(axis=0), axis=1).max())
+
+
+def _skin(parts: FaceParts) -> slice:
+    """Whole points of the mesh with the landmarks."""
+    start = 0
+    for mesh in parts.meshes:
+        if SCHEME in mesh.landmarks:
+            return slice(start, start + len(mesh.points))
+        start += len(mesh.points)
+    raise InputError(f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected it (`facepipe landmarks --help`)")
+
+
+def _mode_shapes(names: Sequence[str], mesh: Mesh, modes: FloatArray, back: FloatArray) -> tuple[Blendshape, ...]:
+    """Modes (k, m, 3) in millimetres as shapes of a mesh.
+
+    :param back: (3, 3) from millimetres to mesh space
+    """
+    rows = np.arange(len(mesh.points), dtype=np.int32)
+    return tuple(
+        Blendshape(name=name, point_indices=rows, offsets=offsets @ back.T)
+        for name, offsets in zip(names, modes, strict=True)
+    )

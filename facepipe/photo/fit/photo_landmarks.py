@@ -1,0 +1,178 @@
+"""Landmarks of photos: from MediaPipe, or found by facepipe's own network, and what can't be a face's."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.reading import read_bytes
+from facepipe.photo.fit.photo_file import Photo
+from facepipe.photo.fit.plausible_landmarks import check_face
+
+# Vertices of MediaPipe's face mesh (numbered as in canonical_face_model.obj of google-ai-edge/mediapipe) that lie where
+# the Multi-PIE mark-up has its points. The contour is that of the mesh, a little inside the jaw line. The 10 points of
+# the irises, 468 to 477, are not among them.
+MULTIPIE68_OF_MEDIAPIPE = (
+    *(162, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 389),  # jaw line
+    *(71, 63, 105, 66, 107, 336, 296, 334, 293, 301),  # brows, the person's right first
+    *(168, 197, 5, 4, 75, 97, 2, 326, 305),  # bridge and base of the nose
+    *(33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380),  # eyes, the person's right first
+    *(61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181),  # outer lips
+    *(78, 82, 13, 312, 308, 317, 14, 87),  # inner lips
+)
+
+
+Found = TypeVar("Found")
+
+_OUTSIDE = 0.05  # of the photo's longer side: how far beyond its border detectors guess what a tight crop cuts off
+_MOST_MODEL_BYTES = 1 << 28
+_MOST_FACES = 16
+_MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
+
+
+@dataclass(frozen=True, kw_only=True)
+class Landmarks68:
+    """Where the landmarks of Multi-PIE are in a photo."""
+
+    points: FloatArray  # (68, 2) float64, pixels of the photo as read: x right and y down from its top left corner
+    source: str  # what found them: a file's name, or a detector
+    confidence: FloatArray = field(default_factory=lambda: np.ones(68))  # (68,) 0..1: what a squared error counts
+    dense: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))  # (d, 2) more, of the scheme ``dense``
+    dense_confidence: FloatArray = field(default_factory=lambda: np.zeros(0))  # (d,)
+    pupils: FloatArray | None = None  # (2, 3) x, y, and the error to expect: pixels, the person's left first
+    warnings: tuple[str, ...] = ()
+
+
+def landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> Landmarks68:
+    """`points` (68 | 468 | 478, 2) in pixels of the photo as read as its landmarks; more than 68 are MediaPipe's.
+
+    :param where: the trail, for messages
+    :raises InputError: outside the photo by more than 5 % of its longer side, or nothing like the 68 of Multi-PIE: all
+        about one place, on one line, in another order, mirrored, or with a part of the face where none can be
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) != 68:
+        points = points[list(MULTIPIE68_OF_MEDIAPIPE)]
+    check_face(points, where)
+    return Landmarks68(points=points, source=source, warnings=_check_inside(points, photo, where))
+
+
+def one_face(faces: Sequence[Found], index: int | None, where: str) -> Found:
+    """The only one of `faces`, or the one that `index` names, from 0.
+
+    :raises InputError: none, several and no index, or an index out of range
+    """
+    if not faces:
+        raise InputError(where, "no face found, expected one")
+    if index is None and len(faces) > 1:
+        raise InputError(where, f"{len(faces)} faces found, expected one, or an index from 0 to {len(faces) - 1}")
+    if index is not None and not 0 <= index < len(faces):
+        raise InputError(where, f"face {index} of {len(faces)}, expected an index from 0 to {len(faces) - 1}")
+    return faces[index or 0]
+
+
+def _check_inside(points: FloatArray, photo: Photo, where: str) -> tuple[str, ...]:
+    height, width = photo.pixels.shape[:2]
+    beyond = np.maximum(-points, points - (width, height)).max(axis=1)
+    count, worst = int((beyond > 0).sum()), int(beyond.argmax())
+    if not count:
+        return ()
+    share = beyond[worst] / max(width, height)
+    x, y = points[worst] / photo.scale
+    what = f"{count} of 68 landmarks outside {photo.name} ({photo.size[0]} x {photo.size[1]} pixels)"
+    if share > _OUTSIDE:
+        trail = f"{what}, number {worst} at {x:.1f}, {y:.1f}"
+        raise InputError(where, f"{trail}: expected inside, or out by at most {_OUTSIDE:.0%} of its longer side")
+    return (f"{what}, by up to {share:.1%} of its longer side: guessed by what found them",)
+
+
+def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = None) -> Landmarks68:
+    """The landmarks that MediaPipe's Face Landmarker finds, in pixels of the photo.
+
+    :param task_file: the model, ``face_landmarker.task``: the 1.x wheels of mediapipe bring none
+    :param index: which of several faces, from 0, the largest first
+    :raises InputError: mediapipe is not installed, no such model, no or several faces, or landmarks that
+        `landmarks_in` refuses
+    """
+    model = _task_bundle(task_file)
+    vision, image = _mediapipe(photo)
+    from mediapipe.tasks.python import BaseOptions
+
+    try:
+        options = vision.FaceLandmarkerOptions(
+            base_options=BaseOptions(model_asset_buffer=model), num_faces=_MOST_FACES
+        )
+        landmarker = vision.FaceLandmarker.create_from_options(options)
+    except (ValueError, RuntimeError, OSError) as error:
+        raise InputError(task_file, f"{str(error)[:120]}, expected MediaPipe's face_landmarker.task") from None
+    with landmarker:
+        try:
+            found = landmarker.detect(image).face_landmarks
+        except (ValueError, RuntimeError) as error:
+            raise InputError(f"{photo.path} -> {task_file}", f"MediaPipe failed: {str(error)[:120]}") from None
+    faces = sorted((_pixels(face, photo, task_file) for face in found), key=lambda points: -_extent(points))
+    chosen = one_face(faces, index, str(photo.path))
+    return landmarks_in(photo, chosen, f"MediaPipe {task_file.name}", str(photo.path))
+
+
+def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
+    """The landmarks that facepipe's own network finds, in pixels of the photo.
+
+    :param index: which of several faces, from 0, the largest first
+    :raises InputError: no torch, no or several faces, or landmarks that `landmarks_in` refuses
+    """
+    from facepipe.networks import find_landmarks
+
+    faces = sorted(find_landmarks(photo.pixels), key=lambda face: -_extent(face.landmarks))
+    face = one_face(faces, index, str(photo.path))
+    found = landmarks_in(photo, face.landmarks, "facepipe landmark network", str(photo.path))
+    return replace(
+        found,
+        confidence=face.confidence,
+        dense=face.dense,
+        dense_confidence=face.dense_confidence,
+        pupils=face.pupils,
+    )
+
+
+def _extent(points: FloatArray) -> float:
+    """Pixels of the box around landmarks."""
+    return float(np.prod(np.ptp(points, axis=0)))
+
+
+def _mediapipe(photo: Photo) -> tuple[Any, Any]:
+    """MediaPipe's vision tasks, and the photo as its image."""
+    try:
+        import mediapipe
+        from mediapipe.tasks.python import vision
+    except ImportError as error:
+        missing = error.name == "mediapipe"
+        found = "mediapipe is not installed" if missing else f"mediapipe can't be loaded ({error})"
+        raise InputError("MediaPipe", f"{found}, expected: pip install 'mediapipe>=1.2,<2'") from None
+    except OSError as error:  # a library of the system that it needs
+        raise InputError("MediaPipe", f"mediapipe can't be loaded: {error}") from None
+    pixels = np.ascontiguousarray(np.round(photo.pixels * 255).clip(0, 255).astype(np.uint8))
+    return vision, mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
+
+
+def _task_bundle(path: Path) -> bytes:
+    data = read_bytes(path, _MOST_MODEL_BYTES)
+    if not zipfile.is_zipfile(BytesIO(data)):
+        raise InputError(path, "is no MediaPipe task bundle, expected face_landmarker.task")
+    return data
+
+
+def _pixels(face: Any, photo: Photo, task_file: Path) -> FloatArray:
+    """(468 | 478, 2) of MediaPipe's shares of width and height."""
+    if len(face) not in _MEDIAPIPE_COUNTS:
+        raise InputError(task_file, f"finds {len(face)} landmarks, expected a model of {_MEDIAPIPE_COUNTS[-1]}")
+    height, width = photo.pixels.shape[:2]
+    return np.array([(point.x, point.y) for point in face], dtype=np.float64) * (width, height)

@@ -1,0 +1,242 @@
+"""Scan from photos: photos of one expression in, a coloured surface, its cameras and landmarks out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report, not_in_json
+from facepipe.core.threads import one_thread
+from facepipe.kinds import Watch
+from facepipe.scanning.landmarks.find import found_sigmas
+from facepipe.scanning.photos.cameras import Cameras, PhotoCamera
+from facepipe.scanning.photos.depth import depth_maps
+from facepipe.scanning.photos.options import FEWEST_PHOTOS, ScanPhotosOptions
+from facepipe.scanning.photos.photo_colors import PhotoColors
+from facepipe.scanning.photos.photos import Photo, photo_files, read_photos
+from facepipe.scanning.photos.structure import Structure, find_structure
+from facepipe.scanning.photos.subject import Subject, choose_pairs, find_subject, scale_of_markers, upright
+from facepipe.scanning.photos.surface import make_cloud, make_surface
+from facepipe.scanning.photos.triangulation import (
+    Sightings,
+    landmark_sightings,
+    place_landmarks,
+    triangulate_all,
+)
+from facepipe.scans import Scan, ScanLandmarks
+
+Step = Callable[[str, int], None]
+_DOUBTFUL = 1.5  # pixels: mean distance of matched points from where photos show them
+_MARKED = 0.006  # of a photo's longer side: how far a marker may be from where it was seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPhotosReport(Report):
+    """How a scan came out of photos. Lengths are in `unit`; None: the scale is unknown, they are of the scan's own."""
+
+    photos_used: tuple[str, ...] = ()
+    photos_unused: tuple[str, ...] = ()  # could not be placed
+    cameras: str = "found"  # or "given"
+    unit: str | None = None  # mm, cm or m
+    reprojection_px: float = 0.0  # mean distance of matched points from where photos show them
+    matched_points: int = 0
+    pairs: int = 0  # of photos, whose depth was found together
+    spacing: float = 0.0  # distance of the dense points
+    dense_points: int = 0  # after cleaning
+    consistency: float = 0.0  # median distance between the surfaces that different photos give, along the view
+    consistency_px: float = 0.0  # the same in widths of a pixel on the skin
+    points: int = 0  # of the scan
+    triangles: int = 0
+    landmarks: int = 0  # of 68
+    markers: int = 0
+    seconds: float = 0.0
+    used: Any = not_in_json()  # the `Cameras` of the photos that were used
+
+
+def no_step(name: str, total: int) -> None:
+    """Progress that nobody watches."""
+
+
+@contextmanager
+def bars(watch: Watch) -> Iterator[Step]:
+    """A bar for each kind of work, one after the other."""
+    with ExitStack() as stack:
+        shown: dict[str, Any] = {}
+
+        def step(name: str, total: int) -> None:
+            if name not in shown:
+                stack.close()
+                shown[name] = stack.enter_context(watch(name, total))
+            shown[name].update()
+
+        yield step
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoScan:
+    """What photos gave."""
+
+    scan: Scan
+    cameras: Cameras  # of the photos that were used, full size
+    landmarks: ScanLandmarks
+    report: ScanPhotosReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPhotos:
+    """Makes a scan of a folder of photos, taken at one moment from around a face (document S11, S12).
+
+    :raises InputError: the distance between two markers is not above 0
+    """
+
+    options: ScanPhotosOptions = field(default_factory=ScanPhotosOptions)
+    cameras: Cameras | None = None  # known ones; None: found from the photos
+    markers: Sightings = field(default_factory=dict)
+    marker_distance: tuple[str, str, float] | None = None  # two markers and the millimetres between them
+    masks: Path | None = None  # folder of masks
+
+    def __post_init__(self) -> None:
+        if self.marker_distance is not None:
+            distance = self.marker_distance[2]
+            if not (math.isfinite(distance) and distance > 0):
+                raise InputError("marker distance", f"{distance} mm, expected a length above 0")
+            if self.cameras is not None:
+                raise InputError("marker distance", "given with cameras, which have a scale, expected one of them")
+
+    @one_thread()
+    def __call__(self, folder: Path, step: Step = no_step) -> PhotoScan:
+        """The scan of the photos in `folder`.
+
+        :param step: called with the name of the work and its count of steps, before each one
+        :raises InputError: too few photos, one that can't be read, masks or cameras that don't fit, a library missing
+        :raises FitError: too few photos could be placed, or they don't agree on a surface
+        """
+        start = time.perf_counter()
+        files, others = photo_files(folder)
+        photos = read_photos(files, self.options.pixels, self.masks)
+        warnings = [f"{name} is not a photo and was left out" for name in others if not name.endswith(".json")]
+        step("cameras", 1)
+        known = None if self.cameras is None else _known(self.cameras, photos, folder)
+        structure = find_structure(photos, self.options, known)
+        made = self._scan(folder.name, [photo for photo in photos if photo.name in structure.cameras], structure, step)
+        unused = tuple(photo.name for photo in photos if photo.name not in structure.cameras)
+        if unused:
+            reason = "have no known camera" if known is not None else "could not be placed"
+            warnings.append(f"{len(unused)} of {len(photos)} photos {reason}: {', '.join(unused[:8])}")
+        report = replace(
+            made.report,
+            photos_unused=unused,
+            warnings=(*warnings, *made.report.warnings),
+            seconds=time.perf_counter() - start,
+        )
+        shown = PhotoColors(
+            folder=folder, cameras=made.cameras.cameras, points=made.scan.points, triangles=made.scan.triangles
+        )
+        return replace(made, scan=replace(made.scan, photos=shown), report=report)
+
+    def _scan(self, name: str, photos: list[Photo], structure: Structure, step: Step) -> PhotoScan:
+        """The scan of photos that have a camera, without warnings on the others."""
+        options = self.options
+        subject, structure = find_subject(structure)
+        if self.cameras is None:
+            structure, subject = self._placed(photos, structure, subject)
+        cameras = [structure.cameras[photo.name] for photo in photos]
+        pairs = choose_pairs(structure, subject, options.neighbours)
+        each_pair, each_photo = (lambda: step("depth", len(pairs))), (lambda: step("points", len(photos)))
+        maps = depth_maps(photos, structure, pairs, options.agreement, options.texture, each_pair)
+        cloud, apart = make_cloud(photos, cameras, maps, subject, options, each_photo)
+        step("surface", 1)
+        scan = make_surface(cloud, name, gap=options.gap, smallest=options.smallest)
+        landmarks, lost = self._landmarks(photos, structure, scan, step)
+        report = ScanPhotosReport(
+            photos_used=tuple(photo.name for photo in photos),
+            cameras="found" if self.cameras is None else "given",
+            unit=self._unit,
+            reprojection_px=structure.error,
+            matched_points=len(structure.points),
+            pairs=len(pairs),
+            spacing=cloud.spacing,
+            dense_points=len(cloud.points),
+            consistency=apart,
+            consistency_px=apart / cloud.spacing * options.spacing,
+            points=len(scan.points),
+            triangles=len(scan.triangles),
+            landmarks=int(landmarks.known.sum()),
+            markers=len(landmarks.markers),
+            warnings=(*_doubts(structure), *lost),
+        )
+        full = {photo.name: structure.cameras[photo.name].scaled(*photo.full_size) for photo in photos}
+        return PhotoScan(scan=scan, cameras=Cameras(cameras=full, unit=self._unit), landmarks=landmarks, report=report)
+
+    def _landmarks(
+        self, photos: list[Photo], structure: Structure, scan: Scan, step: Step
+    ) -> tuple[ScanLandmarks, list[str]]:
+        """Landmarks and markers on the scan, and a warning for each marker that has no place."""
+        markers = self._markers(photos, structure)
+        names = {name for marker in self.markers.values() for name in marker}
+        lost = [f"marker {one}: no 2 photos show it at one place" for one in sorted(names - set(markers))]
+        if not self.options.landmarks:
+            return ScanLandmarks(markers=markers), lost
+        sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
+        points = place_landmarks(sightings, structure.cameras, scan)
+        return ScanLandmarks(points=points, sigma_mm=found_sigmas(colored=True), markers=markers), lost
+
+    @property
+    def _unit(self) -> str | None:
+        if self.cameras is not None:
+            return self.cameras.unit
+        return "mm" if self.marker_distance is not None else None
+
+    def _placed(self, photos: list[Photo], structure: Structure, subject: Subject) -> tuple[Structure, Subject]:
+        """Upright, and in millimetres where two markers give the scale."""
+        if self.marker_distance is None:
+            return upright(structure, subject, self.options.radius)
+        factor = scale_of_markers(self._markers(photos, structure), self.marker_distance)
+        return upright(structure, subject, subject.radius * factor)
+
+    def _markers(self, photos: list[Photo], structure: Structure) -> dict[str, FloatArray]:
+        """Markers in space, by name."""
+        sizes = {one.name: np.array([one.width, one.height]) / one.full_size for one in photos}
+        seen = {
+            photo: {name: place * sizes[photo] for name, place in one.items()}
+            for photo, one in self.markers.items()
+            if photo in sizes
+        }
+        size = float(np.median([max(one.width, one.height) for one in photos]))
+        return triangulate_all(seen, structure.cameras, _MARKED * size, 2)
+
+
+def _doubts(structure: Structure) -> tuple[str, ...]:
+    if structure.error <= _DOUBTFUL:
+        return ()
+    return (f"matched points are {structure.error:.1f} pixels off: cameras that don't fit, or a face that moved",)
+
+
+def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, PhotoCamera]:
+    """The cameras of the photos as they are used.
+
+    :raises InputError: fewer than 5 photos have one, or one is of another size than its photo
+    """
+    used = {}
+    for photo in photos:
+        camera = cameras.cameras.get(photo.name)
+        if camera is None:
+            continue
+        if (camera.width, camera.height) != photo.full_size:
+            size = f"{photo.full_size[0]} x {photo.full_size[1]}"
+            raise InputError(
+                folder / photo.name, f"{size} pixels, expected {camera.width} x {camera.height} of its camera"
+            )
+        used[photo.name] = camera.scaled(photo.width, photo.height)
+    if len(used) < FEWEST_PHOTOS:
+        raise InputError(folder, f"{len(used)} photos have a known camera, expected {FEWEST_PHOTOS} or more")
+    return used

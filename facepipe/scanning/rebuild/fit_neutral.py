@@ -1,0 +1,204 @@
+"""The actor's neutral from its scan, an identity model and a smooth residual (document S13)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FitError, InputError, TopologyError
+from facepipe.core.names import first_names
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
+from facepipe.geometry.identity_model import IdentityModel
+from facepipe.geometry.landmarks import mirrored
+from facepipe.geometry.polygons import flipped_triangles
+from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
+from facepipe.geometry.similarity import Similarity, robust_similarity
+from facepipe.scanning.database import FaceDatabase, Quality
+from facepipe.scanning.rebuild.composites import ShownShapes
+from facepipe.scanning.rebuild.options import UNITS, FitNeutralOptions
+from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
+from facepipe.scanning.rebuild.template import Template
+from facepipe.scans import Scan, ScanLandmarks
+
+_FEWEST_LANDMARKS = 6
+_ODD_SIZE = 0.2  # logarithm: a scan that has grown or shrunk by more is held at the size that its landmarks have
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeutralReport(Report):
+    """How a neutral lies on its scan."""
+
+    fit: ScanFit
+    quality: Quality  # what a database asks for
+    coefficients: tuple[float, ...]  # of the identity model, in standard deviations
+    residual_mean_mm: float  # what the model could not show, over the face area
+    residual_max_mm: float
+    weights: Mapping[str, float] = field(default_factory=dict)  # of shapes that the scan shows besides, as found
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeutralFit:
+    """An actor's neutral."""
+
+    points: FloatArray  # (n, 3) whole points, in the template's place
+    expression: FloatArray  # (n, 3) whole delta that the scan shows besides
+    place: Similarity  # from the scan's coordinates to those
+    report: NeutralReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitNeutral:
+    """Identity coefficients, the scan's place and size, and a smooth residual, solved together on matches that are
+    renewed from step to step.
+
+    The document (S13) solves them one after another; what the model can't show then bends its coefficients, and leaves
+    0.1 mm more. Points that no scan shows (back of the mouth, eyeballs, teeth) follow the model and the skin around.
+    """
+
+    options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+
+    @one_thread()
+    def __call__(
+        self,
+        template: Template,
+        scan: Scan,
+        landmarks: ScanLandmarks,
+        database: FaceDatabase,
+        progress: Callable[[int], None] = lambda step: None,
+        weights: Mapping[str, float] | None = None,
+    ) -> NeutralFit:
+        """Fit the neutral.
+
+        :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is
+            without them
+        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or
+            a scan that can't be used
+        :raises TopologyError: a database of another topology
+        :raises FitError: a scan that does not show this face
+        """
+        if database.topology.digest != template.topology.digest:
+            raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
+        marks = template.rows[template.landmarks]
+        start, warnings = self._start(scan, landmarks, database.identity.mean[marks])
+        shapes = ShownShapes.carried_over(template, database, weights or {}, f"{scan.name} -> weights")
+        target, mended = scan_target(scan)
+        surface = identity_surface(template, database.identity, self.options)
+        anchors = landmark_anchors(template, landmarks)
+        shown = shapes.prior(template, self.options.weight_sigma)
+        options = self.options.registration
+        try:
+            registered = register(surface, target, anchors, start, options, progress, shown)
+            if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
+                registered = register(surface, target, anchors, start, replace(options, scale=False), progress, shown)
+        except FitError as error:
+            raise error.under(scan.name) from None
+        lines = (*scan.warnings, *mended, *warnings)
+        return neutral_fit(template, database.identity, scan.name, registered, anchors.names, lines, shapes)
+
+    def _start(self, scan: Scan, landmarks: ScanLandmarks, reference: FloatArray) -> tuple[Similarity, tuple[str, ...]]:
+        """About where the scan lies, by its landmarks."""
+        known = landmarks.known
+        where = f"{scan.name} -> landmarks"
+        if known.sum() < _FEWEST_LANDMARKS:
+            raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
+        if mirrored(landmarks.points[known], reference[known]):
+            raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
+        free = robust_similarity(landmarks.points[known], reference[known])
+        if self.options.unit == "auto":
+            return free, ()
+        size = UNITS[self.options.unit]
+        if abs(free.scale / size - 1.0) > 0.3:
+            size_of = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
+            raise InputError(scan.name, f"was given in {self.options.unit}, but has the size of a face in {size_of}")
+        held = robust_similarity(landmarks.points[known] * size, reference[known], scale=False)
+        return replace(held, scale=size), ()
+
+
+def identity_surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
+    """The template's skin by the identity model."""
+    modes = identity.components[:, template.rows] * identity.deviations[:, None, None]
+    return DeformableSurface(
+        base=identity.mean[template.rows],
+        modes=modes,
+        expected=np.zeros(len(modes)),
+        precision=np.full(len(modes), options.prior),
+        triangles=template.triangles,
+        seen=template.seen,
+        held=np.zeros(len(template.rows)),
+        labels=template.labels,
+    )
+
+
+def landmark_anchors(template: Template, landmarks: ScanLandmarks) -> Anchors:
+    """The landmarks that are known, held as they say, else as the options of a fit do; named from 0, as in files."""
+    names = tuple(f"landmark {number}" for number in range(len(landmarks.points)))
+    return Anchors.at_points(template.landmarks, landmarks.points, names, landmarks.sigma_mm)
+
+
+def neutral_fit(
+    template: Template,
+    identity: IdentityModel,
+    scan: str,
+    registered: Registered,
+    names: tuple[str, ...],
+    warnings: tuple[str, ...],
+    shapes: ShownShapes | None = None,
+) -> NeutralFit:
+    """Whole points and the report of what was found on a scan.
+
+    :param names: of the anchors
+    :param warnings: from before
+    :param shapes: those that the scan shows besides
+    """
+    shapes = shapes or ShownShapes()
+    weights = dict(zip(shapes.weights, map(float, registered.weights), strict=True))
+    model = identity.points(registered.coefficients)
+    expression = shapes.expression(weights, len(model))
+    base = model[template.rows]
+    moves = template.with_inside(base, registered.points - expression[template.rows] - base)
+    points = template.whole(model, base + moves)
+    fit = scan_fit(scan, registered, template.face, names)
+    off = np.linalg.norm(registered.residual[template.face], axis=1)
+    report = NeutralReport(
+        fit=fit,
+        quality=_quality(fit, template, model, points),
+        coefficients=tuple(float(coefficient) for coefficient in registered.coefficients),
+        residual_mean_mm=float(off.mean()) if len(off) else 0.0,
+        residual_max_mm=float(off.max(initial=0.0)),
+        weights=weights,
+        warnings=(*warnings, *_fit_warnings(scan, fit)),
+    )
+    return NeutralFit(points=points, expression=expression, place=registered.place, report=report)
+
+
+def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
+    """Triangles count as flipped against what the identity model shows of this person: people's own corners of lips
+    and lids turn some against the template's."""
+    flipped = flipped_triangles(model, points, template.topology.triangles)
+    return Quality(
+        surface_mean_mm=fit.surface_mean_mm,
+        surface_p95_mm=fit.surface_p95_mm,
+        coverage=fit.coverage,
+        flipped_triangles=int(flipped.sum()),
+    )
+
+
+def _fit_warnings(name: str, fit: ScanFit) -> tuple[str, ...]:
+    """What a user should know of the fit."""
+    lines = []
+    if fit.unit != "mm":
+        size = f"1 unit is {fit.mm_per_unit:.4g} mm"
+        lines.append(f"{name}: {size}, {_unit_text(fit) if fit.unit else 'like no usual unit'}")
+    if fit.outliers:
+        some = first_names(fit.outliers, 6)
+        lines.append(f"{name}: {len(fit.outliers)} landmarks ignored as outliers: {some}")
+    return tuple(lines)
+
+
+def _unit_text(fit: ScanFit) -> str:
+    held = abs(fit.mm_per_unit / UNITS[str(fit.unit)] - 1.0) < 1e-9
+    return f"taken as {fit.unit}" + ("" if held else f" by its shape (--unit {fit.unit} holds the size)")

@@ -1,0 +1,173 @@
+"""Fit a template's neutral to the scan of a person: the person's own face on the template's topology.
+
+SCAN is a mesh or a cloud of points (.ply .obj .stl .off .glb .gltf or USD), of any pose and unit, whole or in part.
+A folder of photos around a face is scanned first, as `facepipe scan` does by default (`pip install 'facepipe[scan]'`).
+Without --template it becomes the built-in head, textured and ready for use: with -o person.glb for the engine at once.
+Eyes, teeth and what no scan shows follow the model of the database and the skin around. Landmarks (multipie68, in the
+scan's own coordinates) are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
+which needs `pip install 'facepipe[train]'`. {"points": [[x, y, z] | null, ... 68]} names 6 or more of them.
+
+The neutral has open eyes and a mouth at rest. Shut eyes are seen by their landmarks and opened. Where SCAN shows
+something else, --weights says so with the template's shapes; the neutral is without them, the picture with them.
+
+OUT is an override layer over the template, whose blendshapes, rig, regions, materials and sliders it keeps; joints
+move with the skin. --flatten writes a standalone file, as one on the built-in head is. --picture shows scan, face and
+their distance. Exit code 1: done, but a limit of the quality gate of `facepipe database add` is missed.
+
+examples:
+  facepipe fit-neutral anna.glb -o anna_face.glb
+  facepipe fit-neutral photos/ -o anna.glb
+  facepipe fit-neutral anna.ply --template head.usda --database faces.fpdb -o anna.usda --picture anna.png
+  facepipe fit-neutral ben.ply -o ben.usda --unit cm --weights mouthSmileLeft=0.5 mouthSmileRight=0.5
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.errors import InputError
+from facepipe.core.reports import table
+from facepipe.declare import beside, named_numbers, option, source, to_json
+from facepipe.kinds import Job, action
+from facepipe.scanning.rebuild.options import BakeScanOptions, FitNeutralOptions
+from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
+
+if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
+    from facepipe.scanning.database import FaceDatabase
+    from facepipe.scanning.rebuild.action_reports import FitNeutralReport
+    from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+    from facepipe.stage import Face
+
+_STEPS = 18  # of a fit, at most
+_TEXTURES = 2048  # texels a side of the built-in head's
+
+
+@action("fit-neutral", "fit a face to the scan of a person")
+@dataclass(frozen=True, kw_only=True)
+class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutralReport"]):
+    """The action."""
+
+    template: Path | None = source(
+        "face stage with multipie68 landmarks (default the built-in head)",
+        default=None,
+        flag="--template",
+        metavar="FACE",
+    )
+    scan: Path = source("scan of the neutral: .ply .obj .stl .off .glb .gltf or USD; or a folder of 5 or more photos")
+    database: Path | None = source(
+        "faces of the template's topology: .fpdb (default for the built-in head its own modes)",
+        default=None,
+        flag="--database",
+        metavar="FPDB",
+    )
+    landmarks: Path | None = source(
+        "landmarks of the scan (default SCAN's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
+    )
+    weights: Mapping[str, float] = option(
+        dict,
+        "shapes that the scan shows besides the neutral, weights above 0 up to 2",
+        parse=named_numbers,
+        metavar="SHAPE=WEIGHT",
+        words=True,
+    )
+    open_eyes: bool = option(True, "open eyes whose lids the landmarks show shut, where no --weights are given")
+    close_lips: bool = option(True, "close lips whose landmarks meet: of their rims, scans show nothing")
+    picture: Path | None = beside("draw scan, face and their distance", ".png", "draw")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "landmarks", landmark_file(self.scan, self.landmarks))
+
+    def check(self) -> None:
+        from facepipe.scanning.photos import photo_files
+
+        super().check()
+        if Path(self.scan).is_dir():
+            photo_files(Path(self.scan))
+            if self.unit != "auto":
+                raise InputError(f"--unit {self.unit}", "photos have no unit, expected auto")
+
+    @property
+    def base(self) -> Path:
+        return Path(self.scan if self.template is None else self.template)
+
+    def made_base(self) -> FaceParts | None:
+        from facepipe.heads import make
+
+        return make(textures=_TEXTURES) if self.template is None else None
+
+    def author(self, face: Face, job: Job) -> FitNeutralReport:
+        from facepipe.scanning.database import QualityLimits, misses
+        from facepipe.scanning.rebuild.action_reports import FitNeutralReport
+        from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+        from facepipe.scanning.rebuild.fit_neutral import FitNeutral
+        from facepipe.scanning.rebuild.scan_fit import FaceOnScan
+        from facepipe.scanning.rebuild.scan_input import named, scan_input
+        from facepipe.scanning.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
+        from facepipe.scanning.rebuild.template import Template
+        from facepipe.scanning.texture import author_scan_textures
+        from facepipe.verbs.author_neutral import AuthorNeutral
+
+        parts = face.parts()
+        template, own = Template.of(parts, str(self.template or face.where)), BuiltInHead.of(parts)
+        database = self._people(own)
+        body = template.body(database.topology)
+        given = scan_input(Path(self.scan), self.landmarks, job.watch)
+        scan, landmarks = given.scan, given.landmarks
+        weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
+        with named(self.scan), job.watch("fit", _STEPS) as bar:
+            fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
+        report, points = fit.report, fit.points
+        if self.close_lips and are_sealed(landmarks):
+            points = with_sealed_lips(body, points)
+        points = template.dressed(body, points if own is None else own.fitted(points))
+        shown = template.dressed(body, fit.points + fit.expression)
+        recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
+        author = AuthorNeutral() if own is None else AuthorNeutral(settled=own.settled)
+        authored = author(face, points, recipe=recipe)
+        with named(self.scan), job.watch("textures", 1) as bar:
+            baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
+            bar.update()
+        neutral = points if report.weights else None
+        picture = FaceOnScan(template=template, points=shown, scan=scan, place=fit.place, neutral=neutral)
+        missed = misses(report.quality, QualityLimits())
+        warnings = (*given.warnings, *report.warnings, *authored.warnings, *baked.warnings)
+        made = {"textures": baked.textures, "colored": baked.colored, "hidden": baked.hidden, "photos": given.photos}
+        return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
+
+    def _people(self, own: BuiltInHead | None) -> FaceDatabase:
+        from facepipe.scanning.database import load_database
+
+        if self.database is not None:
+            return load_database(self.database)
+        if own is None:
+            what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
+            raise InputError("--database", what)
+        return own.people()
+
+    def text(self, report: FitNeutralReport, out: Path) -> str:
+        from facepipe.scanning.rebuild.action_reports import slid_text
+
+        fit, quality, photos = report.fit, report.quality, report.photos
+        unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
+        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
+        besides = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
+        distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
+        rows = [
+            *([("photos", f"{len(photos['photos_used'])} used")] if photos else []),
+            ("distance from the scan", distance),
+            ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
+            ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+            *([("slid along the surface", slid_text(fit.slid_mm))] if fit.slid_mm else []),
+            *([("shows besides", besides)] if besides else []),
+            ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
+            ("flipped triangles", f"{quality.flipped_triangles}"),
+            ("a unit of the scan", unit),
+            ("steps", f"{fit.steps}"),
+            *([("skin in the scan's colours", f"{100 * report.colored:.1f} %")] if report.textures else []),
+        ]
+        return "\n".join([str(out), table(rows)])

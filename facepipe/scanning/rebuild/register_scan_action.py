@@ -1,0 +1,177 @@
+"""Put a person's face on the scan of an expression: the whole expression as one shape over the personal template.
+
+SCAN is a mesh or a cloud of points, of any pose and unit. --weights says what it shows, or the name of a composite does
+(default: SCAN's name): jaw_open, smile, laugh, brows_up ... as docs/rebuild.md lists them. From there the weights are
+found anew. Landmarks are read from --landmarks, else from SCAN's name with .landmarks.json, else found on the scan,
+which needs `pip install 'facepipe[train]'`. With the neutral's scan, painted markers that both have are followed, and
+scans of one size stay so.
+
+OUT is an override layer over --personal with the expression as a shape called --name; `facepipe split-shapes` takes
+it, as it is or corrected by hand. Exit code 1: done, but the face lies on the scan worse than the quality gate of
+`facepipe database add` asks for, or the scan shows less of it.
+
+examples:
+  facepipe register-scan smile.ply --personal personal.usda -o work/smile.usda --picture smile.png
+  facepipe register-scan take7.ply --personal personal.usda --name grin -o grin.usda \\
+      --weights mouthSmileLeft=1 mouthSmileRight=1 jawOpen=0.2 --neutral-scan anna.ply
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from facepipe.core.errors import InputError
+from facepipe.core.reports import table
+from facepipe.declare import beside, named_numbers, option, source
+from facepipe.kinds import Job, action
+from facepipe.scanning.rebuild.options import RegisterScansOptions
+from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
+
+if TYPE_CHECKING:
+    from facepipe.scanning.rebuild.action_reports import RegisterScanReport
+    from facepipe.scanning.rebuild.register_scans import NeutralScan
+    from facepipe.scanning.rebuild.template import Template
+    from facepipe.stage import Face
+    from facepipe.verbs.whole_faces import WholeFace
+
+_STEPS = 18  # of a registration, at most
+_WEIGHTS: Any = {"parse": named_numbers, "metavar": "SHAPE=WEIGHT", "words": True}
+
+
+@action("register-scan", "put a person's face on the scan of an expression")
+@dataclass(frozen=True, kw_only=True)
+class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"]):
+    """The action."""
+
+    personal: Path = source("what `facepipe personal-template` made", flag="--personal", metavar="FACE")
+    scan: Path = source("scan of an expression: .ply .obj .stl .off .glb .gltf or USD")
+    landmarks: Path | None = source(
+        "landmarks of the scan (default SCAN's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
+    )
+    neutral_scan: Path | None = source(
+        "scan that the neutral was fitted to", default=None, flag="--neutral-scan", metavar="SCAN"
+    )
+    neutral_landmarks: Path | None = source(
+        "its landmarks (default its .landmarks.json)", default=None, flag="--neutral-landmarks", metavar="JSON"
+    )
+    composite: str = option("", "what the scan shows, as the table of composites has it", metavar="NAME", kept=False)
+    weights: Mapping[str, float] = option(dict, "what the scan shows: shapes, weights above 0 up to 2", **_WEIGHTS)
+    neutral_weights: Mapping[str, float] = option(
+        dict, "what the neutral's scan shows besides, as `facepipe fit-neutral` found it", **_WEIGHTS
+    )
+    name: str = option("", "of the shape to author (default SCAN's name)")
+    picture: Path | None = beside("draw scan, face and their distance", ".png", "draw")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from facepipe.core.names import identifier
+
+        stem = Path(self.scan).stem
+        values: dict[str, Any] = {"landmarks": landmark_file(self.scan, self.landmarks)}
+        values["name"] = self.name or identifier(stem)
+        if self.weights and self.composite and self.weights != self._composite(self.composite):
+            raise InputError(f"--composite {self.composite}", "given with --weights, expected one of them")
+        if not self.weights:
+            values |= {"composite": self.composite or stem, "weights": self._composite(self.composite or stem)}
+        if self.neutral_scan is not None:
+            values["neutral_landmarks"] = landmark_file(self.neutral_scan, self.neutral_landmarks)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def _composite(self, name: str) -> dict[str, float]:
+        from facepipe.scanning.rebuild.composites import DEFAULT_COMPOSITES
+
+        if name not in DEFAULT_COMPOSITES:
+            where = f"--composite {name}" if self.composite else str(self.scan)
+            expected = f"--weights, or --composite with one of {', '.join(DEFAULT_COMPOSITES)}"
+            raise InputError(where, f"no composite of that name, expected {expected}")
+        return dict(DEFAULT_COMPOSITES[name])
+
+    @classmethod
+    def line_values(cls, arguments: Any, values: dict[str, Any]) -> dict[str, Any]:
+        if hasattr(arguments, "composite") and not hasattr(arguments, "weights"):
+            values.pop("weights", None)  # of the recipe
+        return super().line_values(arguments, values)
+
+    def check(self) -> None:
+        from facepipe.core.names import identifier
+
+        super().check()
+        for flag, value in (("landmarks", self.neutral_landmarks), ("weights", self.neutral_weights)):
+            if value and self.neutral_scan is None:
+                raise InputError(f"--neutral-{flag}", "expected --neutral-scan beside it")
+        if self.name != identifier(self.name):
+            raise InputError(f"--name {self.name}", "expected letters, digits and underscores, no digit first")
+
+    def author(self, face: Face, job: Job) -> RegisterScanReport:
+        from facepipe.importers.scan_file import read_scan
+        from facepipe.scanning.rebuild.action_reports import RegisterScanReport, fit_misses
+        from facepipe.scanning.rebuild.expression_file import author_expression
+        from facepipe.scanning.rebuild.register_scans import ExpressionScan, RegisterScans
+        from facepipe.scanning.rebuild.scan_fit import FaceOnScan
+        from facepipe.scanning.rebuild.scan_input import landmarks_of, named
+        from facepipe.scanning.rebuild.template import Template
+        from facepipe.verbs.whole_faces import whole_face
+
+        parts = face.parts()
+        whole, template = whole_face(parts, str(self.personal)), Template.of(parts, str(self.personal))
+        weights = self._shown(tuple(whole.deltas))
+        scan = read_scan(self.scan)
+        landmarks, landmark_notes = landmarks_of(self.landmarks, scan)
+        neutral, notes = self._neutral(template, whole)
+        expression = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
+        with named(self.scan), job.watch("register", _STEPS) as bar:
+            composite = RegisterScans(options=self)(
+                template, neutral, whole.deltas, expression, lambda step: bar.update()
+            )
+        report = composite.report
+        recipe = job.recipe(weights=composite.weights, fit=asdict(report.fit))
+        authored = author_expression(face, self.name, whole.points, composite, recipe)
+        unused = ("markers are ignored without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
+        warnings = (*landmark_notes, *notes, *unused, *report.warnings, *authored.warnings)
+        shown = FaceOnScan(template=template, points=composite.points, scan=scan, place=composite.place)
+        return RegisterScanReport.from_report(report, warnings, fit_misses(report.fit), name=self.name, picture=shown)
+
+    def _shown(self, shapes: Sequence[str]) -> dict[str, float]:
+        """What the scan shows, by the names of the face's shapes."""
+        from facepipe.scanning.rebuild.composites import resolved
+
+        if self.name in shapes:
+            raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
+        return resolved(self.weights, shapes, f"composite {self.composite}" if self.composite else "--weights")
+
+    def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
+        """The neutral, with the place of its scan where one is given, and warnings."""
+        from facepipe.importers.scan_file import read_scan
+        from facepipe.scanning.rebuild.composites import ShownShapes, resolved
+        from facepipe.scanning.rebuild.register_scans import NeutralScan, placed_neutral
+        from facepipe.scanning.rebuild.scan_input import landmarks_of, named
+
+        if self.neutral_scan is None:
+            return NeutralScan(points=whole.points), ()
+        expression = None
+        if self.neutral_weights:
+            shown = resolved(self.neutral_weights, tuple(whole.deltas), "--neutral-weights")
+            expression = ShownShapes(deltas=whole.deltas, weights=shown).expression(shown, len(whole.points))
+        scan = read_scan(self.neutral_scan)
+        landmarks, notes = landmarks_of(self.neutral_landmarks, scan)
+        with named(self.neutral_scan):
+            return placed_neutral(template, whole.points, scan, landmarks, expression), notes
+
+    def text(self, report: RegisterScanReport, out: Path) -> str:
+        fit = report.fit
+        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
+        beyond = f"mean {report.beyond_template_mean_mm:.2f} mm, at most {report.beyond_template_max_mm:.2f} mm"
+        rows = [
+            ("shape", report.name),
+            ("weights", ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())),
+            ("distance from the scan", f"mean {fit.surface_mean_mm:.3f} mm, 95 % below {fit.surface_p95_mm:.3f} mm"),
+            ("face area that the scan shows", f"{100 * fit.coverage:.1f} %"),
+            ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+            ("from the personal template's", beyond),
+            ("steps", f"{fit.steps}"),
+        ]
+        return "\n".join([str(out), table(rows)])

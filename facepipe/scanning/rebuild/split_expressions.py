@@ -1,0 +1,152 @@
+"""The actor's own shapes from registered expressions (document S16)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import suggestion
+from facepipe.core.reports import Report
+from facepipe.core.threads import one_thread
+from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
+from facepipe.scanning.rebuild.options import SplitExpressionsOptions
+from facepipe.scanning.rebuild.register_scans import Composite
+from facepipe.scanning.rebuild.template import Template
+
+_OBSERVED = 0.05  # shapes seen less than this may stay as the template has them
+# And these do, if what was found is no more than what registered expressions are off by (mm, mean): with them 3 of 371
+# shapes of seven simulated people were worse than the template's, without none.
+_HARDLY, _SLIGHT_MM = 0.2, 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeReport:
+    """How much the scans show of one shape."""
+
+    observed: float  # 0..1, the rest being the template's
+    gain: float  # motion along the template's, over the template's
+    change_mm: float  # mean distance from the template's, over what the shape moves
+    scans: tuple[str, ...]  # that show it
+    alike: tuple[str, ...]  # shapes that the scans can't separate from it
+
+    @property
+    def is_template(self) -> bool:
+        """It is the template's."""
+        return self.observed < _OBSERVED and self.change_mm == 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitReport(Report):
+    """How expressions were split."""
+
+    shapes: Mapping[str, ShapeReport]
+    weights: Mapping[str, Mapping[str, float]]  # scan -> shape -> weight, as it was found
+    residual_mean_mm: Mapping[str, float]  # scan -> what the shapes leave of it
+    residual_p95_mm: Mapping[str, float]
+    rank: int  # of the weights: shapes that scans could separate
+    unseen: tuple[str, ...]  # shapes that no scan shows: the template's
+    undecided: tuple[str, ...] = ()  # shapes that scans hardly show, or as one with another: the template's
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitFit:
+    """An actor's shapes."""
+
+    shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta from the neutral, millimetres
+    report: SplitReport
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitExpressions:
+    """Registered expressions split into the shapes that they are sums of, near the personal template's."""
+
+    options: SplitOptions = field(default_factory=SplitExpressionsOptions)
+
+    @one_thread()
+    def __call__(
+        self,
+        template: Template,
+        neutral: FloatArray,
+        shapes: Mapping[str, FloatArray],
+        composites: Mapping[str, Composite],
+    ) -> SplitFit:
+        """Split.
+
+        :param neutral: (n, 3) whole points
+        :param shapes: name -> (n, 3) whole deltas of the personal template
+        :param composites: by the names of their scans
+        :raises InputError: no composite, or one of shapes that are not there
+        """
+        if not composites:
+            raise InputError(template.where, "no scanned expression, expected one or more beside the neutral")
+        names = tuple(shapes)
+        weights = np.zeros((len(composites), len(names)))
+        for row, (scan, composite) in enumerate(composites.items()):
+            for shape, weight in composite.weights.items():
+                if shape not in shapes:
+                    near = suggestion(shape, shapes)
+                    raise InputError(f"{scan} -> {shape}", f"no such shape in the personal template{near}")
+                weights[row, names.index(shape)] = max(weight, 0.0)
+            if not weights[row].any():
+                raise InputError(scan, "shows none of its shapes, expected a weight above 0")
+        split = split_shapes(
+            neutral,
+            np.stack(list(shapes.values())),
+            np.stack([composite.points for composite in composites.values()]),
+            weights,
+            template.topology.triangles,
+            self.options,
+            point_weights=np.stack([composite.matched for composite in composites.values()]).astype(np.float64),
+            stiff=template.stiff,
+            names=names,
+        )
+        split = _without_slight(split, np.stack(list(shapes.values())))
+        report = _report(split, names, tuple(composites))
+        return SplitFit(shapes=dict(zip(names, split.deltas, strict=True)), report=report)
+
+
+def _without_slight(split: Split, templates: FloatArray) -> Split:
+    """The split with the templates (e, n, 3) in place of shapes that the scans hardly show to be others."""
+    slight = (split.observed < _HARDLY) & (split.changes < _SLIGHT_MM) & (split.changes > 0.0)
+    return replace(
+        split,
+        deltas=np.where(slight[:, None, None], templates, split.deltas),
+        gains=np.where(slight, 1.0, split.gains),
+        changes=np.where(slight, 0.0, split.changes),
+        undecided=tuple(sorted({*split.undecided, *np.flatnonzero(slight).tolist()})),
+    )
+
+
+def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
+    alike: dict[int, list[str]] = {}
+    for first, second in split.together:
+        alike.setdefault(first, []).append(names[second])
+        alike.setdefault(second, []).append(names[first])
+    shapes = {
+        name: ShapeReport(
+            observed=float(split.observed[number]),
+            gain=float(split.gains[number]),
+            change_mm=float(split.changes[number]),
+            scans=tuple(scan for scan, row in zip(scans, split.weights, strict=True) if row[number] > 0),
+            alike=tuple(alike.get(number, ())),
+        )
+        for number, name in enumerate(names)
+    }
+    undecided = tuple(names[number] for number in split.undecided)
+    return SplitReport(
+        shapes=shapes,
+        weights={
+            scan: {name: float(weight) for name, weight in zip(names, row, strict=True) if weight > 0}
+            for scan, row in zip(scans, split.weights, strict=True)
+        },
+        residual_mean_mm=dict(zip(scans, map(float, split.residual_means), strict=True)),
+        residual_p95_mm=dict(zip(scans, map(float, split.residual_p95), strict=True)),
+        rank=split.rank,
+        unseen=tuple(name for name in shapes if shapes[name].is_template and name not in undecided),
+        undecided=undecided,
+        warnings=split.warnings,
+    )

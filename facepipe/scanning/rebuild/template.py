@@ -1,0 +1,221 @@
+"""The template of a rebuild: a face stage's surface, what of it a scan can show, and how far its points may follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.core.names import suggestion
+from facepipe.geometry.polygons import components
+from facepipe.geometry.similarity import fit_similarities
+from facepipe.geometry.vectors import group_sums
+from facepipe.geometry.visibility import seen_from_outside
+from facepipe.parts import FaceParts, all_regions
+from facepipe.verbs.skin.features import slits_of
+from facepipe.verbs.skin.surface import Surface, surface_of
+from facepipe.verbs.whole_faces import Topology, whole_face, whole_points
+
+_LIP = 0.35  # of a slit's width: so far from its rims, points count as of the upper or lower lip or lid
+_LIPS_MM, _DEEP_MM = 1.5, 6.0  # off the skin: up to there of lips and lids, and from there inside the head
+_AROUND = 48  # points of the skin that what is inside moves with
+_NO_REGIONS = ", expected a face with regions (facepipe regions)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Template:
+    """n whole points of a face, and m rows of its skin: the part that the landmarks lie on, cuts sewn."""
+
+    where: str
+    parts: FaceParts
+    topology: Topology
+    points: FloatArray  # (n, 3) whole points, millimetres
+    rows: IntArray  # (m,) a whole point of each row
+    row_of: IntArray  # (n,) row of each whole point, -1 on loose parts
+    triangles: IntArray  # (t, 3) of rows
+    landmarks: IntArray  # (68,) rows
+    labels: IntArray  # (m,) +a and -a are the upper and lower side of a slit, 0 neither
+
+    @classmethod
+    def of(cls, parts: FaceParts, where: str) -> Template:
+        """A face stage as a template.
+
+        :raises InputError: no ``multipie68`` landmarks, or no surface at them
+        """
+        surface = surface_of(parts, where)
+        if surface.landmarks is None:
+            raise InputError(where, "has no multipie68 landmarks, expected 68 (facepipe landmarks)")
+        row_of_sewn = np.full(len(surface.points), -1)
+        row_of_sewn[surface.inside] = np.arange(len(surface.inside))
+        first = np.unique(surface.group, return_index=True)[1]
+        return cls(
+            where=where,
+            parts=parts,
+            topology=Topology.of(parts),
+            points=whole_points(parts),
+            rows=first[surface.inside],
+            row_of=row_of_sewn[surface.group],
+            triangles=surface.part_triangles(surface.inside),
+            landmarks=row_of_sewn[surface.landmarks],
+            labels=_labels(surface)[surface.inside],
+        )
+
+    def body(self, topology: Topology) -> Template:
+        """The template without the meshes that faces of `topology` lack: hair and lashes, which go with the skin.
+
+        :raises TopologyError: other meshes or faces
+        """
+        if self.topology.digest == topology.digest:
+            return self
+        known = tuple(mesh for mesh in self.parts.meshes if mesh.name in topology.names)
+        if Topology.of(replace(self.parts, meshes=known)).digest != topology.digest:
+            raise TopologyError(self.where, "other meshes or faces than the database has, expected the same")
+        return Template.of(replace(self.parts, meshes=known), self.where)
+
+    def dressed(self, body: Template, points: FloatArray) -> FloatArray:
+        """(n, 3) whole points where those of the `body` are at `points`: other meshes go with the skin around them."""
+        if body is self:
+            return points
+        known, result = self._known(body), np.array(self.points)
+        result[known] = points
+        carried = self.whole(self.points, result[self.rows])
+        return np.where(known[:, None], result, carried)
+
+    def dressed_shapes(self, body: Template, shapes: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+        """(n, 3) whole deltas where those of the `body` are `shapes`; other meshes keep the template's own."""
+        if body is self:
+            return shapes
+        own, known = whole_face(self.parts, self.where).deltas, self._known(body)
+        result = {}
+        for name, delta in shapes.items():
+            result[name] = np.array(own[name]) if name in own else np.zeros_like(self.points)
+            result[name][known] = delta
+        return result
+
+    def _known(self, body: Template) -> BoolArray:
+        """(n,) points that the body has too."""
+        counts = [len(mesh.points) for mesh in self.parts.meshes]
+        return np.repeat([mesh.name in body.topology.names for mesh in self.parts.meshes], counts)
+
+    @cached_property
+    def seen(self) -> IntArray:
+        """Rows that a scan from outside can show, ascending.
+
+        Depth maps are coarse: the third corner of a triangle with two seen ones is taken as seen too.
+        """
+        seen = seen_from_outside(self.points, self.topology.triangles)[self.rows]
+        beside = self.triangles[seen[self.triangles].sum(axis=1) >= 2]
+        seen[beside.ravel()] = True
+        return np.flatnonzero(seen)
+
+    def with_inside(self, base: FloatArray, moves: FloatArray) -> FloatArray:
+        """(m, 3) moves of rows from `base` (m, 3), where those of the inside, that no scan shows, are as around them.
+
+        A registration moves the mouth's inside with the lips alone: a chin that moves otherwise would uncover it.
+        """
+        from scipy.spatial import cKDTree
+
+        inside = np.setdiff1d(np.arange(len(base)), self.seen)
+        if not len(inside) or not len(self.seen):
+            return moves
+        count = min(_AROUND, len(self.seen))
+        distances, near = cKDTree(base[self.seen]).query(base[inside], k=np.arange(1, count + 1))
+        weights = 1.0 / (distances**2 + _LIPS_MM**2)
+        around = (weights[..., None] * moves[self.seen[near]]).sum(axis=1) / weights.sum(axis=1, keepdims=True)
+        deep = np.clip((distances[:, :1] - _LIPS_MM) / (_DEEP_MM - _LIPS_MM), 0.0, 1.0)
+        result = np.array(moves)
+        result[inside] += deep * (around - moves[inside])
+        return result
+
+    @cached_property
+    def face(self) -> BoolArray:
+        """(m,) rows of the face area: seen ones in front, from below the chin to above the brows, as landmarks say."""
+        marks = self.points[self.rows[self.landmarks]]
+        places = self.points[self.rows]
+        width = float(np.ptp(marks[:17, 0]))
+        height = float(marks[17:27, 1].max() - marks[:17, 1].min())
+        middle = marks.mean(axis=0)
+        within = np.abs(places[:, 0] - middle[0]) <= 0.55 * width
+        within &= (places[:, 1] <= marks[17:27, 1].max() + 0.3 * height) & (places[:, 1] >= marks[:17, 1].min())
+        within &= places[:, 2] >= marks[[0, 16], 2].mean()
+        face = np.zeros(len(self.rows), bool)
+        face[self.seen] = within[self.seen]
+        return face
+
+    @cached_property
+    def loose(self) -> IntArray:
+        """Whole points of loose parts: eyeballs, teeth, lashes."""
+        return np.flatnonzero(self.row_of < 0)
+
+    @property
+    def stiff(self) -> IntArray:
+        """(n,) number of the loose part that each whole point belongs to, -1 on the skin."""
+        pieces = np.full(len(self.points), -1)
+        pieces[self.loose] = self._pieces
+        return pieces
+
+    def whole(self, base: FloatArray, points: FloatArray) -> FloatArray:
+        """(n, 3) whole points where the skin has moved to `points` (m, 3) from what it is on `base` (n, 3).
+
+        Loose parts keep their shape: each goes with the skin nearest to it, by the similarity that fits best.
+        """
+        moved = points - base[self.rows]
+        result = np.array(base, np.float64)
+        skin = self.row_of >= 0
+        result[skin] = points[self.row_of[skin]]
+        if len(self.loose):
+            from scipy.spatial import cKDTree
+
+            _, near = cKDTree(base[self.rows]).query(base[self.loose])
+            result[self.loose] = self._carried(base[self.loose], moved[near])
+        return result
+
+    def _carried(self, points: FloatArray, moves: FloatArray) -> FloatArray:
+        """(l, 3) loose points, each part moved and turned as a whole."""
+        counts = np.bincount(self._pieces)
+        mean = group_sums(self._pieces, moves, len(counts)) / counts[:, None]
+        if len(points) < 3:
+            return np.asarray(points + moves)
+        fitted = fit_similarities(points, points + moves, self._pieces, scale=False).apply(points, self._pieces)
+        return np.asarray(np.where((counts > 2)[self._pieces, None], fitted, points + mean[self._pieces]))
+
+    @cached_property
+    def _pieces(self) -> IntArray:
+        """(l,) number of the connected part that each loose point belongs to."""
+        triangles = self.topology.triangles
+        pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+        part = components(len(self.points), pairs)[self.loose]
+        return np.unique(part, return_inverse=True)[1].ravel()
+
+
+def _labels(surface: Surface) -> IntArray:
+    """(m,) of the sewn points."""
+    labels = np.zeros(len(surface.points), np.int64)
+    for number, slit in enumerate(slits_of(surface), start=1):
+        near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
+        labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
+    return labels
+
+
+def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
+    """(n,) 0 to 1 for whole points: the sum of the soft masks of the regions `names`, 1 all over where none is named.
+
+    :raises InputError: a region that the face lacks, with the names of those that it has
+    """
+    if not names:
+        return np.ones(parts.point_count)
+    regions = all_regions(parts.meshes)
+    for name in names:
+        if name not in regions:
+            raise InputError(
+                f"{where} -> region {name[:60]}",
+                f"no such region{suggestion(name, regions) if regions else _NO_REGIONS}",
+            )
+    masks = np.stack([regions[name] for name in dict.fromkeys(names)]).astype(np.float64)
+    if not (np.isfinite(masks).all() and masks.max(initial=0.0) > 0.0):
+        raise InputError(f"{where} -> region {', '.join(names)}", "no point is in it, expected some")
+    return np.asarray(np.clip(masks.sum(axis=0), 0.0, 1.0))

@@ -1,0 +1,254 @@
+"""Textures of the skin from photos: observed, evened, merged by confidence, and completed.
+
+Colours are natural logarithms of ratios to the template's throughout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.geometry.colors import to_srgb
+from facepipe.geometry.texture_fill import spread
+from facepipe.textures.evened import (
+    Relief,
+    balance,
+    inner,
+    is_skin,
+    missed_light,
+    one_sided,
+    quantile,
+    relief,
+    renewed,
+    too_dark,
+    upper_lids,
+)
+from facepipe.textures.hair import hair_color, scalp_color
+from facepipe.textures.observed import DARKEST, Exposure, Observed, observe
+from facepipe.textures.registered import registered
+from facepipe.textures.skin_surface import SkinSurface, template_texels
+
+# all lengths are shares of the eyes' distance
+_REACH = 0.02  # of the completion: what is smaller is detail
+_FAR = 0.15  # over which what is unseen goes to the skin's median colour
+_INSIDE = 0.15  # over which the mouth's inside and the sockets go to the template's own colour
+_SHARP = 4  # power of preference by which photos are mixed: mostly one in one place, where features would blur
+_FOLDED = 0.6  # of the confidence in lids, that goes: a blink stretches what of their skin an open eye shows
+_STRAINED = 0.5  # of preference that goes where a photo's expression folds the skin
+_OTHERS = 0.8  # preference of all photos but the one that shows the face best: features fit together in one photo
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baked:
+    """Textures of the skin."""
+
+    pictures: tuple[FloatArray, ...]  # of each (size, size, 3) sRGB 0..1
+    scales: tuple[FloatArray, ...]  # (3,) of each photo's light
+    lights: tuple[FloatArray, ...]  # (9, 3) harmonics of each photo under which the textures look as it does
+    shares: tuple[float, ...]  # of the face that each photo shows
+    seen: float  # share of the face that some photo shows
+    trust: FloatArray  # (n,) the most confidence that a photo has at each point
+    skin: FloatArray  # (3,) linear colour of the face
+    hair: FloatArray | None  # (3,) linear colour, where photos show it
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Layer:
+    """One photo's colours of the skin."""
+
+    observed: tuple[Observed, ...]  # of each texture
+    colors: FloatArray  # (n, 3) at points
+    trust: FloatArray  # (n,)
+    calm: FloatArray  # (n, 1) preference before other photos of as much confidence, 0..1
+    scale: FloatArray  # (3,) of its light
+    light: FloatArray  # (9, 3) its harmonics
+
+
+class Baker:
+    """The textures of one skin as they are to be baked over."""
+
+    def __init__(self, skin: SkinSurface) -> None:
+        self.skin = skin
+        self.templates = [template_texels(texture) for texture in skin.textures]
+        self.flats = [
+            np.maximum(template.reshape(-1, 3)[texture.texels.at], DARKEST)
+            for template, texture in zip(self.templates, skin.textures, strict=True)
+        ]
+        sums = np.zeros((len(skin.points), 4))
+        for texture, flat in zip(skin.textures, self.flats, strict=True):
+            sums += texture.texels.summed(np.column_stack([np.log(flat), np.ones(len(flat))]), len(skin.points))
+        self.lids = upper_lids(skin)
+        self.totals = sums[:, 3]
+        self.template = sums[:, :3] / np.maximum(self.totals, 1e-9)[:, None]  # at points
+
+    def __call__(self, photos: Sequence[Exposure], scalp: FloatArray | None = None, *, bald: bool = False) -> Baked:
+        """Textures from photos, one or more.
+
+        :param scalp: (n,) how far points are painted with hair, whose colour photos show
+        :param bald: the scalp has the skin's colour instead
+        """
+        layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
+        color, paint, own = None, None, self._skin_color(layers)
+        if scalp is not None and not bald:
+            color = hair_color(photos, [layer.scale for layer in layers], scalp)
+        if scalp is not None and (bald or color is not None):
+            below = own if color is None else scalp_color(color, own)
+            paint = scalp[:, None], scalp[:, None] * (np.log(below) - self.template)
+        face = inner(self.skin) * self.skin.areas * self.skin.outside
+        seen = np.max([layer.trust for layer in layers], axis=0)
+        return Baked(
+            pictures=tuple(self._pictures(layers, paint)),
+            scales=tuple(layer.scale for layer in layers),
+            lights=tuple(layer.light for layer in layers),
+            shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
+            seen=float(seen @ face / face.sum()),
+            trust=seen,
+            skin=own,
+            hair=color,
+        )
+
+    def _skin_color(self, layers: Sequence[_Layer]) -> FloatArray:
+        """(3,) linear, the median of the face in the first photo."""
+        weight = layers[0].trust * self.skin.areas * inner(self.skin)
+        return np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T])
+
+    def _layer(self, photo: Exposure) -> _Layer:
+        skin = self.skin
+        observed = [observe(skin, photo, number, flat) for number, flat in enumerate(self.flats)]
+        colors, trust = self.at_points(observed)
+        raw = colors
+        light = missed_light(photo.normals, colors, trust * skin.areas * inner(skin))
+        mask = is_skin(skin, colors - light, trust)
+        trust = trust * mask
+        light = light + one_sided(skin, colors - light, trust)
+        light = light + too_dark(skin, colors - light, trust, self.lids)
+        around = relief(skin, photo, colors - light, trust)
+        shown = self.template + colors - light
+        weight = trust * skin.areas * inner(skin)
+        scale = balance(photo, np.exp([quantile(channel, weight, 0.5) for channel in shown.T]))
+        kept = mask * (1 - _FOLDED * self.lids)
+        observed = [self.evened(number, one, light, kept) for number, one in enumerate(observed)]
+        observed = [self._lessened(number, one, around, np.log(scale)) for number, one in enumerate(observed)]
+        colors, trust = self.at_points(observed)
+        white = photo.white * np.exp(raw - colors)
+        harmonics = renewed(photo, white, trust * skin.areas, scale)
+        calm = (1 - _STRAINED * around.folds) * np.clip(photo.facing, 0.0, 1.0)[:, None]
+        return _Layer(observed=tuple(observed), colors=colors, trust=trust, calm=calm, scale=scale, light=harmonics)
+
+    def at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) mean colours at points, and (n,) confidence."""
+        sums = np.zeros((len(self.skin.points), 4))
+        for texture, one in zip(self.skin.textures, observed, strict=True):
+            values = np.column_stack([one.ratio * one.trust[:, None], one.trust])
+            sums += texture.texels.taken(one.place).summed(values, len(self.skin.points))
+        return sums[:, :3] / np.maximum(sums[:, 3:], 1e-9), sums[:, 3] / np.maximum(self.totals, 1e-9)
+
+    def evened(self, number: int, one: Observed, light: FloatArray, mask: FloatArray) -> Observed:
+        """What was observed of a texture, less light (n, c) at points, where a mask (n,) leaves something."""
+        part = self.skin.textures[number].texels.taken(one.place)
+        trust = one.trust * part.carried(mask[:, None])[:, 0]
+        kept = np.flatnonzero(trust > 0)
+        ratio = (one.ratio - part.carried(light))[kept]
+        return Observed(place=one.place[kept], ratio=ratio, trust=trust[kept])
+
+    def _lessened(self, number: int, one: Observed, around: Relief, level: FloatArray) -> Observed:
+        """What was observed of a texture without what is too much, and less a level (3,)."""
+        part = self.skin.textures[number].texels.taken(one.place)
+        ratio = one.ratio - around.too_much(part, one.ratio) - level
+        return Observed(place=one.place, ratio=ratio.astype(np.float32), trust=one.trust)
+
+    def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:
+        """Layers as bright, and of the hue, that all have in the mean: how a photo's light is balanced is a guess."""
+        first = max(layers, key=lambda layer: float(layer.trust @ self.skin.areas))
+        offs = [self._off(first, layer) for layer in layers]
+        return [_moved(layer, off - np.mean(offs, axis=0)) for layer, off in zip(layers, offs, strict=True)]
+
+    def _off(self, first: _Layer, layer: _Layer) -> FloatArray:
+        """(3,) by how much one is brighter than another where both show skin."""
+        weight = first.trust * layer.trust * self.skin.areas
+        return np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
+
+    def _ranked(self, photos: Sequence[Exposure], layers: Sequence[_Layer]) -> list[_Layer]:
+        """Layers of which the one that shows the face best is preferred: much of it, large, and well lit."""
+        face = inner(self.skin) * self.skin.areas
+        shown = [float(layer.trust * layer.calm[:, 0] @ face) for layer in layers]
+        best = int(np.argmax([share * photo.clarity for share, photo in zip(shown, photos, strict=True)]))
+        return [
+            layer if number == best else self._registered(layers[best], replace(layer, calm=_OTHERS * layer.calm))
+            for number, layer in enumerate(layers)
+        ]
+
+    def _registered(self, first: _Layer, layer: _Layer) -> _Layer:
+        """A layer whose features lie where the first has them."""
+        observed = []
+        for texture, flat, one, other in zip(
+            self.skin.textures, self.flats, first.observed, layer.observed, strict=True
+        ):
+            texel = float(np.sqrt(self.skin.areas.sum() / len(texture.texels.at)))
+            observed.append(registered(texture.texels, one, other, flat, texel))
+        colors, trust = self.at_points(observed)
+        return replace(layer, observed=tuple(observed), colors=colors, trust=trust)
+
+    def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
+        merged = [self._merged(number, layers) for number in range(len(self.flats))]
+        colors, trust = self.at_points(merged)
+        whole = self.completed(colors, trust, paint)
+        pictures = []
+        for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
+            ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
+            fine = one.ratio - part.carried(colors)
+            ratio[one.place] += one.trust[:, None] * fine
+            pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
+        return pictures
+
+    def _merged(self, number: int, layers: Sequence[_Layer]) -> Observed:
+        if len(layers) == 1:
+            return layers[0].observed[number]
+        count = len(self.flats[number])
+        sums, weights, most = np.zeros((count, 3), np.float32), np.zeros(count, np.float32), np.zeros(count, np.float32)
+        for layer in layers:
+            one = layer.observed[number]
+            calm = self.skin.textures[number].texels.taken(one.place).carried(layer.calm)[:, 0]
+            weight = np.maximum(one.trust * calm, 1e-3) ** _SHARP
+            sums[one.place] += weight[:, None] * one.ratio
+            weights[one.place] += weight
+            most[one.place] = np.maximum(most[one.place], one.trust)
+        place = np.flatnonzero(weights > 0)
+        return Observed(place=place, ratio=sums[place] / weights[place, None], trust=most[place])
+
+    def completed(
+        self, colors: FloatArray, trust: FloatArray, paint: tuple[FloatArray, FloatArray] | None = None
+    ) -> FloatArray:
+        """(n, 3) colours of all points: those seen, and what continues them without a step where none is.
+
+        Gradients there are those of the other side of the face where that is seen, else the template's own. Far off
+        and inside mouth and sockets, colours go to the median of what is seen, and to the template's.
+
+        :param paint: shares (n, 1) of other colours that unseen points go to, and these times their shares
+        """
+        skin = self.skin
+        other, known = skin.other_side(colors, trust)
+        weight = trust * skin.areas * inner(skin)
+        middle = np.array([quantile(channel, weight, 0.5) for channel in colors.T])
+        pull = np.where(skin.outside, (1 - trust) * (_REACH / _FAR) ** 2, (_REACH / _INSIDE) ** 2)
+        target = np.where(skin.outside[:, None], middle, 0.0)
+        if paint is not None:
+            target = target * (1 - paint[0]) + paint[1]
+
+        def whole(values: FloatArray, weights: FloatArray, rest: FloatArray) -> FloatArray:
+            total = weights + pull
+            mixed = (weights[:, None] * values + pull[:, None] * rest) / np.maximum(total, 1e-12)[:, None]
+            return skin.smooth(mixed, total, _REACH)
+
+        guide = whole(other, known, target)
+        return guide + whole(colors - guide, trust, target - guide)
+
+
+def _moved(layer: _Layer, off: FloatArray) -> _Layer:
+    """A layer that is brighter by logarithms (3,), in light that is as much less."""
+    observed = tuple(replace(one, ratio=one.ratio + off.astype(np.float32)) for one in layer.observed)
+    scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
+    return replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light)

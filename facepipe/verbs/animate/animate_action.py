@@ -1,0 +1,65 @@
+"""Put a captured performance on a face: a clip that its skeleton plays, on an override layer.
+
+CLIP is a CSV of Live Link Face (Timecode, BlendShapeCount, 52 shapes, turns of head and eyes), a CSV of shape names
+(with a column Timecode, Time in seconds, or Frame, or a row a frame), or ARKit weights in JSON. Names are matched in
+any case and with sides in any usual form; what has no target is listed. Frames that CLIP lacks are filled. A timecode
+counts frames: --fps says how many make a second. Turns are radians unless --angles deg; joints are found by name.
+
+examples:
+  facepipe animate head.usda take.csv -o take.usda
+  facepipe animate head.usda take.csv -o take.usda --fps 30 --start 2.5 --end 10
+  facepipe animate ict.usdc take.json -o take.usda --resample 24 --name hello
+  facepipe export take.usda -o take.glb --animations
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.names import check_identifier, identifier
+from facepipe.declare import option, source
+from facepipe.kinds import Job, StageAction, action
+from facepipe.verbs.animate.options import AnimateOptions
+
+if TYPE_CHECKING:
+    from facepipe.stage import Face
+    from facepipe.verbs.animate.animate import AnimateReport
+
+
+@action("animate", "put a captured performance on a face")
+@dataclass(frozen=True, kw_only=True)
+class Animate(AnimateOptions, StageAction["AnimateReport"]):
+    """The action."""
+
+    face: Path = source("face stage")
+    clip: Path = source("performance: .csv .json")
+    name: str | None = option(None, "name of the animation (default: the file's)")
+
+    def check(self) -> None:
+        super().check()
+        if self.name is not None:
+            check_identifier("--name", self.name)
+
+    def author(self, face: Face, job: Job) -> AnimateReport:
+        from facepipe.verbs.animate.animate import AnimateFace
+        from facepipe.verbs.animate.clip_files import read_performance
+
+        recipe, name = job.recipe(), self.name or identifier(self.clip.stem)
+        performance = read_performance(self.clip, self.fps, degrees=self.angles == "deg")
+        with job.watch("animate", len(performance.values)) as bar:
+            animate = AnimateFace(performance=performance, name=name, options=self)
+            return animate(face, recipe=recipe, done=bar.update)
+
+    def text(self, report: AnimateReport, out: Path) -> str:
+        span = f"{report.start:g} to {report.end:g} s at {report.frames_per_second:g} fps"
+        joints = "".join(f", {part} by {path.rpartition('/')[2]}" for part, path in report.joints.items())
+        sliders = f", {len(report.sliders)} sliders" if report.sliders else ""
+        filled = f", {report.filled:,} of them filled" if report.filled else ""
+        clip = f"{report.animation}: {report.frames:,} frames{filled}, {span}"
+        lines = [f"{out}: {clip}: {len(report.shapes)} shapes{sliders}{joints}"]
+        for reason in dict.fromkeys(report.no_target.values()):
+            names = ", ".join(name for name, why in report.no_target.items() if why == reason)
+            lines.append(f"no target: {names} ({reason})")
+        return "\n".join(lines)

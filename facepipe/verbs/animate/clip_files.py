@@ -1,0 +1,293 @@
+"""Performances from files: CSV of Live Link Face, tables of shape names, and JSON in the forms that tools write.
+
+    Timecode,BlendShapeCount,EyeBlinkLeft, ... ,TongueOut,HeadYaw, ... ,RightEyeRoll     61 values a frame
+    Timecode | Time | Frame,jawOpen,mouthSmileLeft                                       or none of these: a row a frame
+    [{"time": 0.0, "blendShapes": {"jawOpen": 0.2, ...}, "HeadYaw": 0.1}, ...]     or {"frames": [...], "fps": 60}
+    {"exportFps": 60, "facsNames": ["eyeBlinkLeft", ...], "weightMat": [[0.0, ...], ...]}
+
+Columns of Live Link Face may stand in any order and case. Source of its names: recordings that the app wrote. In JSON,
+weights of a frame are an object, or a list of {"categoryName" | "name", "score" | "value"}; they may also stand in the
+frame itself. Seconds are "time", "timestamp" or "seconds", a timecode "timecode"; else a frame follows the other.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
+from facepipe.core.reading import read_csv, read_json
+from facepipe.rig.conventions import ARKIT_SHAPES, shape_key
+from facepipe.verbs.animate.performance import (
+    ANGLES,
+    FPS,
+    LARGEST,
+    Performance,
+    angle_of,
+    in_radians,
+    middle,
+    steady,
+)
+
+_SUFFIXES = (".csv", ".json")
+_MOST_BYTES = 1 << 29
+_COUNT = "blendshapecount"
+_CLOCKS = ("timecode", "time", "timestamp", "seconds", "frame")
+_WEIGHTS = ("blendshapes", "weights", "shapes")
+_SECONDS = ("time", "timestamp", "seconds")
+_RATES = ("fps", "exportfps", "framerate")
+_NAMES = ("facsnames", "names", "blendshapenames")
+_MATRIX = ("weightmat", "values")
+_EXPECTED = "a list of frames, or an object with frames, or with facsNames and weightMat"
+_CODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,3}(?:\.\d*)?)")
+_DAY = 24 * 3600
+
+
+def read_performance(path: Path, fps: float | None = None, *, degrees: bool = False) -> Performance:
+    """What a CSV or JSON file holds.
+
+    :param fps: frames per second; None: what the file says, or 60
+    :param degrees: of its angles; else radians
+    :raises InputError: another suffix, or a file that can't be used
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InputError(path, f"suffix '{path.suffix}', expected one of {' '.join(_SUFFIXES)}")
+    return (_read_csv if suffix == ".csv" else _read_json)(path, fps, degrees=degrees)
+
+
+class _Table(NamedTuple):
+    path: Path
+    header: list[str]
+    lines: list[tuple[int, list[str]]]  # number in the file, cells
+
+    def where(self, line: int) -> str:
+        """The trail to a line."""
+        return f"{self.path} -> line {line}"
+
+
+def _read_csv(path: Path, fps: float | None, *, degrees: bool) -> Performance:
+    """:raises InputError: no CSV with a header, missing columns, cells that are no numbers, or a wrong clock"""
+    table = _table(path)
+    keys = [shape_key(name) for name in table.header]
+    if _COUNT in keys:
+        table = _live_link(table, keys)
+        keys = [shape_key(name) for name in table.header]
+    clock = next((keys.index(name) for name in _CLOCKS if name in keys), None)
+    columns = [i for i, key in enumerate(keys) if i != clock and key != _COUNT and key not in _CLOCKS]
+    if not columns:
+        raise InputError(table.where(1), "no columns of weights, expected names of shapes")
+    values = _numbers(table, columns)
+    rate, frames = _clock(table, clock, fps)
+    names = [table.header[i] for i in columns]
+    return steady(str(path), frames, rate, names, in_radians(values, names, degrees=degrees))
+
+
+def _table(path: Path) -> _Table:
+    _, lines = read_csv(path, _MOST_BYTES)
+    if len(lines) < 2:
+        raise InputError(path, f"{len(lines)} lines, expected a header and frames")
+    header = lines[0][1]
+    while header and not header[-1]:  # a comma at the end
+        header.pop()
+    number = next((name for name in header if _is_number(name)), None)
+    if number is not None or not all(header):
+        found = "a column without name" if number is None else f"'{number[:40]}'"
+        raise InputError(f"{path} -> line {lines[0][0]}", f"{found}, expected a header of names")
+    return _Table(path, header, lines[1:])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _live_link(table: _Table, keys: Sequence[str]) -> _Table:
+    """The table without frames in which no face was seen.
+
+    :raises InputError: columns that Live Link Face always writes are missing
+    """
+    wanted = {shape_key(name): name for name in ("timecode", *sorted(ARKIT_SHAPES), *ANGLES.values())}
+    missing = [name for key, name in wanted.items() if key not in keys]
+    if missing:
+        some = first_names(missing, 4)
+        what = f"{len(missing)} columns of Live Link Face are missing ({some}), expected all {len(wanted) + 1}"
+        raise InputError(table.where(1), what)
+    place = list(keys).index(_COUNT)
+    seen = [(line, cells) for line, cells in table.lines if len(cells) <= place or cells[place] != "0"]
+    if not seen:
+        raise InputError(table.path, "a face in none of its frames, expected some")
+    return table._replace(lines=seen)
+
+
+def _numbers(table: _Table, columns: Sequence[int]) -> FloatArray:
+    values = np.empty((len(table.lines), len(columns)))
+    for row, (line, cells) in enumerate(table.lines):
+        try:
+            values[row] = [float(cells[i]) for i in columns]
+        except (ValueError, IndexError):
+            raise _bad_cell(table, line, cells, columns) from None
+    sound = np.abs(values) <= LARGEST  # nor NaN
+    if not sound.all():
+        line, cells = table.lines[int(np.flatnonzero(~sound.all(axis=1))[0])]
+        raise _bad_cell(table, line, cells, columns)
+    return values
+
+
+def _bad_cell(table: _Table, line: int, cells: Sequence[str], columns: Sequence[int]) -> InputError:
+    if len(cells) < len(table.header):
+        return InputError(table.where(line), f"{len(cells)} cells, expected {len(table.header)}")
+    wrong = next(i for i in columns if not _is_number(cells[i]) or not abs(float(cells[i])) <= LARGEST)
+    return InputError(table.where(line), f"{table.header[wrong][:60]} '{cells[wrong][:40]}', expected a number")
+
+
+def _clock(table: _Table, column: int | None, fps: float | None) -> tuple[float, FloatArray]:
+    """Frames per second, and the time of each line in frames."""
+    if column is None:
+        return fps or FPS, np.arange(len(table.lines), dtype=np.float64)
+    name = shape_key(table.header[column])
+    if name == "timecode":
+        short = next((line for line, cells in table.lines if len(cells) <= column), None)
+        if short is not None:
+            raise InputError(table.where(short), "no timecode, expected HH:MM:SS:FF")
+        where = [table.where(line) for line, _ in table.lines]
+        return fps or FPS, _timecode_frames(where, [cells[column] for _, cells in table.lines], fps or FPS)
+    times = _numbers(table, [column])[:, 0]
+    if name == "frame":
+        return fps or FPS, times - times[0]
+    rate = fps or _rate_of(times)
+    return rate, (times - times[0]) * rate
+
+
+def _rate_of(seconds: FloatArray) -> float:
+    """Frames per second of frames at `seconds`: a whole number where it is nearly one."""
+    step = middle(np.diff(seconds)) if len(seconds) > 1 else 0.0
+    if step <= 0:
+        return FPS
+    rate = min(max(1.0 / step, 1.0), 1000.0)
+    return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
+
+
+def _read_json(path: Path, fps: float | None, *, degrees: bool) -> Performance:
+    """:raises InputError: not JSON, another form, other names in some frames, or values that are no numbers"""
+    content = read_json(path, _MOST_BYTES)
+    top = _keyed(content) if isinstance(content, Mapping) else {}
+    own = _first(top, _RATES)
+    rate = fps or (None if own is None else _number(f"{path} -> fps", own))
+    if rate is not None and not 1.0 <= rate <= 1000.0:
+        raise InputError(f"{path} -> fps", f"{rate:g}, expected 1 to 1000")
+    names, rows = _first(top, _NAMES), _first(top, _MATRIX)
+    if names is not None and rows is not None:
+        frames: Any = _zipped(path, names, rows)
+    else:
+        frames = content if isinstance(content, list) else top.get("frames")
+    if not isinstance(frames, list) or not frames or not all(isinstance(frame, Mapping) for frame in frames):
+        raise InputError(path, f"another form, expected {_EXPECTED}")
+    return _performance(path, [_keyed(frame) for frame in frames], frames, rate, degrees=degrees)
+
+
+def _performance(
+    path: Path, keyed: list[dict[str, Any]], frames: list[Any], rate: float | None, *, degrees: bool
+) -> Performance:
+    where = [f"{path} -> frame {number}" for number in range(1, len(frames) + 1)]
+    weights = [_weights(*one) for one in zip(where, keyed, frames, strict=True)]
+    names = list(dict.fromkeys(name for weight in weights for name in weight))
+    if not names:
+        raise InputError(path, "no weights, expected names of shapes with numbers")
+    for trail, frame_weights in zip(where, weights, strict=True):
+        if len(frame_weights) != len(names):
+            missing = next(name for name in names if name not in frame_weights)
+            raise InputError(trail, f"no '{missing[:60]}', expected the {len(names)} names of the other frames")
+    rows = np.array([[own[name] for name in names] for own in weights])
+    values = in_radians(rows, names, degrees=degrees)
+    if "timecode" in keyed[0]:
+        times = _timecode_frames(where, [str(one.get("timecode")) for one in keyed], rate or FPS)
+        return steady(str(path), times, rate or FPS, names, values)
+    clock = next((name for name in _SECONDS if name in keyed[0]), None)
+    if clock is None:
+        return steady(str(path), np.arange(len(frames)) * 1.0, rate or FPS, names, values)
+    seconds = np.array([_number(f"{one} -> {clock}", own.get(clock)) for one, own in zip(where, keyed, strict=True)])
+    rate = rate or _rate_of(seconds)
+    return steady(str(path), (seconds - seconds[0]) * rate, rate, names, values)
+
+
+def _weights(where: str, keyed: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, float]:
+    """Name -> number of one frame."""
+    held = _first(keyed, _WEIGHTS)
+    if isinstance(held, list):
+        rows = [_keyed(one) if isinstance(one, Mapping) else {} for one in held]
+        held = {str(_first(row, ("categoryname", "name"))): _first(row, ("score", "value")) for row in rows}
+    skipped = (*_WEIGHTS, *_SECONDS, "timecode", "frame", "index")
+    beside = {name: value for name, value in frame.items() if name.casefold() not in skipped}
+    if held is not None:
+        beside = {name: value for name, value in beside.items() if angle_of(name)}
+        if not isinstance(held, Mapping):
+            raise InputError(where, "weights of another form, expected names with numbers")
+    return {str(name): _number(f"{where} -> {name}", value) for name, value in {**(held or {}), **beside}.items()}
+
+
+def _zipped(path: Path, names: Any, rows: Any) -> list[Any]:
+    if not isinstance(names, list) or not isinstance(rows, list):
+        raise InputError(path, f"another form, expected {_EXPECTED}")
+    for number, row in enumerate(rows, 1):
+        if not isinstance(row, list) or len(row) != len(names):
+            found = f"{len(row)} weights" if isinstance(row, list) else "no list"
+            raise InputError(f"{path} -> frame {number}", f"{found}, expected {len(names)} weights")
+    return [{"weights": dict(zip(map(str, names), row, strict=True))} for row in rows]
+
+
+def _keyed(value: Mapping[str, Any]) -> dict[str, Any]:
+    return {str(name).casefold(): one for name, one in value.items()}
+
+
+def _first(keyed: Mapping[str, Any], names: Sequence[str]) -> Any:
+    return next((keyed[name] for name in names if name in keyed), None)
+
+
+def _number(where: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not -LARGEST <= value <= LARGEST:
+        raise InputError(where, f"{str(value)[:40]}, expected a number")
+    return float(value)
+
+
+def _timecode_frames(where: Sequence[str], codes: Sequence[str], fps: float) -> FloatArray:
+    """(k,) frames of timecodes since the first one; midnight may lie between.
+
+    :param where: the trail to each
+    :param fps: frames per second; of 29.97 and 59.94 a timecode counts 30 and 60
+    :raises InputError: no timecode, or frames that show another rate
+    """
+    nominal = round(fps)
+    parsed = [_parsed(one, code, nominal) for one, code in zip(where, codes, strict=True)]
+    seconds, frames = np.array([one[0] for one in parsed]), np.array([one[1] for one in parsed])
+    seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
+    counted = seconds * nominal + frames
+    highest = int(frames.max())
+    if len(np.unique(seconds)) > 2 and highest + 1.5 * max(middle(np.diff(counted)), 1.0) < nominal:
+        shown = f"frames 0 to {highest} in every second"
+        raise InputError(where[0], f"{shown}, expected up to {nominal - 1} at {fps:g} fps (--fps {highest + 1}?)")
+    return np.asarray(counted - counted[0])
+
+
+def _parsed(where: str, code: str, nominal: int) -> tuple[int, float]:
+    """Seconds of the day, and the frame."""
+    match = _CODE.fullmatch(code.strip())
+    if match is None:
+        raise InputError(where, f"timecode '{code[:40]}', expected HH:MM:SS:FF or HH:MM:SS:FF.sub")
+    hours, minutes, seconds = (int(group) for group in match.groups()[:3])
+    frame = float(match.group(4))
+    if hours > 23 or minutes > 59 or seconds > 59:
+        raise InputError(where, f"timecode '{code[:40]}', expected a time of day")
+    if frame >= nominal:
+        what = f"frame {int(frame)} of a second, expected 0 to {nominal - 1} at {nominal} fps (--fps?)"
+        raise InputError(where, what)
+    return hours * 3600 + minutes * 60 + seconds, frame

@@ -1,0 +1,239 @@
+"""Blends of faces of one topology in the gradient domain: the solution, and the base with all that it changes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.threads import one_thread
+from facepipe.core.tokens import SEAM_RESIDUAL
+from facepipe.geometry.polygons import point_normals, point_triangles
+from facepipe.geometry.vectors import group_sums, transformed
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe, Skin, Slider, SliderNetwork
+from facepipe.rig import mesh_spaces
+from facepipe.rig.slider_network import kept as kept_outputs
+from facepipe.rig.sliders import kept
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.blend.normals import blend_normals, normal_offsets
+from facepipe.verbs.blend.options import BlendOptions
+from facepipe.verbs.blend.quality import BlendReport, measure
+from facepipe.verbs.blend.rigs import blend_skeletons, blend_skins, rebase_animations
+from facepipe.verbs.blend.session import BlendSession, Solution
+from facepipe.verbs.blend.sources import Sources
+from facepipe.verbs.blend.weights import Weights
+
+_NOISE = 1e-9  # of a sculpt's largest offset: what is less is rounding of the solve, no motion, and no two runs' alike
+
+
+def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
+    """The base's parts with blended points, normals, shapes, skin weights, joints, and clips re-based on them.
+
+    Sliders, bone limits, landmarks, regions, UVs and materials are the base's; sliders and clips lose the shapes that
+    were skipped.
+    """
+    sources, neutral = session.sources, solution.neutral
+    base = sources.base
+    meshes = tuple(_mesh(sources, solution, number) for number in range(len(base.meshes)))
+    skeleton = blend_skeletons(
+        [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
+    )
+    gone = set(session.skipped)
+    return replace(
+        base,
+        meshes=meshes,
+        skeleton=skeleton,
+        animations=tuple(
+            _without_tracks(animation, gone)
+            for animation in rebase_animations(base.animations, base.skeleton, skeleton)
+        ),
+        sliders=tuple(_without_shapes(slider, gone) for slider in base.sliders),
+        slider_network=_network_without(base.slider_network, gone),
+        photos=(),  # they show the person of one source
+    )
+
+
+def _skin(sources: Sources, shares: FloatArray, number: int) -> Skin | None:
+    return blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, sources.joint_maps)
+
+
+def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
+    meshes = [parts.meshes[number] for parts in sources.parts]
+    base, span = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
+    back = np.linalg.inv(mesh_spaces(sources.base)[number])
+    points = transformed(solution.neutral.points[span], back)
+    shares = solution.neutral.shares[span]
+    return replace(
+        base,
+        points=points,
+        normals=_normals(sources, shares, number, points),
+        skin=_skin(sources, shares, number),
+        blendshapes=_blendshapes(meshes, points, solution, span, back[:3, :3]),
+    )
+
+
+def _normals(sources: Sources, shares: FloatArray, number: int, points: FloatArray) -> FloatArray | None:
+    """The normals of one mesh, per point or corner as the base has them; `points` (n, 3) are the blended ones."""
+    base, span = sources.base.meshes[number], slice(*sources.mesh_offsets[number : number + 2])
+    if base.normals is None:
+        return None
+    triangles = point_triangles(base.face_vertex_counts, base.face_vertex_indices)
+    back = np.linalg.inv(mesh_spaces(sources.base)[number])
+    surfaces = [point_normals(transformed(one[span], back), triangles) for one in sources.points]
+    corners = base.face_vertex_indices
+    rows = np.arange(len(points)) if len(base.normals) == len(points) else corners
+    authored: list[FloatArray | None] = []
+    for parts, to_base in zip(sources.parts, sources.to_base, strict=True):
+        given = _in_rows(parts.meshes[number].normals, corners, len(points), per_point=len(rows) == len(points))
+        turn = back[:3, :3] @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
+        side = np.sign(np.linalg.det(turn))
+        authored.append(None if given is None else side * (given @ np.linalg.inv(turn)))  # the inverse transpose
+    surface = point_normals(points, triangles)
+    return blend_normals(authored, np.stack(surfaces)[:, rows], surface[rows], shares[rows])
+
+
+def _in_rows(normals: FloatArray | None, corners: IntArray, count: int, *, per_point: bool) -> FloatArray | None:
+    """Normals per point or corner, whichever way they are given."""
+    if normals is None or (len(normals) == count) == per_point:
+        return normals
+    return group_sums(corners, normals, count) if per_point else normals[corners]
+
+
+def _blendshapes(
+    meshes: list[Mesh], points: FloatArray, solution: Solution, span: slice, linear: FloatArray
+) -> tuple[Blendshape, ...]:
+    """The shapes of one mesh, in the order of the base."""
+    triangles = point_triangles(meshes[0].face_vertex_counts, meshes[0].face_vertex_indices)
+    with_normals = {shape.name for mesh in meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
+    still = _still(solution) & {shape.name for mesh in meshes for shape in mesh.blendshapes}
+    collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
+    for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
+        inside = slice(*np.searchsorted(sculpt.points, [span.start, span.stop]))
+        moved = offsets[inside] @ linear.T
+        moved[np.abs(moved) < _NOISE * np.abs(offsets).max(initial=0.0) * np.abs(linear).max()] = 0.0
+        local = (sculpt.points[inside] - span.start, moved)
+        collected.setdefault(sculpt.shape, {})[sculpt.weight, sculpt.inbetween] = local
+    shapes = []
+    for name, sculpts in collected.items():
+        indices: IntArray = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
+        if name in with_normals:
+            indices = _with_neighbours(indices, triangles)
+        elif not len(indices) and name in still:
+            indices = np.zeros(1, dtype=np.int32)  # USD reads a shape without indices as one over all points
+        if len(indices):
+            spread = {key: _spread(indices, *sculpt) for key, sculpt in sculpts.items()}
+            shapes.append(_shape(name, indices, spread, (points, triangles) if name in with_normals else None))
+    return tuple(shapes)
+
+
+def _still(solution: Solution) -> set[str]:
+    """Shapes that move no point anywhere: they stay on the face, so that what drives them finds them."""
+    moving = {sculpt.shape for sculpt in solution.sculpts if len(sculpt.points)}
+    return {sculpt.shape for sculpt in solution.sculpts} - moving
+
+
+def _with_neighbours(indices: IntArray, triangles: IntArray) -> IntArray:
+    """`indices` and the points of all triangles at them: their normals turn, though they don't move."""
+    touched = np.isin(triangles, indices).any(axis=1)
+    return np.unique(np.concatenate([indices, triangles[touched].ravel()])).astype(np.int32)
+
+
+def _spread(indices: IntArray, places: IntArray, offsets: FloatArray) -> FloatArray:
+    """(k, 3) offsets at `indices`, 0 where the sculpt moves nothing."""
+    full = np.zeros((len(indices), 3))
+    full[np.searchsorted(indices, places)] = offsets
+    return full
+
+
+def _shape(
+    name: str,
+    indices: IntArray,
+    sculpts: Mapping[tuple[float, str | None], FloatArray],
+    surface: tuple[FloatArray, IntArray] | None,
+) -> Blendshape:
+    def normals(offsets: FloatArray) -> FloatArray | None:
+        if surface is None:
+            return None
+        points, triangles = surface
+        moved = points.copy()
+        moved[indices] += offsets
+        return normal_offsets(points, moved, triangles, indices)
+
+    inbetweens = tuple(
+        Inbetween(name=inbetween, weight=weight, offsets=offsets, normal_offsets=normals(offsets))
+        for (weight, inbetween), offsets in sculpts.items()
+        if inbetween is not None
+    )
+    whole = sculpts[1.0, None]
+    return Blendshape(
+        name=name, point_indices=indices, offsets=whole, normal_offsets=normals(whole), inbetweens=inbetweens
+    )
+
+
+def _without_shapes(slider: Slider, gone: Iterable[str]) -> Slider:
+    return kept(slider, lambda joint: True, lambda shape: shape not in gone)
+
+
+def _network_without(network: SliderNetwork | None, gone: set[str]) -> SliderNetwork | None:
+    return None if network is None else kept_outputs(network, lambda _: True, lambda shape: shape not in gone)
+
+
+def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:
+    kept = [number for number, name in enumerate(animation.shapes) if name not in gone]
+    if len(kept) == len(animation.shapes) or animation.shape_weights is None:
+        return animation
+    names = tuple(animation.shapes[number] for number in kept)
+    return replace(animation, shapes=names, shape_weights=animation.shape_weights[:, kept])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blend:
+    """Edge vectors of K faces, mixed by region, and the points that fit them best.
+
+    Source: the gradient-domain face blending document, claims 1-10, S601-S606'. Its incidence matrix holds 1 at both
+    ends of an edge, which can't satisfy ``M x = D``; here rows hold -1 and +1.
+
+    >>> weights = Weights(regions={"eyes": (0.8, 0.2)})
+    >>> with sources[0].deriving("blended.usda") as face:
+    ...     report = Blend(weights=weights)(face, sources)
+
+    :raises InputError: weights or options of another type
+    """
+
+    weights: Weights = field(default_factory=Weights)
+    options: BlendOptions = field(default_factory=BlendOptions)
+
+    def __post_init__(self) -> None:
+        for name, value, kind in (("weights", self.weights, Weights), ("options", self.options, BlendOptions)):
+            if not isinstance(value, kind):
+                raise InputError(f"Blend -> {name}", f"{type(value).__name__}, expected {kind.__name__}(...)")
+
+    @one_thread()
+    def __call__(
+        self,
+        face: Face,
+        sources: Sequence[Face] | BlendSession,
+        *,
+        recipe: Recipe | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> BlendReport:
+        """Blend and author the result on `face`, which stands over the first source.
+
+        :param sources: the faces, or a session over them, whose options win
+        :param recipe: authored with the result ; without, the result has none, whatever the
+            first source has
+        :param done: called after every sculpt
+        :raises InputError, TopologyError: sources, weights or options that can't be blended; nothing is authored then
+        """
+        start = time.perf_counter()
+        session = sources if isinstance(sources, BlendSession) else BlendSession(sources, self.options, live=False)
+        solution = session.solve(self.weights, done)
+        report, residual = measure(session, solution)
+        parts = replace(result_parts(session, solution), recipe=recipe)
+        authored = author_changes(face, parts, primvars={SEAM_RESIDUAL: residual})
+        return replace(report, authored=authored, seconds=time.perf_counter() - start)

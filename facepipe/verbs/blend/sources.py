@@ -1,0 +1,243 @@
+"""The faces to blend, stacked as arrays in the space of the first one, with the cards of hairs that it wears."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError, TopologyError
+from facepipe.geometry.closest_points import closest_places, place_shares
+from facepipe.geometry.polygons import point_triangles
+from facepipe.geometry.similarity import fit_similarity
+from facepipe.geometry.vectors import transformed
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, TextureInput
+from facepipe.rig import build, mesh_spaces, set_face
+from facepipe.stage import Face
+from facepipe.verbs.same_topology import check_same_faces, check_spaces, in_order, world_to_world
+
+_TURNED = 15.0  # degrees, beyond what faces of one pose differ by
+_SCALED = 1.5
+_SIZES = 1e4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """K faces of one topology; the first is the base: the result is made over it, in its units, axes and mesh order.
+
+    Points of all meshes stand one after another. "Bind space" is the base's skeleton space at bind time.
+    """
+
+    names: tuple[str, ...]  # where each comes from, for messages
+    parts: tuple[FaceParts, ...]  # meshes in the order of the base
+    shapes: tuple[tuple[str, ...], ...]  # names of each one's shapes
+    mesh_offsets: IntArray  # (meshes + 1,) first point of each mesh, and the count
+    to_base: FloatArray  # (K, 4, 4) bind space of each -> bind space of the base: units and up axis
+    points: FloatArray  # (K, n, 3) neutral points in bind space
+    mm_per_unit: float  # millimetres in a unit of bind space
+    joint_maps: tuple[IntArray, ...]  # of every source, number in the base of each of its joints
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def base(self) -> FaceParts:
+        """The first source."""
+        return self.parts[0]
+
+
+def stack(faces: Sequence[Face]) -> Sources:
+    """Read the faces, each as it is set.
+
+    :raises InputError: no face, or one that can't be read
+    :raises TopologyError: meshes that differ, with the first difference
+    """
+    if not faces:
+        raise InputError("sources", "none given, expected at least one face")
+    for face in faces:
+        if not isinstance(face, Face):
+            raise InputError("sources", f"{face!r:.60} given, expected a Face as facepipe.open gives it")
+    names = tuple(face.where.partition(" -> ")[0] for face in faces)
+    base = set_face(faces[0].parts()).parts
+    if not any(len(mesh.points) for mesh in base.meshes):
+        raise TopologyError(names[0], "has no points, expected a face with meshes")
+    parts, warnings = [base], []
+    for name, face in zip(names[1:], faces[1:], strict=True):
+        source = set_face(face.parts()).parts
+        _check_joints(f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints, names[0])
+        source, worn = with_cards(base, source, _to_base(source, base))
+        if worn:
+            warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
+        parts.append(in_order(base, names[0], source, name))
+        extra = [mesh.name for mesh in source.meshes if mesh.name not in {mesh.name for mesh in base.meshes}]
+        if extra:
+            warnings.append(f"{name}: meshes that {names[0]} lacks are left out: {', '.join(extra)}")
+    for name, face_parts in zip(names, parts, strict=True):
+        check_spaces(name, face_parts)
+    rigs = [replace(build(part), targets=()) for part in parts]  # offsets are read from the parts, once
+    to_base = np.array([_to_base(part, base) for part in parts])
+    base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
+    warnings += _losses(names, parts)
+    moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
+    warnings += _placements(names, moved)
+    return Sources(
+        names=names,
+        parts=tuple(parts),
+        shapes=tuple(rig.shapes for rig in rigs),
+        mesh_offsets=rigs[0].mesh_offsets,
+        to_base=to_base,
+        points=np.stack(moved),
+        mm_per_unit=base.meters_per_unit * 1000.0 * _unit(base.skeleton.transform),
+        joint_maps=tuple(
+            np.array([base_joints[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
+        ),
+        warnings=tuple(warnings),
+    )
+
+
+def _placements(names: Sequence[str], points: Sequence[FloatArray]) -> list[str]:
+    """Warnings of sources that are turned or scaled against the first: a blend takes edges as they are.
+
+    :raises InputError: a source without size, or of another size altogether
+    """
+    lines = []
+    sizes = [float(np.sqrt(((one - one.mean(axis=0)) ** 2).sum(axis=1).mean())) for one in points]
+    for name, placed, size in zip(names, points, sizes, strict=True):
+        if not 0 < size < np.inf or not 1 / _SIZES < size / sizes[0] < _SIZES:
+            raise InputError(name, f"{size:g} units across, expected a face of the size of {names[0]} ({sizes[0]:g})")
+        fitted = fit_similarity(points[0], placed)
+        angle = np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1)))
+        if angle > _TURNED:
+            lines.append(f"{name}: turned by {angle:.0f} degrees against {names[0]}; its edges are taken as they are")
+        if not 1 / _SCALED < fitted.scale < _SCALED:
+            lines.append(f"{name}: {fitted.scale:.2f} times as large as {names[0]}; its edges are taken as they are")
+    return lines
+
+
+def _losses(names: Sequence[str], parts: Sequence[FaceParts]) -> list[str]:
+    """What later sources have and the first lacks: it is not on the result."""
+    base, lines = parts[0], []
+    regions = {region for mesh in base.meshes for region in mesh.regions}
+    sliders, clips = {slider.name for slider in base.sliders}, {animation.name for animation in base.animations}
+    for name, other in zip(names[1:], parts[1:], strict=True):
+        lost = [
+            *(f"region {one}" for one in sorted({one for mesh in other.meshes for one in mesh.regions} - regions)),
+            *(f"slider {slider.name}" for slider in other.sliders if slider.name not in sliders),
+            *(f"clip {animation.name}" for animation in other.animations if animation.name not in clips),
+            *(f"skin of {a.name}" for a, b in zip(other.meshes, base.meshes, strict=True) if a.skin and not b.skin),
+            *(
+                f"landmarks {scheme}"
+                for a, b in zip(other.meshes, base.meshes, strict=True)
+                for scheme in a.landmarks
+                if scheme not in b.landmarks
+            ),
+        ]
+        if lost:
+            more = f" and {len(lost) - 4} more" if len(lost) > 4 else ""
+            lines.append(f"{name}: {', '.join(lost[:4])}{more}: {names[0]} lacks them, and so does the result")
+    return lines
+
+
+def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
+    """(4, 4) from bind space to the base's, over the world of both stages."""
+    world = world_to_world(parts.meters_per_unit, parts.up_axis, base) @ parts.skeleton.transform
+    return np.asarray(np.linalg.inv(base.skeleton.transform) @ world)
+
+
+def _unit(matrix: FloatArray) -> float:
+    """How much longer a matrix makes lengths, on average."""
+    return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
+
+
+def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_name: str) -> None:
+    """:raises TopologyError: the first joint that only one of the two has"""
+    for joint in base:
+        if joint not in joints:
+            raise TopologyError(where, f"no joint '{joint}', expected the {len(base)} joints of {base_name}")
+    for joint in joints:
+        if joint not in base:
+            raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
+
+
+def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
+    """`source` with the cards that `base` wears and it does not, on its own skin; and what these are called.
+
+    A point of a card keeps its place on the largest mesh of the face, and its distance from there.
+
+    :param to_base: (4, 4) from the other's bind space to that of the base, which have the same joints
+    """
+    missing = [mesh for mesh in base.meshes if _is_cards(mesh, base) and not _has(source, mesh)]
+    named = {mesh.name: mesh for mesh in source.meshes}
+    faces = [mesh for mesh in base.meshes if not _is_cards(mesh, base) and _has(source, mesh)]
+    if not missing or not faces:
+        return source, ()
+    skin = max(faces, key=lambda mesh: len(mesh.points))
+    back = np.linalg.inv(to_base)
+    joints = np.array([source.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
+    worn = {}
+    for mesh in missing:
+        space = back @ _space(base, mesh)
+        points = _carried(_bound(base, mesh), _bound(base, skin), _bound(source, named[skin.name]), skin, back)
+        worn[mesh.name] = _placed(mesh, source, points, space[:3, :3], joints)
+    kept = [mesh for mesh in source.meshes if mesh.name not in worn]
+    return replace(source, meshes=(*kept, *worn.values())), tuple(worn)
+
+
+def _is_cards(mesh: Mesh, parts: FaceParts) -> bool:
+    """Whether pictures cut it out, as they do hairs."""
+    cut = {material.name for material in parts.materials if isinstance(material.opacity, TextureInput)}
+    used = {faces.material for faces in mesh.material_faces} | ({mesh.material} if mesh.material else set())
+    return bool(used) and used <= cut
+
+
+def _has(parts: FaceParts, mesh: Mesh) -> bool:
+    """Whether a face has a mesh of that name and topology."""
+    twin = next((one for one in parts.meshes if one.name == mesh.name), None)
+    if twin is None:
+        return False
+    try:
+        check_same_faces(mesh.name, twin, mesh, parts.name)
+    except TopologyError:
+        return False
+    return True
+
+
+def _space(parts: FaceParts, mesh: Mesh) -> FloatArray:
+    return next(space for one, space in zip(parts.meshes, mesh_spaces(parts), strict=True) if one is mesh)
+
+
+def _bound(parts: FaceParts, mesh: Mesh) -> FloatArray:
+    """(n, 3) points in bind space."""
+    return transformed(mesh.points, _space(parts, mesh))
+
+
+def _carried(points: FloatArray, surface: FloatArray, other: FloatArray, mesh: Mesh, back: FloatArray) -> FloatArray:
+    """The points (m, 3) as far from the places that they are nearest to, now on the other surface."""
+    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    nearest = closest_places(points, surface, triangles)
+    shares = place_shares(nearest, surface, triangles)
+    places = np.einsum("mk,mkc->mc", shares, other[triangles[nearest.triangles]])
+    return np.asarray(places + (points - nearest.places) @ back[:3, :3].T)
+
+
+def _placed(mesh: Mesh, other: FaceParts, points: FloatArray, turn: FloatArray, joints: IntArray) -> Mesh:
+    """The mesh with points in bind space, on the joints of another skeleton."""
+    skin = mesh.skin and replace(
+        mesh.skin, joint_indices=joints[mesh.skin.joint_indices], geom_bind_transform=np.eye(4)
+    )
+    return replace(
+        mesh,
+        points=points,
+        transform=other.skeleton.transform,
+        skin=skin,
+        normals=None,
+        blendshapes=tuple(_turned(shape, turn) for shape in mesh.blendshapes),
+    )
+
+
+def _turned(shape: Blendshape, turn: FloatArray) -> Blendshape:
+    def one(inbetween: Inbetween) -> Inbetween:
+        return replace(inbetween, offsets=inbetween.offsets @ turn.T, normal_offsets=None)
+
+    inbetweens = tuple(map(one, shape.inbetweens))
+    return replace(shape, offsets=shape.offsets @ turn.T, normal_offsets=None, inbetweens=inbetweens)

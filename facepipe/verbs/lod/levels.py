@@ -1,0 +1,286 @@
+"""Levels of a face made and authored, and how far off each is at rest, in every shape, and with joints turned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.reports import Report, table
+from facepipe.geometry.closest_points import closest_among, closest_places, place_shares
+from facepipe.geometry.geodesics import nearest_sources, surface_graph
+from facepipe.kinds import Watch
+from facepipe.parts import Mesh
+from facepipe.rig import Rig
+from facepipe.stage import Face
+from facepipe.stage.levels import author_levels
+from facepipe.verbs.lod.decimate import Surface
+
+_MOVED = 0.1  # mm
+_TURN = 0.35  # radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distances:
+    """Distances of points of the full face from their places on a level."""
+
+    points: int
+    mean_mm: float
+    p95_mm: float
+    max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelErrors:
+    """Of all points at rest; of those that a shape at 1, or a joint turned by 20 degrees, moves by 0.1 mm or more."""
+
+    rest: Distances
+    shapes: Mapping[str, Distances]
+    skin_shapes: Mapping[str, Distances]  # of the skin alone
+    joints: Mapping[str, Distances]
+    cards: Mapping[str, Distances]  # mesh -> points of its cards that are gone, from what is left of it, at rest
+    lost: Mapping[str, int]  # mesh -> points of other connected pieces that the level has no triangle of
+
+
+class _Places(NamedTuple):
+    """Where the points of the full face are on a level."""
+
+    rows: IntArray  # (r,) points that have one
+    shares: Any  # (r, n) of the points of the level
+
+
+class FullFace:
+    """The points of a full face, posed, to measure its levels against."""
+
+    def __init__(
+        self, rig: Rig, triangles: IntArray, is_skin: BoolArray, is_card: BoolArray, mm_per_unit: float
+    ) -> None:
+        """:param triangles: (t, 3) of the points of all meshes; `is_skin` and `is_card` (t,) of them"""
+        self._rig, self._mm = rig, mm_per_unit
+        self._rest = rig.evaluate()
+        self._used = np.unique(triangles)
+        self._skin, self._card = (np.isin(np.arange(len(self._rest)), triangles[one]) for one in (is_skin, is_card))
+        self._graph = surface_graph(self._rest, np.pad(triangles, ((0, 0), (0, 1)), constant_values=-1))
+
+    @property
+    def poses(self) -> int:
+        """How many there are to measure in."""
+        return len(self._rig.shapes) + len(self._rig.joints)
+
+    def errors(self, levels: Sequence[tuple[IntArray, FloatArray]], step: Callable[[], object]) -> list[LevelErrors]:
+        """Of levels, each triangles (t, 3) of points of the face, and where these are at the level, (n, 3) of the rig.
+
+        A point's place is the nearest one on the triangles about the point of the level that is nearest to it along
+        the surface, so that it is on its own lip, lid and part; the place then moves with the corners of its triangle.
+        A point of a piece that the level lacks has no place, and is in no error; of a card, its distance at rest from
+        what is left of its mesh is.
+
+        :param step: called after every pose
+        """
+        rigs = [replace(self._rig, points=points) for _, points in levels]
+        rest = [rig.evaluate() for rig in rigs]
+        places = [
+            _places(self._rest, at, self._graph, one, self._used) for at, (one, _) in zip(rest, levels, strict=True)
+        ]
+        shapes, skin, joints = ([dict[str, Distances]() for _ in levels] for _ in range(3))
+        for name in self._rig.shapes:
+            posed = self._rig.evaluate({name: 1.0})
+            moved = self._moves(posed)
+            for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
+                off = self._off(placed, posed, posed + (at - self._rest))
+                shapes[number][name] = _distances(off[moved[placed.rows]])
+                skin[number][name] = _distances(off[(moved & self._skin)[placed.rows]])
+            step()
+        for name, coefficients in self._turns():
+            posed = self._rig.evaluate(coefficients=coefficients)
+            moved = self._moves(posed)
+            for number, (placed, rig) in enumerate(zip(places, rigs, strict=True)):
+                off = self._off(placed, posed, rig.evaluate(coefficients=coefficients))
+                joints[number][name] = _distances(off[moved[placed.rows]])
+            step()
+        measured = []
+        for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
+            measured.append(
+                LevelErrors(
+                    rest=_distances(self._off(placed, self._rest, at)),
+                    shapes=shapes[number],
+                    skin_shapes=skin[number],
+                    joints=joints[number],
+                    cards=self._cards(placed, at, levels[number][0]),
+                    lost=self._lost(placed),
+                )
+            )
+        return measured
+
+    def _turns(self) -> Iterator[tuple[str, FloatArray]]:
+        for number, joint in enumerate(self._rig.joints):
+            coefficients = np.tile([0.0] * 6 + [1.0] * 3, (len(self._rig.joints), 1))
+            coefficients[number, 3] = _TURN
+            yield joint, coefficients
+
+    def _moves(self, posed: FloatArray) -> BoolArray:
+        return np.asarray(np.linalg.norm(posed - self._rest, axis=1) * self._mm >= _MOVED)
+
+    def _off(self, places: _Places, posed: FloatArray, level: FloatArray) -> FloatArray:
+        """(r,) mm from the points that have places to these."""
+        return np.asarray(np.linalg.norm(posed[places.rows] - places.shares @ level, axis=1) * self._mm)
+
+    def _cards(self, places: _Places, at: FloatArray, level: IntArray) -> dict[str, Distances]:
+        """How far the points of cards that are gone are from those that stay, at their places `at` (n, 3)."""
+        gone = self._by_mesh(np.setdiff1d(np.flatnonzero(self._card), places.rows))
+        distances = dict[str, Distances]()
+        of_level = self._mesh(level[:, 0])
+        for number, points in gone.items():
+            left = closest_places(self._rest[points], at, level[of_level == number])
+            distances[self._rig.mesh_names[number]] = _distances(left.distances * self._mm)
+        return distances
+
+    def _lost(self, places: _Places) -> dict[str, int]:
+        away = np.setdiff1d(self._used[~self._card[self._used]], places.rows)
+        return {self._rig.mesh_names[number]: len(points) for number, points in self._by_mesh(away).items()}
+
+    def _mesh(self, points: IntArray) -> IntArray:
+        return np.asarray(np.searchsorted(self._rig.mesh_offsets, points, side="right") - 1)
+
+    def _by_mesh(self, points: IntArray) -> dict[int, IntArray]:
+        number = self._mesh(points)
+        return {int(one): points[number == one] for one in np.unique(number)}
+
+
+def _distances(mm: FloatArray) -> Distances:
+    if not len(mm):
+        return Distances(points=0, mean_mm=0.0, p95_mm=0.0, max_mm=0.0)
+    p95 = float(np.percentile(mm, 95))
+    return Distances(points=len(mm), mean_mm=float(mm.mean()), p95_mm=p95, max_mm=float(mm.max()))
+
+
+def _places(points: FloatArray, at: FloatArray, graph: Any, level: IntArray, used: IntArray) -> _Places:
+    """Places of `used` points (n, 3) on a level whose points are at `at` (n, 3)."""
+    count = len(points)
+    nearest = nearest_sources(graph, np.unique(level))
+    ones = np.ones(level.size, np.int32)
+    corners = sparse.csr_array((ones, (level.ravel(), np.repeat(np.arange(len(level)), 3))), shape=(count, len(level)))
+    around = sparse.csr_array(corners @ corners.T @ corners)  # point -> triangles of its triangles' points
+    owners = used[nearest[used] >= 0]
+    pairs = sparse.coo_array(around[nearest[owners]])
+    places = closest_among(points[owners], at, level, pairs.row.astype(np.int64), pairs.col.astype(np.int64))
+    entries = (np.repeat(np.arange(len(owners)), 3), level[places.triangles].ravel())
+    shares = sparse.csr_array((place_shares(places, at, level).ravel(), entries), shape=(len(owners), count))
+    return _Places(owners, shares)
+
+
+_SHARES = (0.4, 0.15, 0.05)  # of the face's triangles, where no numbers are given
+_MISSED = 1.05  # a level may have this many times the triangles that were asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """A lower level of a face."""
+
+    name: str  # of its variant
+    triangles: int
+    skin_triangles: int
+    points: int
+    meshes: Mapping[str, int]  # mesh -> triangles
+    errors: LevelErrors
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodReport(Report):
+    """The levels of a face, finest first."""
+
+    triangles: int  # of the face itself
+    levels: tuple[Level, ...]
+
+    def as_text(self, out: Path) -> str:
+        """The levels as a table."""
+        rows: list[list[object]] = [
+            ["level", "triangles", "of skin", "points", "mm off at rest", "shapes", "on the skin", "joints"]
+        ]
+        for level in self.levels:
+            errors = level.errors
+            rest, *moved = ({"rest": errors.rest}, errors.shapes, errors.skin_shapes, errors.joints)
+            counts = (f"{count:,}" for count in (level.triangles, level.skin_triangles, level.points))
+            rows.append([level.name, *counts, _worst(rest).partition(" (")[0], *map(_worst, moved)])
+        lines = [
+            f"{out}: {self.triangles:,} triangles; its levels:",
+            table(rows),
+            "mean / 95 % of the points, worst first",
+        ]
+        for level in self.levels:
+            for mesh, gone in level.errors.cards.items():
+                away = f"{gone.mean_mm:.2f} / {gone.p95_mm:.2f} mm from those that stay"
+                lines.append(
+                    f"{level.name}: points of cards of {mesh} that are left out (not in the errors above): {away}"
+                )
+        return "\n".join(lines)
+
+
+def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Watch) -> LodReport:
+    """Author levels of at most `counts` triangles on a face over an override layer; none: some that suit it.
+
+    :raises InputError: levels already there, no triangles, or counts that do not fall from the face's
+    """
+    if face.levels:
+        raise InputError(face.where, "has levels of detail, expected a face without (or --edit, to make them anew)")
+    if not any(len(mesh.face_vertex_counts) for mesh in face.meshes):
+        raise InputError(face.where, "no triangles, expected a surface")
+    surface = Surface(face.parts(), face.rig())
+    total = len(surface.triangles)
+    counts = _checked(face, counts or [round(share * total) for share in _SHARES], total)
+    full = FullFace(face.rig(), surface.triangles, surface.is_skin, surface.cards >= 0, face.mm_per_unit)
+    rows = [surface.full]
+    with watch("levels", len(counts) + full.poses) as bar:
+        for count in counts:
+            rows.append(surface.level(count, skin_share, rows[-1]))
+            bar.update()
+        errors = full.errors([(surface.points_of(row), surface.places(row)) for row in rows[1:]], bar.update)
+    made = [surface.meshes(row) for row in rows[1:]]
+    author_levels(face, made)
+    each = zip(made, (surface.skin_triangles(row) for row in rows[1:]), errors, strict=True)
+    levels = tuple(_level(f"lod{number}", *one) for number, one in enumerate(each, 1))
+    return LodReport(triangles=total, levels=levels, warnings=tuple(_warnings(levels, counts)))
+
+
+def _checked(face: Face, counts: Sequence[int], total: int) -> list[int]:
+    for above, count in zip([total, *counts], counts, strict=False):
+        if not 0 < count < above:
+            expected = f"expected fewer than {above:,}, what is above it has" if count > 0 else "expected some"
+            raise InputError(f"{face.where} -> level of {count:,} triangles", expected)
+    return list(counts)
+
+
+def _level(name: str, meshes: Sequence[Mesh], skin_triangles: int, errors: LevelErrors) -> Level:
+    counts = {mesh.name: len(mesh.face_vertex_counts) for mesh in meshes}
+    return Level(
+        name=name,
+        triangles=sum(counts.values()),
+        skin_triangles=skin_triangles,
+        points=sum(len(mesh.points) for mesh in meshes),
+        meshes=counts,
+        errors=errors,
+    )
+
+
+def _warnings(levels: Sequence[Level], counts: Sequence[int]) -> Iterator[str]:
+    for level, count in zip(levels, counts, strict=True):
+        if level.triangles > _MISSED * count:
+            yield f"{level.name}: {level.triangles:,} triangles, {count:,} can't be reached: seams and borders stay"
+        if level.errors.lost:
+            gone = ", ".join(f"{name} ({points:,})" for name, points in level.errors.lost.items())
+            yield f"{level.name}: some pieces have no triangle left, and no error counts them (points): {gone}"
+
+
+def _worst(distances: Mapping[str, Distances]) -> str:
+    """The largest mean and 95th percentile, and whose they are."""
+    if not distances:
+        return "-"
+    names = [max(distances, key=lambda name: getattr(distances[name], key)) for key in ("mean_mm", "p95_mm")]
+    mean, p95 = distances[names[0]].mean_mm, distances[names[1]].p95_mm
+    return f"{mean:.2f} / {p95:.2f} ({', '.join(dict.fromkeys(name.rpartition('/')[2] for name in names))})"

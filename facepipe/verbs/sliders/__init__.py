@@ -1,0 +1,43 @@
+"""Sliders of a face: authored from tables, made from its blendshapes, learned by a small network, and set."""
+
+from typing import TYPE_CHECKING
+
+from facepipe.core.loading import lazy
+
+if TYPE_CHECKING:
+    from facepipe.verbs.sliders.author_sliders import (
+        AuthorNetwork,
+        AuthorNetworkReport,
+        AuthorSliders,
+        AuthorSlidersReport,
+    )
+    from facepipe.verbs.sliders.distil import DistilReport, DistilSliders
+    from facepipe.verbs.sliders.from_shapes import SlidersFromShapes
+    from facepipe.verbs.sliders.options import ShapeSliderOptions
+    from facepipe.verbs.sliders.set_sliders import SetSliders, SetSlidersReport
+    from facepipe.verbs.sliders.shape_report import MadeSlider, ShapeSlidersReport
+    from facepipe.verbs.sliders.slider_table import Drive, SliderRule, SliderTable
+    from facepipe.verbs.sliders.sliders_action import SlidersOfFace
+    from facepipe.verbs.sliders.tables import read_table
+else:
+    __getattr__, __dir__ = lazy(__name__)
+
+__all__ = [
+    "AuthorNetwork",
+    "AuthorNetworkReport",
+    "AuthorSliders",
+    "AuthorSlidersReport",
+    "DistilReport",
+    "DistilSliders",
+    "Drive",
+    "MadeSlider",
+    "SetSliders",
+    "SetSlidersReport",
+    "ShapeSliderOptions",
+    "ShapeSlidersReport",
+    "SliderRule",
+    "SliderTable",
+    "SlidersFromShapes",
+    "SlidersOfFace",
+    "read_table",
+]

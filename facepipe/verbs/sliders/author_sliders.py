@@ -1,0 +1,207 @@
+"""Authors sliders on a face: those of a table, and a learned network beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.core import tokens
+from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
+from facepipe.core.reports import Report
+from facepipe.parts import BoneLimits, Recipe, Slider, SliderNetwork
+from facepipe.rig import CHANNELS, slide
+from facepipe.rig.sliders import sliders_fault
+from facepipe.stage import Face
+from facepipe.stage.api_schemas import check_property_name
+from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.apply_bones import check_limits
+from facepipe.verbs.sliders.slider_table import SliderTable
+
+_SHOWN = 4  # names of a list
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorSlidersReport(Report):
+    """What was authored."""
+
+    sliders: tuple[str, ...]  # of the table
+    replaced: tuple[str, ...] = ()  # that the face had by the same name
+    dropped: tuple[str, ...] = ()  # that the face had and has no more
+    channels: int = 0  # that the table's sliders drive, each counted once
+    shapes: int = 0
+    beyond_limits: tuple[str, ...] = ()  # "slider -> joint:channel" where one slider can leave the face's limits
+    authored: tuple[str, ...] = ()
+
+    def as_text(self, out: Path) -> str:
+        """For people."""
+        kept = f", {len(self.replaced)} of them replaced" if self.replaced else ""
+        dropped = f", {len(self.dropped)} dropped" if self.dropped else ""
+        over = f"over {self.channels} channels and {self.shapes} shapes"
+        return f"{out}: {len(self.sliders)} sliders{kept}, {over}{dropped}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorSliders:
+    """The sliders of a table on a face; those that it has by the same names are replaced, and keep their values.
+
+    A mirror that is named on one side only is named on the other too.
+
+    :param drop: drop all other sliders of the face
+    """
+
+    table: SliderTable
+    drop: bool = False
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> AuthorSlidersReport:
+        """Author them.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: names that USD can't hold, joints, channels, shapes or mirrors that the face lacks, or
+            limits of the face that cross
+        """
+        for rule in self.table.rules:
+            check_property_name(rule.where, "slider", rule.name, tokens.SLIDER_API)
+        parts = face.parts()
+        new = self.table.resolve(parts.skeleton.joints, face.shapes, parts.meters_per_unit)
+        names = {slider.name for slider in new}
+        valued, unset = with_values(new, parts.sliders)
+        others = () if self.drop else tuple(slider for slider in parts.sliders if slider.name not in names)
+        merged = _mutual((*others, *valued))
+        self._check_mirrors(merged)
+        beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
+        network, lost = fitting_network(parts.slider_network, merged)
+        changed = replace(parts, sliders=merged, slider_network=network, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        return AuthorSlidersReport(
+            sliders=tuple(slider.name for slider in new),
+            replaced=tuple(slider.name for slider in parts.sliders if slider.name in names),
+            dropped=tuple(slider.name for slider in parts.sliders if slider.name not in names and self.drop),
+            channels=len({entry[:2] for slider in new for entry in slider.channels}),
+            shapes=len({entry[0] for slider in new for entry in slider.shapes}),
+            beyond_limits=beyond,
+            authored=authored,
+            warnings=(*unset, *lost, *_idle(new), *beyond_lines(beyond)),
+        )
+
+    def _check_mirrors(self, sliders: Sequence[Slider]) -> None:
+        fault = sliders_fault(sliders)
+        if fault:
+            where = {rule.name: rule.where for rule in self.table.rules}
+            raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
+
+
+def _mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
+    """The sliders, a mirror that is named on one side only named on the other too."""
+    named = {slider.mirror: slider.name for slider in sliders if slider.mirror is not None}
+    return tuple(replace(slider, mirror=slider.mirror or named.get(slider.name)) for slider in sliders)
+
+
+def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: BoneLimits | None) -> tuple[str, ...]:
+    """``slider -> joint:channel`` where a slider at an end of its range, all others at their default, is beyond limits.
+
+    :raises InputError: limits that cross
+    """
+    if limits is None:
+        return ()
+    check_limits(joints, limits)
+    reaching = []
+    start, _ = slide(sliders, joints, {slider.name: slider.default for slider in sliders})
+    for slider in sliders:
+        low, middle, high = (
+            slide((slider,), joints, {slider.name: value})[0]
+            for value in (slider.minimum, slider.default, slider.maximum)
+        )
+        ends = [(start - middle + end).astype(np.float32) for end in (low, high)]
+        beyond = np.any([(one < limits.lower) | (one > limits.upper) for one in ends], axis=0)
+        reaching += [f"{slider.name} -> {joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond)]
+    return tuple(reaching)
+
+
+def with_values(new: Sequence[Slider], known: Sequence[Slider]) -> tuple[tuple[Slider, ...], tuple[str, ...]]:
+    """Sliders with the values that the face gave them, and a line for each that is out of the new range."""
+    lines, valued = [], []
+    values = {slider.name: slider.value for slider in known}
+    for slider in new:
+        value = values.get(slider.name)
+        if value is not None and not slider.minimum <= value <= slider.maximum:
+            lines.append(f"slider {slider.name}: value {value:g} is out of its new range, now the default")
+            value = None
+        valued.append(replace(slider, value=value))
+    return tuple(valued), tuple(lines)
+
+
+def _idle(sliders: Sequence[Slider]) -> tuple[str, ...]:
+    idle = [slider.name for slider in sliders if not slider.channels and not slider.shapes]
+    return (f"{len(idle)} sliders drive nothing: {first_names(idle, _SHOWN)}",) if idle else ()
+
+
+def beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:
+    """A warning of channels that single sliders move beyond limits."""
+    if not beyond:
+        return ()
+    some = first_names(beyond, _SHOWN)
+    return (f"{len(beyond)} channels of single sliders reach beyond the limits of the face: {some}",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorNetworkReport(Report):
+    """What was authored."""
+
+    sliders: tuple[str, ...]  # that go in
+    channels: int  # that are added to
+    shapes: int
+    layers: tuple[int, ...]  # numbers that go into the first, and that come out of each
+    replaced: bool  # the face had another network
+    authored: tuple[str, ...] = ()
+
+    def as_text(self, out: Path) -> str:
+        """For people."""
+        layers, replaced = " -> ".join(map(str, self.layers)), ", in place of another" if self.replaced else ""
+        return f"{out}: a network {layers}{replaced}, over {self.channels} channels and {self.shapes} shapes"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuthorNetwork:
+    """A learned network on a face, which adds to what its sliders do; one that it has is replaced."""
+
+    network: SliderNetwork
+
+    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> AuthorNetworkReport:
+        """Author it.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :raises InputError: a damaged network, or one of sliders, joints, channels or shapes that the face lacks
+        """
+        parts, network = face.parts(), self.network
+        try:
+            slide(parts.sliders, parts.skeleton.joints, network=network)
+            face.rig().weight_vector(dict.fromkeys(network.shapes, 0.0))
+        except InputError as error:
+            raise error.under(face.where) from None
+        changed = replace(parts, slider_network=network, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        return AuthorNetworkReport(
+            sliders=network.sliders,
+            channels=len(network.channels),
+            shapes=len(network.shapes),
+            layers=(len(network.sliders), *(len(bias) for bias in network.biases)),
+            replaced=parts.slider_network is not None,
+            authored=authored,
+        )
+
+
+def fitting_network(
+    network: SliderNetwork | None, sliders: Sequence[Slider]
+) -> tuple[SliderNetwork | None, tuple[str, ...]]:
+    """The network of a face that gets other `sliders`, and a warning where it can't stay: one of its own is gone."""
+    if network is None:
+        return None, ()
+    known = {slider.name for slider in sliders}
+    gone = [name for name in network.sliders if name not in known]
+    if not gone:
+        return network, ()
+    return None, (f"the learned network of the sliders is dropped: it needs '{gone[0]}'",)

@@ -1,0 +1,259 @@
+"""Makes sliders of a face's blendshapes, by fitting its bones to them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import first_names, select
+from facepipe.core.threads import one_thread
+from facepipe.parts import Blendshape, Curve, FaceParts, Recipe, Slider
+from facepipe.rig import CHANNELS
+from facepipe.rig.sliders import with_entries, with_mutual_mirrors
+from facepipe.stage import Face
+from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.fit_bones.checks import check_rig
+from facepipe.verbs.fit_bones.limits import LimitRules
+from facepipe.verbs.fit_bones.options import STRICTER
+from facepipe.verbs.fit_bones.residual import Residual, corrective
+from facepipe.verbs.sliders.author_sliders import beyond_lines, fitting_network, sliders_beyond, with_values
+from facepipe.verbs.sliders.options import ShapeSliderOptions
+from facepipe.verbs.sliders.shape_fits import ShapeFits, ShapePose, fit_poses
+from facepipe.verbs.sliders.shape_names import ShapeSlider, parse_pairs, shape_sliders
+from facepipe.verbs.sliders.shape_report import MadeSlider, ShapeSlidersReport, by_group, end_report, reach_of
+
+_RESIDUAL = "_residual"  # what the name of a shape's corrective ends in
+
+_CURVES: Mapping[float, Curve] = {-1.0: ((-1.0, 1.0), (0.0, 0.0)), 1.0: ((0.0, 0.0), (1.0, 1.0))}
+_SHOWN = 4  # names of a list
+_LEAST = 1e-6  # mm: a motion that is less is none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """A slider with the shapes that it needs; None where it was left out."""
+
+    name: str
+    slider: Slider | None
+    residuals: tuple[Residual, ...]
+    report: MadeSlider
+
+
+@dataclass(frozen=True, kw_only=True)
+class SliderMaker:
+    """Makes the sliders of one face."""
+
+    parts: FaceParts  # what the rig of `fits` was built from
+    fits: ShapeFits
+    options: ShapeSliderOptions
+    poses: Mapping[str, ShapePose]  # by shape
+    targets: Mapping[str, FloatArray]  # shape -> (n, 3) points
+    mm: float  # millimetres in a stage unit
+
+    def make(self, wanted: ShapeSlider, twin: ShapeSlider | None) -> Made:
+        """The slider, by what it and its mirror reach together: bones, with a residual or not, shapes, or nothing."""
+        reached = self.reach(*((wanted,) if twin is None else (wanted, twin))) >= self.options.least_reach
+        residual = self.options.residual
+        found = {shape: self._residual(shape) for _, shape in wanted.ends} if reached and residual else {}
+        residuals = {shape: one for shape, one in found.items() if one is not None}
+        by = ("bones and residual" if residuals else "bones") if reached else "shapes" if residual else ""
+        return Made(
+            name=wanted.name,
+            slider=self._slider(wanted, by, residuals) if by else None,
+            residuals=tuple(residuals.values()),
+            report=self._report(wanted, by, residuals),
+        )
+
+    def reach(self, *sliders: ShapeSlider) -> float:
+        """How much of the motion of sliders' shapes bones make."""
+        shapes = sorted(shape for slider in sliders for _, shape in slider.ends)  # as of the mirror, to the last digit
+        motions = [np.linalg.norm(self.targets[shape] - self.fits.points) for shape in shapes]
+        left = [np.linalg.norm(self.targets[shape] - self.poses[shape].points) for shape in shapes]
+        return reach_of([float(motion) for motion in motions], [float(one) for one in left])
+
+    def _residual(self, shape: str) -> Residual | None:
+        """What bones leave beyond the threshold."""
+        pose, target = self.poses[shape], self.targets[shape]
+        off = np.linalg.norm(pose.points - target, axis=1) * self.mm
+        corrected = off > STRICTER * self.options.threshold_mm
+        if not corrected.any():
+            return None
+        coefficients = self.fits.rest + pose.gains
+        return corrective(self.parts, self.fits.rig, shape + _RESIDUAL, coefficients, target, corrected)
+
+    def _slider(self, wanted: ShapeSlider, by: str, residuals: Mapping[str, Residual]) -> Slider:
+        channels, shapes = [], []
+        for value, shape in wanted.ends:
+            curve = _CURVES[value] if len(wanted.ends) == 2 else None
+            gains = self.poses[shape].gains
+            for joint, channel in np.argwhere(gains != 0.0) if by != "shapes" else ():
+                entry = (self.fits.rig.joints[joint], CHANNELS[channel], float(gains[joint, channel]))
+                channels.append((entry, curve))
+            driven = shape if by == "shapes" else shape + _RESIDUAL if shape in residuals else None
+            if driven is not None:
+                shapes.append(((driven, 1.0), curve))
+        plain = Slider(name=wanted.name, group=wanted.group, minimum=wanted.minimum, mirror=wanted.mirror)
+        return with_entries(plain, channels, shapes)
+
+    def _report(self, wanted: ShapeSlider, by: str, residuals: Mapping[str, Residual]) -> MadeSlider:
+        poses = [self.poses[shape] for _, shape in wanted.ends]
+        moved = np.asarray(np.any([pose.gains != 0.0 for pose in poses], axis=0))
+        ends = []
+        for _, shape in wanted.ends:
+            target, bones, residual = self.targets[shape], self.poses[shape].points, residuals.get(shape)
+            end = target if by == "shapes" else bones if residual is None else residual.points
+            motion, left, last = (
+                np.linalg.norm(target - one, axis=1) * self.mm for one in (self.fits.points, bones, end)
+            )
+            points = 0 if residual is None else sum(len(one.point_indices) for one in residual.shapes if one)
+            ends.append(end_report(shape, motion, left, last, points))
+        return MadeSlider(
+            group=wanted.group,
+            ends=tuple(ends),
+            reach=self.reach(wanted),
+            joints=int(moved.any(axis=1).sum()),
+            channels=int(moved.sum()),
+            symmetric=all(pose.symmetric for pose in poses),
+            mirror=wanted.mirror,
+            by=by,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlidersFromShapes(ShapeSliderOptions):
+    """Sliders that move the bones of a face as its blendshapes move it.
+
+    Bones are fitted to each shape, within limits, and the slider goes straight from rest to that pose. Sliders of the
+    left and the right side get the same pose, mirrored.
+
+    >>> face = facepipe.open("head.usda")
+    >>> with face.deriving("controls.usda") as result:
+    ...     report = SlidersFromShapes(shapes="nose_*,l_eye_*,r_eye_*")(result)
+
+    :param shapes: patterns of their names, comma between
+    :param limits: over those of the rig
+    :param drop: drop all other sliders of the face
+    :raises InputError: options out of range
+    """
+
+    shapes: str = "*"
+    limits: LimitRules = field(default_factory=LimitRules)
+    drop: bool = False
+
+    def chosen(self, face: Face) -> tuple[str, ...]:
+        """The shapes to make sliders of; the residuals of others are none.
+
+        :raises InputError: a pattern that matches no shape, or a face without shapes
+        """
+        residuals = {name + _RESIDUAL for name in face.shapes}
+        candidates = tuple(name for name in face.shapes if name not in residuals)
+        if not candidates:
+            raise InputError(face.where, "has no blendshapes, expected some to make sliders of")
+        selected = select(candidates, self.shapes, "from-shapes")
+        if not selected:
+            raise InputError("option from-shapes", "no pattern, expected some of the face's shapes, or *")
+        return selected
+
+    @one_thread()
+    def __call__(
+        self, face: Face, *, recipe: Recipe | None = None, done: Callable[[], object] = lambda: None
+    ) -> ShapeSlidersReport:
+        """Fit, and author the sliders on `face`; those that it has by the same names are replaced.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :param done: called after every shape
+        :raises InputError, TopologyError: a face without bones, singular binds, limits that don't fit it or exclude
+            rest, or patterns that match no shape; nothing is authored then
+        :raises FitError: limits that let a joint shrink to nothing, and a fit that did
+        """
+        start = time.perf_counter()
+        parts, rig, chosen = face.parts(), face.rig(), self.chosen(face)
+        check_rig(face.where, parts, rig)
+        lower, upper = self.limits.resolve(rig.joints, face.meters_per_unit, parts.bone_limits)
+        fits = ShapeFits(rig, lower, upper, self, face.mm_per_unit)
+        targets = {shape: rig.evaluate({shape: 1.0}) for shape in chosen}
+        still = tuple(
+            shape for shape in chosen if np.abs(targets[shape] - fits.points).max() <= _LEAST / face.mm_per_unit
+        )
+        made = self._made(parts, fits, {shape: targets[shape] for shape in chosen if shape not in still}, done)
+        for _ in still:
+            done()
+        new = [one.slider for one in made if one.slider is not None]
+        result = _merged(_with_residuals(parts, made), new, drop=self.drop)
+        network, lost = fitting_network(parts.slider_network, result.sliders)
+        authored = author_changes(face, replace(result, slider_network=network, recipe=recipe or parts.recipe))
+        report = _report(parts, made, new, result.sliders)
+        return replace(
+            report,
+            unmoved=still,
+            authored=authored,
+            seconds=time.perf_counter() - start,
+            warnings=(*fits.warnings, *lost, *report.warnings, *_unmoved(still)),
+        )
+
+    def _made(
+        self, parts: FaceParts, fits: ShapeFits, targets: Mapping[str, FloatArray], done: Callable[[], object]
+    ) -> list[Made]:
+        """The sliders of shapes that move points."""
+        wanted = shape_sliders(tuple(targets), parse_pairs(self.pairs))
+        poses = fit_poses(fits, wanted, targets, done)
+        mm = parts.meters_per_unit * 1000.0
+        maker = SliderMaker(parts=parts, fits=fits, options=self, poses=poses, targets=targets, mm=mm)
+        by_name = {slider.name: slider for slider in wanted}
+        return [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
+
+
+def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts:
+    """The face with new sliders, which keep the values of those that they replace, beside the others."""
+    valued, _ = with_values(new, parts.sliders)
+    names = {slider.name for slider in new}
+    others = () if drop else tuple(slider for slider in parts.sliders if slider.name not in names)
+    return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
+
+
+def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
+    """The face with the residual shapes of its sliders, which replace those of the same names."""
+    added: list[list[Blendshape]] = [
+        [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
+        for number in range(len(parts.meshes))
+    ]
+    names = {shape.name for shapes in added for shape in shapes}
+    meshes = tuple(
+        replace(mesh, blendshapes=(*(shape for shape in mesh.blendshapes if shape.name not in names), *shapes))
+        for mesh, shapes in zip(parts.meshes, added, strict=True)
+    )
+    return replace(parts, meshes=meshes)
+
+
+def _report(
+    parts: FaceParts, made: Sequence[Made], new: Sequence[Slider], kept: Sequence[Slider]
+) -> ShapeSlidersReport:
+    """What is known of the sliders that were made, and of those that the face had."""
+    made_names, after = {slider.name for slider in new}, {slider.name for slider in kept}
+    beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
+    left_out = {one.name: one.report for one in made if one.slider is None}
+    lost = sum(residual.lost for one in made for residual in one.residuals)
+    lines = []
+    if left_out:
+        names = first_names(tuple(left_out), _SHOWN)
+        lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {names}")
+    if lost:
+        lines.append(f"{lost} points of residuals can't be corrected: skinning flattens what is around them")
+    return ShapeSlidersReport(
+        sliders={one.name: one.report for one in made if one.slider is not None},
+        left_out=left_out,
+        groups=by_group([one.report for one in made]),
+        replaced=tuple(slider.name for slider in parts.sliders if slider.name in made_names),
+        dropped=tuple(slider.name for slider in parts.sliders if slider.name not in after),
+        beyond_limits=beyond,
+        warnings=(*lines, *beyond_lines(beyond)),
+    )
+
+
+def _unmoved(shapes: Sequence[str]) -> tuple[str, ...]:
+    return (f"{len(shapes)} shapes move nothing: {first_names(shapes, _SHOWN)}",) if shapes else ()
