@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING, Any
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
 from facepipe.core import __version__ as __version__
+from facepipe.core import former_names
 from facepipe.core.loading import lazy
+
+former_names.install()
 
 if TYPE_CHECKING:
     from facepipe.api import read, sample
