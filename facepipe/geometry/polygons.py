@@ -9,7 +9,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 # Twice the area, relative to the square of the longest side, below which the normal is float32 rounding.
-_FLAT = 1e-6
+_FLAT_HEIGHT = 1e-6
 
 
 class Triangles(NamedTuple):
@@ -118,7 +118,7 @@ def triangle_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     normals = np.cross(sides[:, 0], sides[:, 1])
     lengths = np.linalg.norm(normals, axis=1)
     longest = np.einsum("tei,tei->te", sides, sides).max(axis=1, initial=0.0)
-    solid = lengths > _FLAT * longest
+    solid = lengths > _FLAT_HEIGHT * longest
     normals[~solid] = 0.0
     return np.asarray(normals / np.where(solid, lengths, 1.0)[:, None])
 

@@ -19,7 +19,7 @@ from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.texels import Texels
 
-_HOLD = 1e-12  # weight of an offset of 0, which surfaces without anything known have
+_ZERO_WEIGHT = 1e-12  # weight of an offset of 0, which surfaces without anything known have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,8 @@ def membrane(
     areas = point_areas(points, triangles)
     held = areas * weights
     smooth = differences.T @ diags_array(stiffness * reach**2) @ differences
-    floor = _HOLD * max(float(areas.mean()), np.finfo(np.float64).tiny)
+    # a piece of surface without known colours has the constants as its kernel: held to 0 by next to nothing
+    floor = _ZERO_WEIGHT * max(float(areas.mean()), np.finfo(np.float64).tiny)
     return factorise(diags_array(held + floor) + smooth).solve(held[:, None] * values)
 
 
@@ -74,6 +75,7 @@ def completed(
         counts += one.texels.summed(np.ones((len(one.offsets), 1)), len(points))
     total = sums[:, -1:]
     means = np.divide(sums[:, :-1], total, out=np.zeros_like(sums[:, :-1]), where=total > 0)
+    # at the points, not the texels: 14,062 unknowns for the head in the box, not the 4 million of a texture of 2048
     smooth = membrane(points, triangles, means, total[:, 0] / np.maximum(counts[:, 0], 1e-12), reach)
     return [_mixed(one, one.texels.carried(smooth)) for one in known]
 

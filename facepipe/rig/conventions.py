@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
 _NAMESPACES = re.compile(r"[.:|]|__|^!ex-")  # blendShape1.jawOpen, face:jawOpen, MPFB's !ex-jawOpen
-_FEWEST = 3  # names that make a convention
+_FEWEST_NAMES = 3  # names that make a convention
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
     matched: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in shapes}
     taken = set(matched)
     both = ("left", "right")
+    # form by form over all names, not name by name: a loose match never takes the shape that a later name spells
     for form, sides in ((spelling, ("",)), (_meant, ("",)), (spelling, both), (_meant, both)):
         index = _index(form, shapes)
         for name in incoming:
@@ -122,7 +123,7 @@ def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
         for kind, table in CONVENTIONS.items()
     }
     kind = max(counts, key=lambda one: counts[one])  # the first of equals: MPFB's names are ARKit's
-    return (kind, counts[kind]) if counts[kind] >= _FEWEST else None
+    return (kind, counts[kind]) if counts[kind] >= _FEWEST_NAMES else None
 
 
 def _known(table: Convention, shape: str) -> str | None:

@@ -44,6 +44,7 @@ def slide(
         fault = curves_fault(slider)
         if fault:
             raise InputError(f"slider {slider.name}", fault)
+        # clamped before anything reads it: outside its range a network was never trained
         value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, slider.setting))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:

@@ -24,7 +24,7 @@ _ROOT = Sdf.Path.absoluteRootPath
 
 
 class _Count(NamedTuple):
-    """Of a prim and what is below it."""
+    """The counts of a prim and what is below it."""
 
     prims: int
     opinions: int  # of all prims together
@@ -121,7 +121,7 @@ class Composition:
     # what is below a prim
 
     def _below(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
-        """Of the prims that the layers have at and below a path, and of what the arcs on them add."""
+        """The count of the prims that the layers have at and below a path, and of what the arcs on them add."""
         key = (id(stack), path, False)
         if key in self._counts:
             return self._known(key)
@@ -140,7 +140,7 @@ class Composition:
         return self._keep(key, _joined(base, parts))
 
     def _whole(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
-        """The same with what the arcs of the prims above add."""
+        """The count of `_below` with what the arcs of the prims above add."""
         key = (id(stack), path, True)
         if key in self._counts:
             return self._known(key)

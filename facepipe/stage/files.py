@@ -222,7 +222,7 @@ _name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a
 
 @contextlib.contextmanager
 def naming(name: Callable[[Path], str]) -> Iterator[None]:
-    """In the block, copies of files at URLs are named by these URLs where no relative path leads to them.
+    """Copies of files at URLs are named by these URLs in the block, where no relative path leads to them.
 
     :param name: the URL of a path, or the path where it has none
     """

@@ -126,14 +126,17 @@ def _all_but(kept: bytes) -> bytes:
 
 
 def _levels(word: bytes) -> int:
-    """Of a path, or of an expression in quotes."""
+    """Most levels that a path, or an expression in quotes, may nest."""
     if word[:1] == b"<":
         return len(word)
     return max(accumulate((one == 0x28) - (one == 0x29) for one in word)) if word.count(b"(") > MOST_LEVELS else 0
 
 
 def _check_counts(where: object, data: bytes | mmap.mmap) -> None:
-    """Of the sections of a binary layer, each of which begins with the number of what it holds."""
+    """Check the sections of a binary layer, each of which begins with the number of what it holds.
+
+    :raises InputError: a number that the bytes can't hold
+    """
     if len(data) < 24:
         return
     (contents,) = struct.unpack_from("<q", data, 16)

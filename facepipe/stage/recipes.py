@@ -117,7 +117,7 @@ def is_source(path: Path) -> bool:
 
 
 def _photos(path: Path) -> set[Path]:
-    """Those in a folder; none where it is no folder."""
+    """The photos in a folder; none where it is no folder."""
     if not os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
         return set()
     return set(files_in(path, PHOTO_SUFFIXES))

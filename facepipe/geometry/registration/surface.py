@@ -30,7 +30,7 @@ class DeformableSurface:
     labels: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def points(self, coefficients: FloatArray, residual: FloatArray | float = 0.0) -> FloatArray:
-        """(n, 3)."""
+        """(n, 3) points of coefficients (k,) and a residual (n, 3)."""
         return np.asarray(self.base + np.tensordot(coefficients, self.modes, axes=1) + residual)
 
 
