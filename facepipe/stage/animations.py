@@ -71,6 +71,7 @@ def author_animation_changes(
             _write(UsdSkel.Animation(editable(prim)), done, fields)
             lines.append(f"{animation.name}: {', '.join(fields)}")
     for prim, before in present:
+        # inactive: a layer cannot remove a prim that a weaker one holds
         editable(prim).SetActive(False)
         lines.append(f"{before.name}: removed")
     if not same([one.times for one in old], [one.times for one in new]):

@@ -13,7 +13,7 @@ from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_regular
 
 _DEFAULT = Usd.TimeCode.Default()
-_MOST_BYTES = 1 << 28  # of an image
+_MOST_IMAGE_BYTES = 1 << 28  # of an image
 
 
 def read_image(asset: Sdf.AssetPath) -> bytes | None:
@@ -24,7 +24,7 @@ def read_image(asset: Sdf.AssetPath) -> bytes | None:
     if not asset.resolvedPath:
         return None
     file = file_of(asset.resolvedPath)
-    check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_BYTES)
+    check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_IMAGE_BYTES)
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
     data = bytes(opened.GetBuffer() or b"") if opened else b""  # an empty file has no buffer
     return data if is_image(data) else None

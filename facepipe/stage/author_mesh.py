@@ -43,6 +43,7 @@ def author_mesh(
     prim.CreatePointsAttr(to_vec3f(mesh.points))
     prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
     prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
+    # USD's default is catmullClark: renderers would smooth the face, and shapes would move other points than ours
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(prim.GetPointsAttr().Get()) or [])
     if mesh.double_sided:
@@ -205,6 +206,7 @@ def author_mesh_changes(
         put(mesh.CreateExtentAttr(), UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()) or [])
         lines.append("points")
     if not same(old.normals, new.normals):
+        # parts have faces wound counter-clockwise; face-varying normals follow the corners as the prim winds them
         _author_normals(mesh, turned(new) if is_left_handed(mesh) else new)
         lines.append("normals")
     if new.blendshapes or (new.skin and joints):

@@ -84,6 +84,7 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
         name = inbetween.GetAttr().GetName().removeprefix("inbetweens:")
         weight = inbetween.GetWeight()
         where = f"{merge.where}.inbetweens:{name}"
+        # UsdSkel has the neutral at 0 and the shape at 1: another sculpt there would be a second value at one weight
         if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
             raise SchemaError(where, f"weight {weight}, expected a number other than 0 and 1")
         normals = inbetween.GetNormalOffsets()
@@ -141,7 +142,7 @@ def author_blendshape_changes(
     """Author on a Mesh prim what of its blendshapes differs; one line per shape.
 
     Prims of shapes that are gone are deactivated. A shape gets a new prim in place of its own where others use that
-    one too, and where it has an inbetween to lose: UsdSkel still applies an inbetween whose value is blocked.
+    one too, and where it has an inbetween to lose.
 
     :param prim: bound to a skeleton
     :param old: the blendshapes as read from `prim`
@@ -162,6 +163,7 @@ def author_blendshape_changes(
     names = {shape.name for shape in new}
     lines += [f"{shape.name}: removed" for shape in old if shape.name not in names]
     for path in before:
+        # a shared prim is still the target of a shape elsewhere
         if path not in targets and path not in shared:
             editable(prim.GetStage().GetPrimAtPath(path)).SetActive(False)
     if targets != before or [shape.name for shape in new] != [shape.name for shape in old]:
@@ -178,6 +180,7 @@ def _author_change(
     if same(shape, present):
         return path, []
     lost = {inbetween.name for inbetween in present.inbetweens} - {inbetween.name for inbetween in shape.inbetweens}
+    # UsdSkel still applies an inbetween whose value is blocked
     if lost or path in shared:
         return _define(prim, shape, _free_name(prim, shape.name)), [f"{shape.name}: replaced"]
     target = UsdSkel.BlendShape(editable(prim.GetStage().GetPrimAtPath(path)))

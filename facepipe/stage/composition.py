@@ -108,6 +108,7 @@ class Composition:
         while todo:
             path = todo.pop()
             index, _ = cache.ComputePrimIndex(path)
+            # Pcp leaves payloads out until they are asked for, while the stage will be opened with all of them
             if index.hasAnyPayloads:
                 cache.RequestPayloads([path], [])
                 index, _ = cache.ComputePrimIndex(path)

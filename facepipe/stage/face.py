@@ -315,6 +315,7 @@ class Face:
             own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
             person = Person(description="sliders", coefficients=own, weights=driven)
         if person is not None and coefficients is not None:
+            # coefficients do not add, as angles of two turns don't: their matrices are multiplied
             joint_transforms = self._rig.rest @ person.under(self._rig.checked_coefficients(coefficients))
             coefficients = None
         elif person is not None:
@@ -405,6 +406,7 @@ class Face:
             if flatten:
                 save_standalone(stage, path, textures.files)
                 return
+            # a copy: its texture paths and sublayer change, while the face goes on reading the layer of its own stage
             written = Sdf.Layer.CreateAnonymous(".usda")
             written.TransferContent(stage.GetRootLayer())
             textures.save(written, target, base.realPath)

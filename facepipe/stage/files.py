@@ -51,6 +51,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     file = Path(path)
     check_stage_file(file)
     with quiet_diagnostics(), usd_errors(file, RuntimeError):
+        # held until the stage has them: USD would read the files again, and what it reads then was not looked at
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
         problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []

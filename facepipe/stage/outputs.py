@@ -11,7 +11,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
 from facepipe.stage.files import SUFFIXES, dependencies
 
-_REPORT = "report.json"
+_REPORT_FILE = "report.json"
 
 
 def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
@@ -65,8 +65,9 @@ def check_report_folder(
         return
     if not overwrite:
         raise InputError(folder, "exists, expected a new folder (or --force)")
+    # --force replaces a whole folder: one that holds anything but a report may be of use to someone
     names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*"))
     foreign = [name for name in names if not known.fullmatch(name)]
-    if foreign or (names and _REPORT not in names):
-        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT}"
+    if foreign or (names and _REPORT_FILE not in names):
+        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT_FILE}"
         raise InputError(folder, f"{found}, expected an empty folder or a report of {command} to replace")

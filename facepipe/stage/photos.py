@@ -50,6 +50,7 @@ def author_photo_changes(
         _write(UsdGeom.Camera(editable(prim)), photo)
         lines.append(f"{photo.name}: camera {'added' if before is None else 'changed'}")
     for name, (prim, _) in present.items():
+        # inactive, as the camera may be in a weaker layer, which this one cannot take it from
         editable(prim).SetActive(False)
         lines.append(f"{name}: camera removed")
     return tuple(lines)
@@ -138,8 +139,8 @@ def key_fault(key: KeyLamp) -> str | None:
     return None if exponent > 0 else f"key light with exponent {key.exponent:g}, expected more than 0"
 
 
-_FILM = 0.036  # metres of the longer side: that of a 35 mm camera
-_TENTHS = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
+_FILM_METRES = 0.036  # metres of the longer side: that of a 35 mm camera
+_TENTHS_A_UNIT = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
 
 
 _FILM_ATTRIBUTES = (  # in the order of `_Film`
@@ -164,7 +165,7 @@ def _to_film(width: int, height: int, focal: float, center: tuple[float, float],
     A pixel is a power of two of them, so that float32 holds its multiples as exactly as it holds pixels; the longer
     side comes to 25 to 51 mm.
     """
-    pixel = 2.0 ** round(math.log2(_FILM / meters_per_unit * _TENTHS / max(width, height)))
+    pixel = 2.0 ** round(math.log2(_FILM_METRES / meters_per_unit * _TENTHS_A_UNIT / max(width, height)))
     return _Film(
         focal * pixel, width * pixel, height * pixel, (width / 2 - center[0]) * pixel, (center[1] - height / 2) * pixel
     )

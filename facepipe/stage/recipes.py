@@ -24,7 +24,7 @@ from facepipe.stage.guard import USD_ERRORS, errors_below, usd_errors
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
-_MOST_BYTES = 1 << 28  # of a glTF document
+_MOST_GLTF_BYTES = 1 << 28  # of a glTF document
 
 
 class FileRecipe(NamedTuple):
@@ -155,7 +155,7 @@ def source_files(path: Path) -> set[Path]:
 def _buffers(path: Path) -> set[Path]:
     """Files that the buffers of a glTF are in; none of one that is damaged."""
     try:
-        buffers = read_json_object(path, _MOST_BYTES).get("buffers")
+        buffers = read_json_object(path, _MOST_GLTF_BYTES).get("buffers")
     except InputError:
         return set()
     uris = [buffer.get("uri") for buffer in buffers if isinstance(buffer, dict)] if isinstance(buffers, list) else []

@@ -61,6 +61,7 @@ def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[S
 
     :param steps: of the properties that were followed; filled in
     """
+    # a list instead of recursion, which a long chain of connections would end at Python's limit
     todo, begun = [start], set()
     while todo:
         path = todo[-1]

@@ -118,6 +118,7 @@ def _both_transforms(scene: Scene, skeleton: UsdSkel.Skeleton, joints: list[str]
     world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
     if len(rest) != count:
         scene.warn(f"{len(rest)} rest transforms of {count} joints: taken from bind transforms", [prim])
+        # rest_j = inverse(bind_parent) bind_j; binds are in the world, so above a root is the place of the prim
         above = [bind[parent] if parent >= 0 else world for parent in parents]
         rest = np.array([_solved(one, own) for one, own in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
     if len(bind) != count:
