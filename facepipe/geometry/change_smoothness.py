@@ -167,5 +167,5 @@ def _gather(into: FloatArray, at: IntArray, values: FloatArray) -> None:
     flat = into.reshape(count, -1)
     place = np.where(at < 0, count, at)
     # np.add.at takes three times as long
-    for column, one in enumerate(values.reshape(len(values), -1).T):
-        flat[:, column] += np.bincount(place, one, minlength=count + 1)[:count]
+    for column, numbers in enumerate(values.reshape(len(values), -1).T):
+        flat[:, column] += np.bincount(place, numbers, minlength=count + 1)[:count]

@@ -55,7 +55,7 @@ class Sheet:
         gaps = []
         for view in five_views():
             grid = Grid.of(points @ view.T, self.hard)
-            front, outer = (grid.first(grid.front(one))[0] for one in (self.hard, self.outer))
+            front, outer = (grid.first(grid.front(triangles))[0] for triangles in (self.hard, self.outer))
             gap = front[front > outer] - outer[front > outer]
             gaps.append(gap[(gap > _ROUNDING_DEPTH) & (gap < _DEEPEST)])
         return _contact(gaps)

@@ -160,12 +160,12 @@ class ExpressionModel:
         groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
         maps = [self._flat(rows[group], shares[group]) for group in groups]
         wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        *seen, expected = (self.vectors @ one for one in (*maps, self._flat(wanted)))
+        *seen, expected = (self.vectors @ effects for effects in (*maps, self._flat(wanted)))
         weights = trust([numbers @ numbers.T for numbers in seen], expected @ expected.T)
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
-        for group, one, weight in zip(groups, maps, weights, strict=True):
-            normal += weight * one @ one.T
-            right += weight * one @ (shares[group, None] * off[group]).ravel()
+        for group, effects, weight in zip(groups, maps, weights, strict=True):
+            normal += weight * effects @ effects.T
+            right += weight * effects @ (shares[group, None] * off[group]).ravel()
         return np.asarray(np.linalg.solve(normal, right))
 
     def _flat(self, rows: Sequence[int], shares: FloatArray | None = None) -> FloatArray:

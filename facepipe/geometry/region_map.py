@@ -231,7 +231,7 @@ def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[In
     """Texels (m, s) of the square of 2 edge + 1 around each, clamped to the image, and squared distances (m, s)."""
     height, width = shape[:2]
     row, column = np.divmod(texels, width)
-    down, right = (one.ravel() for one in np.mgrid[-edge : edge + 1, -edge : edge + 1])
+    down, right = (axis.ravel() for axis in np.mgrid[-edge : edge + 1, -edge : edge + 1])
     rows = np.clip(row[:, None] + down, 0, height - 1)
     columns = np.clip(column[:, None] + right, 0, width - 1)
     squared = (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2

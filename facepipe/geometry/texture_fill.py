@@ -69,15 +69,15 @@ def completed(
     :param reach: `membrane`
     """
     counts, sums = np.zeros((len(points), 1)), np.zeros((len(points), known[0].offsets.shape[1] + 1))
-    for one in known:
-        columns = np.column_stack([one.offsets, np.ones(len(one.offsets))]) * one.confidence[:, None]
-        sums += one.texels.summed(columns, len(points))
-        counts += one.texels.summed(np.ones((len(one.offsets), 1)), len(points))
+    for texture in known:
+        columns = np.column_stack([texture.offsets, np.ones(len(texture.offsets))]) * texture.confidence[:, None]
+        sums += texture.texels.summed(columns, len(points))
+        counts += texture.texels.summed(np.ones((len(texture.offsets), 1)), len(points))
     total = sums[:, -1:]
     means = np.divide(sums[:, :-1], total, out=np.zeros_like(sums[:, :-1]), where=total > 0)
     # at the points, not the texels: 14,062 unknowns for the head in the box, not the 4 million of a texture of 2048
     smooth = membrane(points, triangles, means, total[:, 0] / np.maximum(counts[:, 0], 1e-12), reach)
-    return [_mixed(one, one.texels.carried(smooth)) for one in known]
+    return [_mixed(texture, texture.texels.carried(smooth)) for texture in known]
 
 
 def _mixed(known: KnownOffsets, smooth: Float32Array) -> Float32Array:

@@ -55,9 +55,11 @@ def sample_transforms(skeleton: Skeleton, animation: Animation, index: int = 0) 
     :raises InputError: as `local_transforms`
     """
     values = {name: getattr(animation, name) for name in _JOINT_VALUES}
-    one: dict[str, Any] = {name: None if value is None else value[index : index + 1] for name, value in values.items()}
+    frame: dict[str, Any] = {
+        name: None if value is None else value[index : index + 1] for name, value in values.items()
+    }
     local = np.array(skeleton.rest_transforms, dtype=np.float64)
-    local[places(skeleton, animation)] = local_transforms(skeleton, replace(animation, times=None, **one))[0]
+    local[places(skeleton, animation)] = local_transforms(skeleton, replace(animation, times=None, **frame))[0]
     return local
 
 

@@ -134,6 +134,6 @@ def _targets(
 def _merge(sculpts: list[_Sculpt]) -> Target:
     name, shape, curve, indices, offsets = sculpts[0]
     if len(sculpts) > 1:
-        indices = np.concatenate([one for *_, one, _ in sculpts])
-        offsets = np.concatenate([one for *_, one in sculpts])
+        indices = np.concatenate([numbers for *_, numbers, _ in sculpts])
+        offsets = np.concatenate([moved for *_, moved in sculpts])
     return Target(name=name, shape=shape, curve=curve, point_indices=indices, offsets=offsets)

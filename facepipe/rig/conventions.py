@@ -49,9 +49,9 @@ class Convention:
 
 def _tables() -> dict[str, Convention]:
     read = json.loads(files("facepipe.rig").joinpath("conventions.json").read_text(encoding="utf-8"))
-    for one in read.values():
-        one["names"] = {meant: tuple(given) for meant, given in one["names"].items()}
-    return {kind: Convention(one["title"], one["source"], one["names"]) for kind, one in read.items()}
+    for table in read.values():
+        table["names"] = {meant: tuple(given) for meant, given in table["names"].items()}
+    return {kind: Convention(table["title"], table["source"], table["names"]) for kind, table in read.items()}
 
 
 def shape_key(name: str) -> str:
@@ -78,7 +78,7 @@ def spelling(name: str) -> str:
 
 
 CONVENTIONS: Mapping[str, Convention] = _tables()
-_MEANINGS = {key: one for table in CONVENTIONS.values() for key, one in table.keys.items()}
+_MEANINGS = {key: meant for table in CONVENTIONS.values() for key, meant in table.keys.items()}
 
 
 def meaning(name: str) -> str | None:
@@ -122,7 +122,7 @@ def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
         kind: len({table.keys[key] for shape in shapes if (key := _known(table, shape)) is not None})
         for kind, table in CONVENTIONS.items()
     }
-    kind = max(counts, key=lambda one: counts[one])  # the first of equals: MPFB's names are ARKit's
+    kind = max(counts, key=lambda convention: counts[convention])  # the first of equals: MPFB's names are ARKit's
     return (kind, counts[kind]) if counts[kind] >= _FEWEST_NAMES else None
 
 
@@ -188,7 +188,7 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
         skeleton=skeleton.called(joint_names),
-        animations=tuple(replace(one, shapes=_all(one.shapes, names)) for one in parts.animations),
+        animations=tuple(replace(animation, shapes=_all(animation.shapes, names)) for animation in parts.animations),
         sliders=tuple(
             replace(slider, shapes=tuple((names.get(shape, shape), gain) for shape, gain in slider.shapes))
             for slider in parts.sliders
@@ -202,7 +202,7 @@ def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> 
     count = Counter(new)
     for name, other in zip(old, new, strict=True):
         if name != other and count[other] > 1:
-            both = [one for one, called in zip(old, new, strict=True) if called == other]
+            both = [before for before, called in zip(old, new, strict=True) if called == other]
             raise InputError(
                 where, f"the {kind} '{both[0]}' and '{both[1]}' would both be called '{other}', expected two names"
             )

@@ -31,7 +31,7 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
                 {name: weight for name, weight in sample_weights(animation, index).items() if name in rig.shapes}
             )
             # the same points and weights in both: the distance is what the method alone makes
-            pair = [one.evaluate(weights, joint_transforms=local) for one in (rig, linear)]
+            pair = [either.evaluate(weights, joint_transforms=local) for either in (rig, linear)]
             apart = max(apart, float(np.linalg.norm(pair[0] - pair[1], axis=1).max(initial=0.0)))
             poses += 1
     if not poses:

@@ -84,7 +84,7 @@ def _animation_on(
     if holds_person:
         animation = _without(parts, animation, person)
     if not animation.joints or all(
-        getattr(animation, one) is None for one in ("translations", "rotations", "scales", "coefficients")
+        getattr(animation, field) is None for field in ("translations", "rotations", "scales", "coefficients")
     ):
         return animation
     rows = places(parts.skeleton, animation)
@@ -209,7 +209,7 @@ class _Changes:
             with_entries(
                 slider,
                 [((joint, channel, gain), curve) for (joint, channel, curve), gain in gains.items()],
-                [(one, _shifted(curve, value, slider.default)) for one, curve in shape_entries(slider)],
+                [(entry, _shifted(curve, value, slider.default)) for entry, curve in shape_entries(slider)],
             ),
             default=value,
             value=None,

@@ -71,7 +71,7 @@ def person_of(parts: FaceParts, pose: str = "set") -> Person:
     if not moved:
         return person_of(parts, "rest")
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, network=parts.slider_network)
-    some = ", ".join(f"{one.name}={one.value:g}" for one in moved[:_SLIDERS_NAMED])
+    some = ", ".join(f"{slider.name}={slider.value:g}" for slider in moved[:_SLIDERS_NAMED])
     more = f" and {len(moved) - _SLIDERS_NAMED} more" if len(moved) > _SLIDERS_NAMED else ""
     return Person(description=f"set by sliders {some}{more}", coefficients=coefficients, weights=weights)
 
@@ -89,9 +89,11 @@ def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:
 
 
 def _posed(parts: FaceParts, name: str, description: str) -> Person:
-    animation = next((one for one in parts.animations if one.name == name), None)
+    animation = next((candidate for candidate in parts.animations if candidate.name == name), None)
     if animation is None:
-        raise InputError(parts.name, unknown(name, [*POSES, *(one.name for one in parts.animations)], "pose"))
+        raise InputError(
+            parts.name, unknown(name, [*POSES, *(candidate.name for candidate in parts.animations)], "pose")
+        )
     skeleton = parts.skeleton
     if animation.coefficients is not None:
         coefficients = rest_coefficients(len(skeleton.joints))

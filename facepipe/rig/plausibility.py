@@ -48,8 +48,8 @@ def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
     return points[found.indices] if found is not None and len(found.indices) == _COUNT else None
 
 
-def _between(marks: FloatArray, one: int, other: int) -> float:
-    return float(np.linalg.norm(marks[one] - marks[other]))
+def _between(marks: FloatArray, first: int, other: int) -> float:
+    return float(np.linalg.norm(marks[first] - marks[other]))
 
 
 def _size(heights: FloatArray, meters_per_unit: float, how: str, room: float) -> tuple[str, ...]:

@@ -77,7 +77,10 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
     filled = [np.zeros(np.shape(shape.offsets)) if normal is None else normal for normal in normals]
 
     def at(weight: float) -> tuple[FloatArray, FloatArray | None]:
-        ends = [_blended(shape, start + weight, one) - _blended(shape, start, one) for one in (positions, filled)]
+        ends = [
+            _blended(shape, start + weight, sculpts) - _blended(shape, start, sculpts)
+            for sculpts in (positions, filled)
+        ]
         return ends[0], ends[1] if known else None
 
     # the old 0 and 1 are knots as well: pieces end there, and the outermost ones go on beyond with the slope they have

@@ -116,7 +116,7 @@ def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str
 
 def kept(network: SliderNetwork, joint: Callable[[str], bool], shape: Callable[[str], bool]) -> SliderNetwork | None:
     """A network with only the channels and shapes whose names pass; None where none is left."""
-    passes = [joint(one) for one, _ in network.channels], [shape(one) for one in network.shapes]
+    passes = [joint(name) for name, _ in network.channels], [shape(name) for name in network.shapes]
     rows = np.flatnonzero(np.concatenate([*map(np.asarray, passes), []]).astype(bool))
     if not len(rows):
         return None

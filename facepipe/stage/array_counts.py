@@ -23,7 +23,7 @@ _DEFAULT = Usd.TimeCode.Default()
 def check_arrays(prims: Sequence[Usd.Prim], where: object) -> None:
     """:raises InputError: arrays far beyond what the files of the stage hold; one that is made in memory has any"""
     stage = prims[0].GetStage() if prims else None
-    layers = [] if stage is None else [one for one in stage.GetUsedLayers() if one != stage.GetSessionLayer()]
+    layers = [] if stage is None else [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
     if any(layer.anonymous for layer in layers):
         return
     budget = Budget(_FREE_BYTES, _PER_BYTE)

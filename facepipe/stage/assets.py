@@ -92,7 +92,7 @@ def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
     """The file of the layer that a value comes from; None where all of the stage is in memory."""
     layer = _layer(attribute, time)
     if layer is None or layer.anonymous:  # a repair in memory of what a file says
-        below = [one for one in attribute.GetStage().GetLayerStack() if not one.anonymous]
+        below = [layer for layer in attribute.GetStage().GetLayerStack() if not layer.anonymous]
         layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
     return None if layer is None else file_of(layer.realPath or layer.identifier)
 

@@ -113,7 +113,7 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
         folder = path.AppendChild(tokens.ANIMATIONS_SCOPE)
         UsdGeom.Scope.Define(stage, folder)
         for animation, name in zip(
-            parts.animations, unique_identifiers(one.name for one in parts.animations), strict=True
+            parts.animations, unique_identifiers(animation.name for animation in parts.animations), strict=True
         ):
             author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
             if animation.name == parts.played:

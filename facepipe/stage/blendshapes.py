@@ -70,8 +70,8 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
 def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
     """How many normal offsets and offsets of inbetweens a shape has, where it has some."""
     arrays = [shape.GetNormalOffsetsAttr().Get()]
-    for one in shape.GetInbetweens():
-        arrays += [one.GetOffsets(), one.GetNormalOffsets()]
+    for inbetween in shape.GetInbetweens():
+        arrays += [inbetween.GetOffsets(), inbetween.GetNormalOffsets()]
     return [len(array) for array in arrays if array]
 
 
@@ -98,13 +98,13 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
         )
     if len({part.weight for part in parts}) != len(parts):
         raise SchemaError(merge.where, "two inbetweens have the same weight")
-    return tuple(sorted(parts, key=lambda one: one.weight))
+    return tuple(sorted(parts, key=lambda inbetween: inbetween.weight))
 
 
-def _inbetween_offsets(merge: _Merge, name: str, one: UsdSkel.InbetweenShape) -> FloatArray:
+def _inbetween_offsets(merge: _Merge, name: str, inbetween: UsdSkel.InbetweenShape) -> FloatArray:
     """Zeros for an inbetween that turns normals alone."""
-    offsets = floats(one.GetOffsets(), 3)
-    if not len(offsets) and one.GetNormalOffsets():
+    offsets = floats(inbetween.GetOffsets(), 3)
+    if not len(offsets) and inbetween.GetNormalOffsets():
         offsets = np.zeros((merge.count, 3), np.float32)
     return merge(f"inbetweens:{name}", offsets)
 
@@ -153,7 +153,7 @@ def author_blendshape_changes(
     prim = editable(prim, below=True)
     api = UsdSkel.BindingAPI(prim)
     before = list(api.GetBlendShapeTargetsRel().GetTargets())
-    paths = dict(zip((str(one) for one in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
+    paths = dict(zip((str(token) for token in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
     present = {shape.name: shape for shape in old}
     targets, lines = [], []
     for shape in new:
@@ -222,7 +222,7 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
     if present is None or not same(_some(shape.normal_offsets), present.normal_offsets):
         _put_normals(target.CreateNormalOffsetsAttr, target.GetNormalOffsetsAttr(), shape.normal_offsets)
         written.append("normalOffsets")
-    known = {one.name: one for one in present.inbetweens} if present else {}
+    known = {inbetween.name: inbetween for inbetween in present.inbetweens} if present else {}
     for name, inbetween in zip(_inbetween_names(target, shape), shape.inbetweens, strict=True):
         if not same(inbetween, known.get(inbetween.name)):
             _author_inbetween(target, name, inbetween, known.get(inbetween.name))
@@ -232,7 +232,7 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
 
 def _inbetween_names(target: UsdSkel.BlendShape, shape: Blendshape) -> list[str]:
     """Names for the attributes: as the target has them, or identifiers that it has not."""
-    there = [one.GetAttr().GetName().removeprefix("inbetweens:") for one in target.GetInbetweens()]
+    there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
     fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
     names = iter(unique_identifiers([*there, *fresh])[len(there) :])
     return [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens]

@@ -132,10 +132,10 @@ class Composition:
         own = [self._below(stack, way, level + 1) for way in ways]
         plain = max(stack.size(path) - sum(stack.size(way) for way in ways), 1)
         base = _Count(
-            plain + sum(one.prims for one in own),
-            plain + sum(one.opinions for one in own),
-            max((one.most for one in own), default=1),
-            1 + max((one.levels for one in own), default=0),
+            plain + sum(child.prims for child in own),
+            plain + sum(child.opinions for child in own),
+            max((child.most for child in own), default=1),
+            1 + max((child.levels for child in own), default=0),
         )
         parts = [self._whole(target, prim, level + 1) for target, prim in self._targets_at(stack, path)]
         return self._keep(key, _joined(base, parts))

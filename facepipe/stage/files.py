@@ -54,7 +54,7 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         # held until the stage has them: USD would read the files again, and what it reads then was not looked at
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
-        problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
+        problems = [str(error) for error in stage.GetCompositionErrors()] if strict else []
         del held
         _check_clocks(file, stage)
         check_counts(file, stage)

@@ -26,7 +26,7 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
-    if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
+    if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:
         raise InputError(output, "exists, expected a new file (or --force)")
@@ -58,7 +58,7 @@ def check_report_folder(
         raise InputError(folder, "the folder around it does not exist")
     if place.exists() and not place.is_dir():
         raise InputError(folder, "is a file, expected a folder to make")
-    inside = next((one for one in taken if place in one.resolve().parents or place == one.resolve()), None)
+    inside = next((path for path in taken if place in path.resolve().parents or place == path.resolve()), None)
     if inside is not None:
         raise InputError(folder, f"holds {inside.name}, which is read or written too, expected another folder")
     if not place.exists():

@@ -85,7 +85,7 @@ def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
         (tokens.PHOTO_KEY_SHINE, key and float(key.shine)),
         (tokens.PHOTO_KEY_EXPONENT, key and float(key.exponent)),
         (tokens.PHOTO_TINTED_MATERIALS, names or None),
-        (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[one] for one in names])) if names else None),
+        (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[material] for material in names])) if names else None),
     ):
         put_value(prim, name, value)
 
@@ -197,7 +197,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     def value(name: str) -> Any:
         return prim.GetAttribute(name).Get()
 
-    width, height = (int(one) for one in value(tokens.PHOTO_SIZE) or (0, 0))
+    width, height = (int(side) for side in value(tokens.PHOTO_SIZE) or (0, 0))
     film = _Film(*(float(value(name)) for name in _FILM_ATTRIBUTES))
     if not min(width, height, film.horizontal_aperture, film.vertical_aperture) > 0:
         raise SchemaError(where, f"{width} x {height} pixels, or no aperture, expected both above 0")
@@ -232,7 +232,7 @@ def read_key_lamp(prim: Usd.Prim) -> KeyLamp | None:
 
     def numbers(name: str, *otherwise: float) -> list[float]:
         found = prim.GetAttribute(name).Get()
-        return [float(one) for one in floats(otherwise if found is None else found)]
+        return [float(number) for number in floats(otherwise if found is None else found)]
 
     color = numbers(tokens.PHOTO_KEY_COLOR, 0, 0, 0)
     if not any(color):

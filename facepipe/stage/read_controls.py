@@ -182,7 +182,7 @@ def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
     pairs = [(kind.GetMinimum(), kind.GetMaximum()) for kind in kinds]
     data = attribute.GetCustomData()
     pairs.append((data.get("minimum"), data.get("maximum")))
-    low, high = (next((one for one in ends if one is not None), None) for ends in zip(*pairs, strict=True))
+    low, high = (next((end for end in ends if end is not None), None) for ends in zip(*pairs, strict=True))
     for end in (low, high):
         if end is not None and not (isinstance(end, int | float) and np.isfinite(end)):
             raise InputError(str(attribute.GetPath()), f"limit {end}, expected a finite number")

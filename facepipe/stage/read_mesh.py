@@ -211,7 +211,7 @@ def _landmarks(prim: Usd.Prim, points: int) -> dict[str, Landmarks]:
             if indices.size and not (indices.min() >= 0 and indices.max() < points):
                 raise TopologyError(f"{prim.GetPath()}.{name}", f"indices outside 0..{points - 1}")
             names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Get() or ()
-            schemes[scheme] = Landmarks(indices=indices, names=tuple(str(one) for one in names))
+            schemes[scheme] = Landmarks(indices=indices, names=tuple(str(landmark) for landmark in names))
     return schemes
 
 

@@ -96,7 +96,7 @@ def named_source(where: str, source: str, file: Path) -> Path:
 
 def _is_stage(path: Path) -> bool:
     """Whether it is a USD file by its name, and so is what a link there leads to: a photo is read under any name."""
-    return all(one.suffix.lower() in SUFFIXES for one in (path, real_path(path) or path))
+    return all(file.suffix.lower() in SUFFIXES for file in (path, real_path(path) or path))
 
 
 def existing_source(where: str, path: Path, instead: str) -> Path:
@@ -128,7 +128,9 @@ def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[st
 
     :raises InputError: a source can't be read
     """
-    return tuple(f"{one.name} changed since {path.name} was made" for one, old in sources if source_digest(one) != old)
+    return tuple(
+        f"{source.name} changed since {path.name} was made" for source, old in sources if source_digest(source) != old
+    )
 
 
 def source_digest(path: Path) -> str:
@@ -190,7 +192,7 @@ def layer_links(path: Path) -> LayerLinks:
     facepipe_schemas.register()
     with quiet_diagnostics(), usd_errors(path, RuntimeError):
         layer = _fresh(path)
-        names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
+        names = [Sdf.Layer.SplitIdentifier(asset)[0] for asset in layer.GetCompositionAssetDependencies()]
         layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
         return LayerLinks(layers, _has_recipe(layer))
 

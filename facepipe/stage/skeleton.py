@@ -100,7 +100,7 @@ def read_animation(prim: Usd.Prim, name: str | None = None) -> Animation:
         if not attribute or not attribute.HasAuthoredValue():
             return None
         read = [attribute.Get(time) for time in times]
-        rows = [quaternions(one) if quaternion else floats(one, width) for one in read]
+        rows = [quaternions(sample) if quaternion else floats(sample, width) for sample in read]
         other = next((len(row) for row in rows if len(row) != count), None)
         if other is not None:
             raise TopologyError(attribute.GetPath(), f"{other} values at a time sample, expected {count}")

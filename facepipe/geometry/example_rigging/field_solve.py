@@ -74,7 +74,7 @@ class _Step:
             composites[spreads[composites, shape] > 0] for composites, shape in self._pairs(self._uses)
         ]
         self._spread = spreads
-        self._changes = np.cumsum([system.starts[-1], *[len(one) for one in self._moving]])
+        self._changes = np.cumsum([system.starts[-1], *[len(composites) for composites in self._moving]])
 
     def _pairs(self, uses: list[IntArray]) -> list[tuple[IntArray, int]]:
         return [(composites, row.shape) for composites, row in zip(uses, self._system.rows, strict=True)]

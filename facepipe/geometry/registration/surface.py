@@ -113,6 +113,6 @@ class Anchors:
             targets=np.concatenate([self.targets, other.targets]),
             names=self.names + other.names,
             sigmas=np.concatenate(
-                [one.sigmas if len(one.sigmas) else np.full(len(one), np.nan) for one in (self, other)]
+                [anchors.sigmas if len(anchors.sigmas) else np.full(len(anchors), np.nan) for anchors in (self, other)]
             ),
         )

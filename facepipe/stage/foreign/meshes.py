@@ -48,7 +48,7 @@ def _has_faces(prim: Usd.Prim) -> bool:
 def _name_others(scene: Scene) -> None:
     lights = (UsdLux.BoundableLightBase, UsdLux.NonboundableLightBase)
     drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer, UsdGeom.Camera, *lights)
-    others = [prim for prim in scene.prims if any(prim.IsA(one) for one in drawn) and not prim.IsA(UsdGeom.Mesh)]
+    others = [prim for prim in scene.prims if any(prim.IsA(kind) for kind in drawn) and not prim.IsA(UsdGeom.Mesh)]
     for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
         scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
 
@@ -193,7 +193,11 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
     names = dict(
-        zip(bound, distinct_names([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True)
+        zip(
+            bound,
+            distinct_names([*bound.values()], [str(material.GetName()) for material in bound.values()]),
+            strict=True,
+        )
     )
     images: Images = {}
     read = {path: _read(scene, prim, names[path], images) for path, prim in bound.items()}
@@ -229,7 +233,7 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
     lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
     if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
         lost.append("the specular workflow")
-    if any(UsdShade.Shader(one).GetShaderId() == "UsdTransform2d" for one in Usd.PrimRange(prim)):
+    if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):
         lost.append("texture transforms")
     if lost:
         scene.warn(f"{', '.join(lost)} of the material: left out", [prim])
