@@ -78,7 +78,7 @@ def distinct_edges(ends: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     ends = np.asarray(ends, dtype=np.int64)
     low = int(ends.min(initial=0))
     span = int(ends.max(initial=0)) - low + 1
-    # one number a pair: twenty times as fast as np.unique of rows
+    # one number a pair: ten times as fast as np.unique of rows (160,000 ends, numpy 2.4)
     keys = (ends.min(axis=1) - low) * span + ends.max(axis=1) - low
     unique, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
     return np.stack(np.divmod(unique, span), axis=1) + low, edge, count

@@ -13,7 +13,7 @@ HEAD_MM = (150.0, 400.0)  # plausible heights of a head
 _SCHEME, _COUNT = "multipie68", 68
 _EAR_ENDS, _CHIN, _BRIDGE, _NOSE_TIP, _OUTER_CORNERS, _EYES = (0, 16), 8, 27, 30, (36, 45), slice(36, 48)
 _BRIDGES, _CORNERS = 2.5, 3.0  # a head in heights from chin to bridge of the nose, in distances of the eyes' corners
-_MEASURE_ROOM = 1.25  # since proportions differ, of stylised faces above all
+_ROOM = 1.25  # since proportions differ, of stylised faces above all
 _HEAD_PROPORTION = 1 / 3  # shortest side of a bounding box by the longest
 _UPRIGHT_COSINE = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
@@ -24,8 +24,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
 
     Landmarks (`multipie68`) measure the head, with a body or without: it is too small or too large where both 2.5
     times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
-    Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body doesn't,
-    nor has a part of a face. Up and front are known from landmarks alone.
+    Without landmarks the height of the bounding box counts, where that has the proportions of a head. Up and front are
+    known from landmarks alone.
     """
     rig = build(parts)
     points = rig.evaluate()
@@ -33,12 +33,13 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, by_mesh[mesh.name])) is not None), None)
     if marks is None:
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
+        # a body, or a part of a face: its height says nothing of the head
         if sides.min() < _HEAD_PROPORTION * sides.max():
             return ()
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
     return (
-        *_size(1000.0 * unit * heights, unit, "high by its landmarks", _MEASURE_ROOM),
+        *_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM),
         *_stance(marks, parts.up_axis),
     )
 

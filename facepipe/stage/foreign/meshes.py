@@ -193,11 +193,7 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
     names = dict(
-        zip(
-            bound,
-            distinct_names([*bound.values()], [str(material.GetName()) for material in bound.values()]),
-            strict=True,
-        )
+        zip(bound, distinct_names([*bound.values()], [str(prim.GetName()) for prim in bound.values()]), strict=True)
     )
     images: Images = {}
     read = {path: _read(scene, prim, names[path], images) for path, prim in bound.items()}
