@@ -14,7 +14,7 @@ from facepipe.core.errors import InputError
 CORNER, EDGE, INSIDE = 0, 3, 6
 
 _FIRST_NEIGHBOURS = 4  # triangles tried for every point at first
-_PAIRS = 1 << 18  # point-triangle pairs at a time: a bound on memory
+_PAIRS_AT_ONCE = 1 << 18  # point-triangle pairs at a time: a bound on memory
 _SIZE_STEP = 2.0  # triangles of one search tree differ in size by less than this factor
 
 
@@ -88,7 +88,7 @@ def closest_among(
     """
     nearest = _nothing(len(points))
     corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)]
-    for part in np.array_split(np.arange(len(owners)), -(-len(owners) // _PAIRS) or 1):
+    for part in np.array_split(np.arange(len(owners)), -(-len(owners) // _PAIRS_AT_ONCE) or 1):
         _improve(nearest, np.asarray(points, np.float64), corners, owners[part], candidates[part])
     return nearest
 
@@ -96,13 +96,13 @@ def closest_among(
 def place_shares(nearest: ClosestPlaces, surface_points: FloatArray, triangles: IntArray) -> FloatArray:
     """(m, 3) barycentric shares of the corners of its triangle in every nearest place: 0 or more, in sum 1.
 
-    A corner's share is the signed area of the triangle of the place and the other two corners, over the whole one's; on
-    an edge and at a corner from that alone, so that shares are exactly 0 where rounding would leave some.
+    A corner's share is the signed area of the triangle of the place and the other two corners, over the whole one's.
     """
     corners = np.asarray(surface_points, np.float64)[np.asarray(triangles)[nearest.triangles]]
     opposite = corners[:, [1, 2, 0]] - nearest.places[:, None], corners[:, [2, 0, 1]] - nearest.places[:, None]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.maximum(np.einsum("mci,mi->mc", np.cross(*opposite), normal), 0.0)
+    # on an edge and at a corner from that alone: by areas, rounding would leave a share where there is exactly none
     edge = (nearest.features >= EDGE) & (nearest.features < INSIDE)
     rows = np.flatnonzero(edge)
     first = nearest.features[rows] - EDGE
@@ -136,7 +136,7 @@ def _search(nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArr
     open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
     while len(open_points):
         reached = np.empty(len(open_points))
-        for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS)):
+        for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS_AT_ONCE)):
             numbers = open_points[part]
             far, near = tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
             reached[part] = far[:, -1]
@@ -185,10 +185,12 @@ def _nearest_on(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, Fl
     features = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
     normals = np.cross(sides[:, 0], sides[:, 1])
     areas = np.einsum("pi,pi->p", normals, normals)
+    # without area the normal is 0 and nothing lies inside: the edges have the place
     above = np.einsum("pei,pi->pe", np.cross(sides, offsets), normals)
     inside = (above > 0).all(axis=1) & (areas > 0)
     lift = np.einsum("pi,pi->p", offsets[:, 0], normals)[inside] / areas[inside]
     places[inside] = points[inside] - lift[:, None] * normals[inside]
+    # not |p - place|^2: far from the origin, near the surface, that difference is rounding
     best[inside] = np.einsum("p,p,p->p", lift, lift, areas[inside])
     features[inside] = INSIDE
     return best, places, features

@@ -13,9 +13,9 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 
-_CHUNK = 50_000  # points at once
-_LONE = 6.0  # times the median distance of neighbours: farther off, a point is junk
-_TOLERANCE = 0.05  # of turning neighbours: keeps weights of the tree above 0
+_POINTS_AT_ONCE = 50_000  # points at once
+_LONE_DISTANCE = 6.0  # times the median distance of neighbours: farther off, a point is junk
+_LEAST_TURN_COST = 0.05  # of turning neighbours: keeps weights of the tree above 0
 
 
 class CloudNormals(NamedTuple):
@@ -44,7 +44,7 @@ def cloud_normals(points: FloatArray, neighbours: int = 16) -> CloudNormals:
     spacing = distances[:, 1:].mean(axis=1)
     flat = _flattest(points, near)
     normals = _oriented(points, flat, near[:, 1:])
-    return CloudNormals(normals, spacing, spacing > _LONE * np.median(spacing))
+    return CloudNormals(normals, spacing, spacing > _LONE_DISTANCE * np.median(spacing))
 
 
 def _flattest(points: FloatArray, near: IntArray) -> FloatArray:
@@ -53,11 +53,11 @@ def _flattest(points: FloatArray, near: IntArray) -> FloatArray:
     The eigenvector of least eigenvalue of ``sum (p - mean) (p - mean)^T``: the normal of the plane of least squares.
     """
     normals = np.empty((len(points), 3))
-    for start in range(0, len(points), _CHUNK):
-        around = points[near[start : start + _CHUNK]]
+    for start in range(0, len(points), _POINTS_AT_ONCE):
+        around = points[near[start : start + _POINTS_AT_ONCE]]
         around = around - around.mean(axis=1, keepdims=True)
         _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
-        normals[start : start + _CHUNK] = axes[:, :, 0]
+        normals[start : start + _POINTS_AT_ONCE] = axes[:, :, 0]
     return normals
 
 
@@ -72,7 +72,7 @@ def _oriented(points: FloatArray, normals: FloatArray, near: IntArray) -> FloatA
     links = np.sort(first.astype(np.int64) * count + second)
     links = links[np.diff(links, prepend=-1) > 0]
     first, second = (links // count).astype(np.int32), (links % count).astype(np.int32)
-    turn = 1.0 + _TOLERANCE - np.abs(np.einsum("ei,ei->e", normals[first], normals[second]))
+    turn = 1.0 + _LEAST_TURN_COST - np.abs(np.einsum("ei,ei->e", normals[first], normals[second]))
     tree = minimum_spanning_tree(coo_array((turn, (first, second)), shape=(count, count)).tocsr()).tocoo()
     _, piece = connected_components(tree, directed=False)
     turned = normals * _signs(tree.row, tree.col, piece, normals)[:, None]

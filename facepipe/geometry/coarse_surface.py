@@ -10,7 +10,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals, small_holes
 from facepipe.geometry.vectors import group_sums, unit_vectors
 
-_DISC = 6  # corners
+_DISC_CORNERS = 6  # corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,16 +53,16 @@ def disc_look(points: FloatArray, normals: FloatArray, radii: FloatArray, colors
     other = np.eye(3)[np.abs(normals).argmin(axis=1)]
     right = unit_vectors(np.cross(normals, other))
     up = np.cross(normals, right)
-    turn = 2 * np.pi * np.arange(_DISC) / _DISC
+    turn = 2 * np.pi * np.arange(_DISC_CORNERS) / _DISC_CORNERS
     rim = np.cos(turn)[:, None] * right[:, None] + np.sin(turn)[:, None] * up[:, None]
     corners = points[:, None] + radii[:, None, None] * rim
-    fan = np.array([[0, i, i + 1] for i in range(1, _DISC - 1)])
-    triangles = (np.arange(len(points))[:, None, None] * _DISC + fan).reshape(-1, 3)
+    fan = np.array([[0, i, i + 1] for i in range(1, _DISC_CORNERS - 1)])
+    triangles = (np.arange(len(points))[:, None, None] * _DISC_CORNERS + fan).reshape(-1, 3)
     return Look(
         points=corners.reshape(-1, 3),
         triangles=triangles,
-        normals=np.repeat(normals, _DISC, axis=0),
-        colors=None if colors is None else np.repeat(colors, _DISC, axis=0),
+        normals=np.repeat(normals, _DISC_CORNERS, axis=0),
+        colors=None if colors is None else np.repeat(colors, _DISC_CORNERS, axis=0),
     )
 
 

@@ -12,10 +12,10 @@ from facepipe.core.arrays import FloatArray, IntArray
 Views = tuple[FloatArray, ...]
 
 STEP = 0.5  # mm
-_REACH = 10.0  # mm; what lies farther behind a tooth is the other side of an open mouth
-_MARGIN = 15.0  # mm of skin around what it should hide
-_FLAT = 1e-9  # cells; triangles below this are seen edge-on
-_EXACT = 0.01  # mm; less than this in front is rounding
+_DEEPEST = 10.0  # mm; what lies farther behind a tooth is the other side of an open mouth
+_SKIN_MARGIN = 15.0  # mm of skin around what it should hide
+_EDGE_ON_AREA = 1e-9  # cells; triangles below this are seen edge-on
+_ROUNDING_DEPTH = 0.01  # mm; less than this in front is rounding
 _VIEWS = ((0, 0), (45, 0), (-45, 0), (0, 30), (0, -30))  # degrees to the left of the head, and up
 
 
@@ -37,7 +37,7 @@ class Sheet:
 
     @classmethod
     def of(cls, skin: IntArray, hard: IntArray, closed: Sequence[FloatArray]) -> Sheet:
-        """Of the skin near `hard` what is seen in one of the poses `closed` (n, 3) mm."""
+        """The sheet whose outer part is the skin near `hard` that is seen in one of the poses `closed` (n, 3) mm."""
         seen = np.zeros(len(skin), bool)
         for points in closed:
             for view in five_views():
@@ -47,17 +47,17 @@ class Sheet:
         rest = closed[0]
         low, high = (pick(rest[hard].reshape(-1, 3), axis=0) for pick in (np.min, np.max))
         near = rest[skin].mean(axis=1)
-        kept = ((near > low - _MARGIN) & (near < high + _MARGIN)).all(axis=1)
+        kept = ((near > low - _SKIN_MARGIN) & (near < high + _SKIN_MARGIN)).all(axis=1)
         return cls(skin, skin[kept & seen], hard)
 
     def before_skin(self, points: FloatArray) -> Contact:
-        """Where the hard part lies up to `_REACH` in front of outer skin; an open mouth shows teeth, and has none."""
+        """Where the hard part lies up to `_DEEPEST` in front of outer skin; an open mouth shows teeth, and has none."""
         gaps = []
         for view in five_views():
             grid = Grid.of(points @ view.T, self.hard)
-            front, outer = (grid.first(grid.front(one))[0] for one in (self.hard, self.outer))
+            front, outer = (grid.first(grid.front(triangles))[0] for triangles in (self.hard, self.outer))
             gap = front[front > outer] - outer[front > outer]
-            gaps.append(gap[(gap > _EXACT) & (gap < _REACH)])
+            gaps.append(gap[(gap > _ROUNDING_DEPTH) & (gap < _DEEPEST)])
         return _contact(gaps)
 
     def through(self, points: FloatArray) -> Contact:
@@ -69,7 +69,7 @@ class Sheet:
             outer, skin = grid.first(grid.front(self.outer))[0], grid.first(self.skin)[0]
             inside = (front > skin) & (outer > back)
             gap = front[inside] - outer[inside]
-            gaps.append(gap[gap > _EXACT])
+            gaps.append(gap[gap > _ROUNDING_DEPTH])
         return _contact(gaps)
 
     def shown(self, points: FloatArray) -> FloatArray:
@@ -107,11 +107,11 @@ class Grid:
         return cls(points, start, (int(end[0] - start[0]) + 1, int(end[1] - start[1]) + 1))
 
     def front(self, triangles: IntArray) -> IntArray:
-        """Those that face the viewer."""
+        """The triangles that face the viewer."""
         return triangles[self._area(triangles) > 0]
 
     def back(self, triangles: IntArray) -> IntArray:
-        """Those that face away."""
+        """The triangles that face away."""
         return triangles[self._area(triangles) < 0]
 
     def first(self, triangles: IntArray) -> tuple[FloatArray, IntArray]:
@@ -143,12 +143,13 @@ class Grid:
         high = np.minimum(np.floor(flat.max(axis=1)), np.array(self.size) - 1).astype(np.int64)
         u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
         area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-        extent = np.maximum(high - low + 1, 0) * (np.abs(area) > _FLAT)[:, None]
+        extent = np.maximum(high - low + 1, 0) * (np.abs(area) > _EDGE_ON_AREA)[:, None]
         count = extent.prod(axis=1)
         number = np.repeat(np.arange(len(triangles)), count)
         place = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
         xy = low[number] + np.stack([place % extent[number, 0], place // extent[number, 0]], axis=1)
         p = xy - flat[number, 0]
+        # p = s u + t v by Cramer's rule; edges count, so that a ray on a common one meets both triangles, not neither
         s = (p[:, 0] * v[number, 1] - p[:, 1] * v[number, 0]) / area[number]
         t = (p[:, 1] * u[number, 0] - p[:, 0] * u[number, 1]) / area[number]
         inside = (s >= 0) & (t >= 0) & (s + t <= 1)

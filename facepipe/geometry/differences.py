@@ -15,7 +15,7 @@ from facepipe.geometry.polygons import distinct_edges
 
 SMALLEST_COTANGENT = 0.05  # obtuse and flat triangles: weights stay positive, so that a face keeps one solution
 LARGEST_COTANGENT = 20.0
-_FLATTEST = 1e-15  # tangent of the smallest angle that is not 0
+_FLATTEST_TANGENT = 1e-15  # tangent of the smallest angle that is not 0
 
 
 def incidence(edges: IntArray, point_count: int) -> Any:
@@ -42,7 +42,9 @@ def cotangent_weights(points: FloatArray, triangles: IntArray) -> tuple[IntArray
         a, b = corners[:, (apex + 1) % 3] - corners[:, apex], corners[:, (apex + 2) % 3] - corners[:, apex]
         doubled_area = np.linalg.norm(np.cross(a, b), axis=1)
         along = (a * b).sum(axis=1)
-        least = np.maximum(_FLATTEST * np.abs(along), np.finfo(np.float64).tiny)  # a sum of cotangents stays finite
+        least = np.maximum(
+            _FLATTEST_TANGENT * np.abs(along), np.finfo(np.float64).tiny
+        )  # a sum of cotangents stays finite
         cotangents.append(0.5 * along / np.maximum(doubled_area, least))
         pairs.append(triangles[:, [(apex + 1) % 3, (apex + 2) % 3]])
     edges, edge, _ = distinct_edges(np.concatenate(pairs))

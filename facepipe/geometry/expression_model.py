@@ -60,6 +60,7 @@ class ExpressionModel:
         tensor[:, 1:, size:] = deltas
         mean = tensor.mean(axis=0)
         parts = hosvd(tensor - mean)
+        # orthonormal columns have the variance 1 / (m - 1); scaled to 1, the prior of a new person is |v|^2
         spread = np.sqrt(max(people - 1, 1))
         return cls(
             names=tuple(names),
@@ -99,6 +100,7 @@ class ExpressionModel:
         size = len(self.identity.deviations)
         coordinates[0, :size] = self.identity.coefficients(neutral) * self.identity.deviations
         if shapes:
+            # from the person's own neutral: what row 0 has already must not count again in each expression
             offsets = np.stack([np.asarray(points, np.float64) - neutral for points in shapes.values()])
             if start is not None:
                 offsets -= start[[row - 1 for row in rows[1:]]]
@@ -158,12 +160,12 @@ class ExpressionModel:
         groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
         maps = [self._flat(rows[group], shares[group]) for group in groups]
         wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        *seen, expected = (self.vectors @ one for one in (*maps, self._flat(wanted)))
+        *seen, expected = (self.vectors @ effects for effects in (*maps, self._flat(wanted)))
         weights = trust([numbers @ numbers.T for numbers in seen], expected @ expected.T)
         normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
-        for group, one, weight in zip(groups, maps, weights, strict=True):
-            normal += weight * one @ one.T
-            right += weight * one @ (shares[group, None] * off[group]).ravel()
+        for group, effects, weight in zip(groups, maps, weights, strict=True):
+            normal += weight * effects @ effects.T
+            right += weight * effects @ (shares[group, None] * off[group]).ravel()
         return np.asarray(np.linalg.solve(normal, right))
 
     def _flat(self, rows: Sequence[int], shares: FloatArray | None = None) -> FloatArray:
@@ -205,7 +207,7 @@ def _directions(unfolded: FloatArray) -> FloatArray:
     return np.asarray(vectors * signs)
 
 
-_WEIGHTS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a mean square
+_TRUST_FACTORS = (0.0, *(10.0**power for power in np.arange(-2.0, 4.1, 0.5)))  # times the inverse of a mean square
 
 
 def trust(seen: Sequence[FloatArray], wanted: FloatArray) -> list[float]:
@@ -223,7 +225,7 @@ def trust(seen: Sequence[FloatArray], wanted: FloatArray) -> list[float]:
     best, chosen = np.inf, [0.0] * len(seen)
     if len(wanted) < 3:  # of two, each is predicted by the other alone, whatever the weights
         return chosen
-    for steps in product(_WEIGHTS, repeat=len(seen)):
+    for steps in product(_TRUST_FACTORS, repeat=len(seen)):
         weights = [step * scale for step, scale in zip(steps, scales, strict=True)]
         summed = np.sum([weight * products for weight, products in zip(weights, seen, strict=True)], axis=0)
         missed = _missed(summed, wanted)

@@ -48,7 +48,7 @@ ARCFACE_TEMPLATE: FloatArray = np.array(
     [(38.2946, 51.6963), (73.5318, 51.5014), (56.0252, 71.7366), (41.5493, 92.3655), (70.7299, 92.2041)]
 ) + np.array([0.5, 0.5])
 
-_SMALL = 1e-9  # a spread or a scale below this share of the coordinates is rounding
+_ROUNDING_SHARE = 1e-9  # a spread or a scale below this share of the coordinates is rounding
 
 
 def face_crop(landmarks: FloatArray, size: int) -> FloatArray:
@@ -127,10 +127,10 @@ def _crop(source: FloatArray, target: FloatArray) -> FloatArray:
     from_points, to_points = source @ (1, 1j), target @ (1, 1j)
     spread = from_points - from_points.mean()
     size = np.vdot(spread, spread).real
-    if size <= (_SMALL * np.abs(source).max()) ** 2:
+    if size <= (_ROUNDING_SHARE * np.abs(source).max()) ** 2:
         raise InputError("landmarks", "all at one place, expected those of a face")
     turn = np.vdot(spread, to_points - to_points.mean()) / size
-    if abs(turn) ** 2 * size <= (_SMALL * np.abs(target).max()) ** 2:
+    if abs(turn) ** 2 * size <= (_ROUNDING_SHARE * np.abs(target).max()) ** 2:
         raise InputError("landmarks", "nothing like those of a face, expected the 68 of Multi-PIE in their order")
     back = 1 / turn
     shift = from_points.mean() - back * to_points.mean()

@@ -30,13 +30,14 @@ def factorise(matrix: Any, solver: Solver = "auto") -> Factor:
     """Factor a scipy sparse matrix, symmetric positive definite, by Cholesky.
 
     :param solver: ``auto`` takes CHOLMOD through cholespy where it is installed, otherwise scipy's SuperLU with a
-        symmetric minimum degree ordering (its default ordering fills in far more). CHOLMOD's METIS orders by random
-        numbers of the whole process: where another thread draws some, the last digits are others
+        symmetric minimum degree ordering. CHOLMOD's METIS orders by random numbers of the whole process: where another
+        thread draws some, the last digits are others
     :raises InputError: cholespy asked for and not installed
     :raises RuntimeError, ValueError: the matrix is not positive definite
     """
     compressed = matrix.tocsc()
     compressed.sort_indices()
+    # CHOLMOD refuses a matrix without rows
     if compressed.shape[0] == 0:
         return _Empty()
     if solver != "splu":
@@ -73,6 +74,7 @@ class _SuperLu:
     def __init__(self, matrix: Any) -> None:
         from scipy.sparse.linalg import splu
 
+        # its default, COLAMD, fills in nearly twice as much: 2.0 million values to 1.1, on a grid of 160 by 160 points
         options = {"SymmetricMode": True}
         self._solver = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 

@@ -15,10 +15,10 @@ from scipy.linalg import solveh_banded
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e8
-_EASED, _RAISED, _FELT = 0.2, 8.0, 1e-4  # what a failed step raises damping to at least
-_LITTLE = 1e-5  # of the cost: a fall that ends it
-_ROUNDS = 6  # of holding what would leave the box
-_FLAT = 1e-10  # of the largest diagonal element
+_DAMPING_EASED, _DAMPING_RAISED, _LEAST_RAISED_DAMPING = 0.2, 8.0, 1e-4  # what a failed step raises damping to at least
+_SETTLED_FALL = 1e-5  # of the cost: a fall that ends it
+_HOLDING_ROUNDS = 6  # of holding what would leave the box
+_FLAT_CURVATURE = 1e-10  # of the largest diagonal element
 
 
 class Data(Protocol):
@@ -63,11 +63,11 @@ class Smoothness:
     before: FloatArray  # (b, c) at most two
 
     def cost(self, x: FloatArray) -> float:
-        """Of (f, c)."""
+        """The smoothness term of unknowns (f, c)."""
         return self.weight * float(np.square(self._bent(np.concatenate([self.before, x]))).sum())
 
     def slope(self, x: FloatArray) -> FloatArray:
-        """(f, c)."""
+        """(f, c) derivatives of the term at unknowns (f, c)."""
         b, f = len(self.before), len(x)
         bent = self._bent(np.concatenate([self.before, x]))
         whole = np.zeros((b + f, x.shape[1]))
@@ -76,7 +76,7 @@ class Smoothness:
         return 2.0 * self.weight * whole[b:]
 
     def diagonals(self, count: int) -> list[FloatArray]:
-        """Of the second derivatives over `count` frames: the main one and two beside it."""
+        """The diagonals of its second derivatives over `count` frames: the main one and two beside it."""
         b = len(self.before)
         differences = np.zeros((max(b + count - 2, 0), b + count))
         for row in range(len(differences)):
@@ -147,6 +147,7 @@ class _State:
         total, fall = self.cost[frames], self.cost[frames] - cost
         moved = np.abs(ahead - x).max(axis=1)
         if self.smoothness is not None:
+            # a frame's neighbours pay for its step too: it is taken by all frames, or by none
             bent = self.smoothness.cost(x)
             total = np.full(len(frames), total.sum() + bent)
             fall = np.full(len(frames), fall.sum() + bent - self.smoothness.cost(ahead))
@@ -155,8 +156,11 @@ class _State:
         taken = frames[better]
         self.x[taken], self.cost[taken], self._stale[taken] = ahead[better], cost[better], True
         self.steps[frames] += 1
-        little = better & (fall < _LITTLE * total)
-        eased, raised = self.damping[frames] * _EASED, np.maximum(self.damping[frames] * _RAISED, _FELT)
+        little = better & (fall < _SETTLED_FALL * total)
+        eased, raised = (
+            self.damping[frames] * _DAMPING_EASED,
+            np.maximum(self.damping[frames] * _DAMPING_RAISED, _LEAST_RAISED_DAMPING),
+        )
         self.damping[frames] = np.where(better, np.maximum(eased, LEAST_DAMPING), raised)
         self.active[frames] = (moved > enough) & ~little & (self.damping[frames] < MOST_DAMPING)
 
@@ -176,12 +180,13 @@ class _State:
             slope += smooth.slope(x)
         low, high, pull = self.box.signed(x, slope)
         size = np.diagonal(matrix, axis1=1, axis2=2)
-        flat = _FLAT * size.max(axis=1, initial=1e-30)[:, None]
+        # Marquardt's damping follows the curvature of each unknown, whatever its unit; `flat` is for those without any
+        flat = _FLAT_CURVATURE * size.max(axis=1, initial=1e-30)[:, None]
         number = np.arange(x.shape[1])
         matrix[:, number, number] += self.damping[frames][:, None] * size + flat
         free = (pull != 0.0) & (low < high)
         change: FloatArray = np.zeros(x.shape)
-        for _ in range(_ROUNDS):
+        for _ in range(_HOLDING_ROUNDS):
             right = pull + _times(matrix, diagonals, change)
             step = _solved(matrix, diagonals, free, -np.where(free, right, 0.0))
             ahead = x + change + step

@@ -20,7 +20,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import distinct_edges, triangulate
 
-_TINY = 1e-12  # shortest edge of the graph, of the largest coordinate: csgraph takes 0 for no edge
+_SHORTEST_EDGE = 1e-12  # shortest edge of the graph, of the largest coordinate: csgraph takes 0 for no edge
 
 
 def cells(face_vertex_counts: IntArray, face_vertex_indices: IntArray) -> IntArray:
@@ -64,7 +64,9 @@ def _symmetric(pairs: IntArray, lengths: FloatArray, points: FloatArray) -> Any:
 
     proper = pairs[:, 0] != pairs[:, 1]
     pairs, lengths = np.sort(pairs[proper], axis=1), lengths[proper]
-    lengths = np.maximum(lengths, _TINY * max(float(np.abs(points).max(initial=0.0)), np.finfo(np.float64).tiny))
+    lengths = np.maximum(
+        lengths, _SHORTEST_EDGE * max(float(np.abs(points).max(initial=0.0)), np.finfo(np.float64).tiny)
+    )
     order = np.lexsort((lengths, pairs[:, 1], pairs[:, 0]))  # of lines between the same points the shortest
     pairs, lengths = pairs[order], lengths[order]
     first = np.concatenate([[True], (np.diff(pairs, axis=0) != 0).any(axis=1)]) if len(pairs) else order.astype(bool)

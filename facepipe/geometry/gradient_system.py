@@ -23,8 +23,8 @@ from facepipe.geometry.factor import Factor, Solver, factorise
 
 _JOINT_REACH = 1.5  # a joint's bridges go to the points up to this many times as far as the nearest one
 _JOINT_BRIDGES = 256  # at most, the nearest ones
-_TIES = 8  # points looked at for being equally near
-_EQUAL = 1e-9  # distances that differ by less are equal
+_TIES_SEEN = 8  # points looked at for being equally near
+_EQUAL_DISTANCE = 1e-9  # distances that differ by less are equal
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Bridges:
 
 
 def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
-    """From every point (of `points` (n, 3)) outside component number `main` to the nearest point in it.
+    """Bridges from every one of `points` (n, 3) outside component number `main` to the nearest point in it.
 
     The weight is ``1 / (1 + (d / median)^2)``, by the median distance of the same component: where a part touches the
     face it follows the face.
@@ -48,17 +48,17 @@ def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
     loose = np.flatnonzero(component != main)
     if not len(loose):
         return Bridges(loose, loose, np.zeros(0))
-    distances, nearest = cKDTree(points[inside]).query(points[loose], k=np.arange(1, min(_TIES, len(inside)) + 1))
+    distances, nearest = cKDTree(points[inside]).query(points[loose], k=np.arange(1, min(_TIES_SEEN, len(inside)) + 1))
     distance = distances[:, 0]
     # the first of those that are equally near, which rounding (other units, axes or places) would choose among
-    tied = distances <= distance[:, None] * (1.0 + _EQUAL)
+    tied = distances <= distance[:, None] * (1.0 + _EQUAL_DISTANCE)
     leaders = np.where(tied, inside[nearest], len(points)).min(axis=1)
     reach = _medians(distance, component[loose])
     return Bridges(loose, leaders, 1.0 / (1.0 + (distance / reach) ** 2))
 
 
 def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
-    """From every joint (j, 3) to the points around it; the joints' numbers are the followers."""
+    """Bridges from every joint (j, 3) to the points around it; the joints' numbers are the followers."""
     from scipy.spatial import cKDTree
 
     count = min(_JOINT_BRIDGES, len(points))
@@ -66,7 +66,7 @@ def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
         return Bridges(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
     distances, nearest = cKDTree(points).query(joints, k=np.arange(1, count + 1))
     reach = _JOINT_REACH * np.maximum(distances[:, :1], np.finfo(np.float64).tiny)
-    near = distances <= reach * (1.0 + _EQUAL)
+    near = distances <= reach * (1.0 + _EQUAL_DISTANCE)
     followers = np.repeat(np.arange(len(joints)), near.sum(axis=1))
     weights = 1.0 / (1.0 + np.divide(distances, reach, out=np.zeros_like(distances), where=near) ** 2)
     return Bridges(followers, nearest[near], weights[near])

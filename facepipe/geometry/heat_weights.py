@@ -23,7 +23,7 @@ from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 
 SMALLEST_SHARE = 1e-3  # weights below are left out: they cost an influence and move nothing
-_COLUMNS = 64  # right hand sides at a time: a bound on memory
+_COLUMNS_AT_ONCE = 64  # right hand sides at a time: a bound on memory
 
 
 def heat_weights(
@@ -42,12 +42,13 @@ def heat_weights(
     edges, weights = cotangent_weights(points, triangles)
     M = incidence(edges, len(points))
     strength = sharpness * point_areas(points, triangles) / np.maximum(distances, np.finfo(np.float64).tiny) ** 2
+    # a point without a triangle has a row of zeros, by which no factor exists: held, it keeps its shares
     isolated = strength <= 0
     strength[isolated] = max(float(strength.max(initial=0.0)), 1.0)
     scale = 1.0 / np.median(strength) if len(strength) else 1.0
     factor = factorise((M.T @ diags_array(weights) @ M + diags_array(strength)) * scale)
     right = strength[:, None] * scale * np.asarray(shares, np.float64)
-    parts = [factor.solve(right[:, at : at + _COLUMNS]) for at in range(0, right.shape[1], _COLUMNS)]
+    parts = [factor.solve(right[:, at : at + _COLUMNS_AT_ONCE]) for at in range(0, right.shape[1], _COLUMNS_AT_ONCE)]
     return np.asarray(np.maximum(np.concatenate(parts, axis=1), 0.0) if parts else right)
 
 

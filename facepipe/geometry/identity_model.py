@@ -9,7 +9,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 
-_NOTHING = 1e-10  # of the largest deviation: rounding, no component
+_NO_COMPONENT = 1e-10  # of the largest deviation: rounding, no component
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,7 @@ def _from_spread(mean: FloatArray, spread: FloatArray, count: int) -> IdentityMo
     _, lengths, directions = np.linalg.svd(spread, full_matrices=False)
     if not lengths[0] > 0:
         raise InputError("identity model", "all faces are the same, expected different ones")
-    kept = lengths > _NOTHING * lengths[0]
+    kept = lengths > _NO_COMPONENT * lengths[0]
     flat = directions[kept]
     signs = np.sign(flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)])
     return IdentityModel(

@@ -71,7 +71,7 @@ def turned_view(places: FloatArray, pixels: FloatArray, weights: FloatArray | No
     """
     weights = np.ones(len(pixels)) if weights is None else weights
     rows, seen = (
-        np.sqrt(weights)[:, None] * (one - np.average(one, axis=0, weights=weights)) for one in (places, pixels)
+        np.sqrt(weights)[:, None] * (marks - np.average(marks, axis=0, weights=weights)) for marks in (places, pixels)
     )
     affine = np.linalg.lstsq(rows, seen, rcond=None)[0].T
     left, scales, right = np.linalg.svd(affine, full_matrices=False)

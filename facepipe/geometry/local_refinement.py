@@ -27,7 +27,7 @@ from facepipe.geometry.registration.step import Pull
 from facepipe.geometry.registration.surface import means_around
 from facepipe.geometry.registration.view import Demand, Registered, ViewState
 
-_LEAST = 1e-6  # a point that follows less counts as this one
+_LEAST_FOLLOW = 1e-6  # a point that follows less counts as this one
 _STAGES = (Stage(1.0, 2.0, 4, 0.1), Stage(1.0, 1.0, 12, 0.005))
 
 
@@ -91,16 +91,16 @@ class _State:
 
     @property
     def points(self) -> FloatArray:
-        """(n, 3)."""
+        """(n, 3) points where they are now."""
         return np.where(self._free[:, None], self._surface.base + self._moves, self._surface.base)
 
     def run(self, progress: Callable[[int], None]) -> Registered:
-        """All stages."""
+        """Take the steps of all stages."""
         steps = in_stages(_STAGES, self._advance, progress)
         return replace(self._view.registered(self._surface, np.zeros(0), self._moves, steps), points=self.points)
 
     def _advance(self, stage: Stage) -> float:
-        """One step; the RMS movement of the points that move."""
+        """Take one step; the RMS movement of the points that move, in millimetres."""
         from scipy.sparse import diags_array
 
         points, seen, free = self.points, self._surface.seen, self._smoothness.free
@@ -113,6 +113,7 @@ class _State:
         pull = self._view.pull(self._surface, points, demand)
         system = self._smoothness.system(points)
         blocks, right = self._matched(pull, points)
+        # an anchor counts as far as its points follow: those beside them would else be pushed to make up for held ones
         anchored = pull.anchor_weights * pull.anchors.places(self._follow)
         off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
         system.diagonal += blocks[free]
@@ -128,7 +129,7 @@ class _State:
         The hold is to the match as ``1 - follow`` to ``follow``: a point alone goes the share `follow` of the way.
         """
         normals, blocks = pull.matches.normals, np.zeros((len(points), 3, 3))
-        follow = np.maximum(self._follow, _LEAST)
+        follow = np.maximum(self._follow, _LEAST_FOLLOW)
         areas = np.maximum(self._areas, 1e-4 * self._areas.mean())  # points without a triangle stay
         held = (self._stays + 1.0 / follow - 1.0) * areas / self._options.surface_sigma_mm**2
         blocks += held[:, None, None] * np.eye(3)

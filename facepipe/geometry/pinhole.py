@@ -8,7 +8,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 
-_ROUNDS = 12  # of reweighting
+_REWEIGHTINGS = 12  # of reweighting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def meeting_points(
     offsets = np.einsum("vkij,vj->vki", across, origins)
     distances = np.zeros(weights.shape)
     points = np.zeros((weights.shape[1], 3))
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         now = weights / (1.0 + (distances / scale) ** 2)
         system = np.einsum("vk,vkij->kij", now, across)
         slack = 1e-9 * np.trace(system, axis1=1, axis2=2) + np.finfo(np.float64).tiny

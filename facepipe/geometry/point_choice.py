@@ -6,7 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 
-_PRIOR = 1.0 / 3.0  # variance of a mover before any point is seen: any value from -1 to 1
+_PRIOR_VARIANCE = 1.0 / 3.0  # variance of a mover before any point is seen: any value from -1 to 1
 
 
 def farthest_points(places: FloatArray, weight: FloatArray, count: int) -> IntArray:
@@ -42,7 +42,7 @@ def informative_points(moves: FloatArray, noise: float, count: int) -> IntArray:
     """
     count = min(count, len(moves))
     chosen = np.zeros(count, np.int64)
-    seen = moves * _PRIOR  # (n, 3, c) covariance of points with movers
+    seen = moves * _PRIOR_VARIANCE  # (n, 3, c) covariance of points with movers
     spread = np.matmul(moves, seen.transpose(0, 2, 1)) + noise**2 * np.eye(3)  # (n, 3, 3) of points
     for number in range(count):
         inverse = np.linalg.inv(spread)

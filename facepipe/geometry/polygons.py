@@ -9,7 +9,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 
 # Twice the area, relative to the square of the longest side, below which the normal is float32 rounding.
-_FLAT = 1e-6
+_FLAT_HEIGHT = 1e-6
 
 
 class Triangles(NamedTuple):
@@ -78,7 +78,7 @@ def distinct_edges(ends: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     ends = np.asarray(ends, dtype=np.int64)
     low = int(ends.min(initial=0))
     span = int(ends.max(initial=0)) - low + 1
-    # one number a pair: twenty times as fast as np.unique of rows
+    # one number a pair: ten times as fast as np.unique of rows (160,000 ends, numpy 2.4)
     keys = (ends.min(axis=1) - low) * span + ends.max(axis=1) - low
     unique, edge, count = np.unique(keys, return_inverse=True, return_counts=True)
     return np.stack(np.divmod(unique, span), axis=1) + low, edge, count
@@ -118,7 +118,7 @@ def triangle_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     normals = np.cross(sides[:, 0], sides[:, 1])
     lengths = np.linalg.norm(normals, axis=1)
     longest = np.einsum("tei,tei->te", sides, sides).max(axis=1, initial=0.0)
-    solid = lengths > _FLAT * longest
+    solid = lengths > _FLAT_HEIGHT * longest
     normals[~solid] = 0.0
     return np.asarray(normals / np.where(solid, lengths, 1.0)[:, None])
 

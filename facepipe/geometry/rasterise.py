@@ -190,7 +190,7 @@ def interpolated(corners: Sequence[FloatArray], weights: FloatArray) -> FloatArr
 
 
 def expand(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """For counts (2, 3): owners 0 0 1 1 1 and steps 0 1 0 1 2."""
+    """The owner of each of `counts` (m,) steps and its number there: of (2, 3) owners 0 0 1 1 1, numbers 0 1 0 1 2."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 

@@ -13,11 +13,11 @@ from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
 
-_TAPS = 8  # lookups a side of a footprint, at most
-_SLACK = 1e-6  # in UV: what exporters leave of an exact 0 or 1
+_MOST_TAPS = 8  # lookups a side of a footprint, at most
+_UV_SLACK = 1e-6  # in UV: what exporters leave of an exact 0 or 1
 
 UNKNOWN = -1
-_OPAQUE = 128  # alpha from here on: painted
+_OPAQUE_ALPHA = 128  # alpha from here on: painted
 _SUM_WEIGHT = 1e4  # how much heavier than a colour level the sum of a mix weighs
 
 
@@ -63,6 +63,7 @@ def region_masks(
     shares = lookup.sample(place[inside], sampling.footprint)
     if lookup.unknown:
         raise _unknown_color(where, image, palette, lookup, points)
+    # + 0.0: of no corners bincount gives integers, in spite of its weights
     summed = np.stack([np.bincount(points, column, minlength=point_count) for column in shares.T], axis=1) + 0.0
     total = summed.sum(axis=1, keepdims=True)
     return RegionMasks(np.divide(summed, total, out=np.zeros_like(summed), where=total > 0), total[:, 0] > 0)
@@ -80,7 +81,7 @@ class _Lookup:
         height, width = self.image.shape[:2]
         column, row = place[:, 0] * width, (1.0 - place[:, 1]) * height
         shares = np.zeros((len(place), len(self.palette.colors)))
-        taps = min(footprint, _TAPS)
+        taps = min(footprint, _MOST_TAPS)
         offsets = (np.arange(taps) + 0.5) / taps * footprint - footprint / 2
         for down in offsets if len(place) else ():
             for right in offsets:
@@ -112,7 +113,7 @@ def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatA
         unit = np.asarray(((place >= 0) & (place <= 1)).all(axis=1))
         return np.where(unit[:, None], place, uv - np.floor(uv)), np.ones(len(uv), dtype=bool)
     row, column = divmod(tile - FIRST_TILE, 10)
-    inside = (corner == (column, row)) & (place >= -_SLACK) & (place <= 1 + _SLACK)
+    inside = (corner == (column, row)) & (place >= -_UV_SLACK) & (place <= 1 + _UV_SLACK)
     return np.clip(place, 0.0, 1.0), np.asarray(inside.all(axis=1))
 
 
@@ -140,7 +141,7 @@ def hex_color(color: npt.ArrayLike) -> str:
 
 
 class TexelShares(NamedTuple):
-    """Of m texels: their shares (m, k) of the k colours, rows of sum 1 or all 0 (unpainted), and the unknown (m,)."""
+    """Shares (m, k) of the k colours in m texels, rows of sum 1 or all 0 (unpainted), and which are unknown (m,)."""
 
     shares: FloatArray
     unknown: BoolArray
@@ -162,7 +163,7 @@ class Palette:
         return np.concatenate(rows).astype(np.float64)
 
     def labels(self, texels: ByteArray) -> tuple[IntArray, BoolArray]:
-        """Of (m, 3|4) texels: the nearest colour within the tolerance, k for unpainted or UNKNOWN; which are exact."""
+        """(m,) nearest colours within the tolerance of (m, 3|4) texels, k for unpainted or UNKNOWN; which are exact."""
         packed = texels.astype(np.uint32) @ (1 << 8 * np.arange(texels.shape[1], dtype=np.uint32))
         _, first, back = np.unique(packed, return_index=True, return_inverse=True)
         values = texels[first]
@@ -170,8 +171,8 @@ class Palette:
         label, least = distance.argmin(axis=1), distance.min(axis=1)
         label[least > self.tolerance] = UNKNOWN
         if texels.shape[1] == 4:
-            label[values[:, 3] < _OPAQUE] = len(self.colors)
-            least[values[:, 3] < _OPAQUE] = 0.0
+            label[values[:, 3] < _OPAQUE_ALPHA] = len(self.colors)
+            least[values[:, 3] < _OPAQUE_ALPHA] = 0.0
         return label[back.ravel()], (least == 0)[back.ravel()]
 
 
@@ -180,9 +181,8 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
 
     A colour of the palette is that one. Another is the nearest within the tolerance; but where that one is not found
     at most `edge` texels away, and a mix of those that are is within the tolerance, it is the mix, as antialiasing
-    makes it, and counts by its shares: so a border is not taken for a region whose colour lies between. A colour that
-    is neither near one of the palette nor a mix is unknown. An unpainted texel takes the nearest painted ones at most
-    `edge` texels away: maps often end where the UV island ends.
+    makes it, and counts by its shares. A colour that is neither near one of the palette nor a mix is unknown. An
+    unpainted texel takes the nearest painted ones at most `edge` texels away.
 
     :param texels: (m,) numbers ``row * w + column``
     """
@@ -195,7 +195,9 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
         distinct, back = np.unique(around, return_inverse=True)
         labels, pure = palette.labels(pixels[distinct])
         near, sure = labels[back.reshape(around.shape)], pure[back.reshape(around.shape)]
+        # halfway from red to blue lies purple: by the nearest colour alone the border would be a third region
         shares[unsure] = _settled(pixels[texels[unsure], :3], label[unsure], exact[unsure], near, sure, palette)
+        # maps often end where the UV island ends, and corners lie on its border
         bare = shares[unsure, count] >= 1
         shares[unsure[bare], :count] = _nearest(near[bare], distance[bare], count)
     unknown = shares.sum(axis=1) <= 0
@@ -229,7 +231,7 @@ def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[In
     """Texels (m, s) of the square of 2 edge + 1 around each, clamped to the image, and squared distances (m, s)."""
     height, width = shape[:2]
     row, column = np.divmod(texels, width)
-    down, right = (one.ravel() for one in np.mgrid[-edge : edge + 1, -edge : edge + 1])
+    down, right = (axis.ravel() for axis in np.mgrid[-edge : edge + 1, -edge : edge + 1])
     rows = np.clip(row[:, None] + down, 0, height - 1)
     columns = np.clip(column[:, None] + right, 0, width - 1)
     squared = (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2

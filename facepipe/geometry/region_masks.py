@@ -8,8 +8,8 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import components, distinct_edges
 
-_ROUNDING = 1e-5  # sums of masks closer to 1 than this were 1 before they were stored
-_SHORTEST = 1e-6  # of the mean edge: shorter edges count as this long
+_SUM_ROUNDING = 1e-5  # sums of masks closer to 1 than this were 1 before they were stored
+_SHORTEST_EDGE = 1e-6  # of the mean edge: shorter edges count as this long
 
 
 def normalise_masks(masks: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -20,7 +20,7 @@ def normalise_masks(masks: FloatArray) -> tuple[FloatArray, FloatArray]:
     masks = np.asarray(masks, np.float64)
     largest = np.maximum(masks.max(axis=0, initial=0.0), 1.0)
     sums = (masks / largest).sum(axis=0) * largest
-    rest = np.where(sums < 1.0 - _ROUNDING, 1.0 - sums, 0.0)
+    rest = np.where(sums < 1.0 - _SUM_ROUNDING, 1.0 - sums, 0.0)
     normalised = masks / largest / np.where(rest > 0, 1.0, np.where(sums > 0, sums / largest, 1.0))
     return normalised, rest
 
@@ -42,7 +42,8 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     if width == 0 or not len(pairs) or not len(smoothed):
         return smoothed
     lengths = np.linalg.norm(np.asarray(points, np.float64)[pairs[:, 0]] - np.asarray(points)[pairs[:, 1]], axis=1)
-    lengths = np.maximum(lengths, max(_SHORTEST * float(lengths.mean()), np.finfo(np.float64).tiny))
+    lengths = np.maximum(lengths, max(_SHORTEST_EDGE * float(lengths.mean()), np.finfo(np.float64).tiny))
+    # a piece without a held point has the constants as the kernel of its Laplacian: no factor
     free = _joined(_border_distances(smoothed, pairs, lengths) < width / 2, pairs)
     if free.any():
         _relax(smoothed, free, pairs, 1.0 / lengths)

@@ -15,9 +15,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 
-_PARTS = 5  # of the examples, each left out once
-_MOST = 400  # points that the noise is chosen at
-_CHUNK = 256  # points at a time
+_FOLDS = 5  # of the examples, each left out once
+_NOISE_POINTS = 400  # points that the noise is chosen at
+_POINTS_AT_ONCE = 256  # points at a time
 
 
 def ridge(seen: FloatArray, wanted: FloatArray, noise: float | FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -98,6 +98,7 @@ class Examples:
             products = self._products(everything, everything, points) + noise**2 * np.eye(len(everything))
             by_unknown = slopes[:, :, points].transpose(2, 0, 1, 3).reshape(len(points), len(everything), -1)
             both = np.concatenate([by_unknown, self.moved[:, points].transpose(1, 0, 2)], axis=2)
+            # covariance L L^T: products of L^-1 slopes and L^-1 moved are those of least squares weighed by its inverse
             weighed = np.linalg.solve(np.linalg.cholesky(products), both)
             parts = weighed.reshape(len(points), len(everything), unknowns + 1, 3).transpose(2, 0, 1, 3)
             flat = parts.reshape(unknowns + 1, -1)
@@ -107,12 +108,12 @@ class Examples:
 
     def best_noise(self, noises: FloatArray) -> float:
         """The noise of least mean distance where a fifth of the examples in a row is left out, then the next."""
-        points = np.arange(0, self.moved.shape[1], max(1, self.moved.shape[1] // _MOST))
-        parts = np.array_split(np.arange(len(self.inputs)), min(_PARTS, len(self.inputs)))
+        points = np.arange(0, self.moved.shape[1], max(1, self.moved.shape[1] // _NOISE_POINTS))
+        parts = np.array_split(np.arange(len(self.inputs)), min(_FOLDS, len(self.inputs)))
         return float(noises[int(np.argmin(sum(self._missed(part, points, noises) for part in parts)))])
 
     def _missed(self, left_out: IntArray, points: IntArray, noises: FloatArray) -> FloatArray:
-        """For each noise the sum of distances, at left-out examples, from what the others predict."""
+        """(noises,) sums of distances, at left-out examples, from what the others predict with each noise."""
         kept = np.setdiff1d(np.arange(len(self.inputs)), left_out)
         products, across = self._products(kept, kept, points), self._products(left_out, kept, points)
         moved = self.moved[left_out][:, points].transpose(1, 0, 2)
@@ -133,5 +134,5 @@ class Examples:
 
 
 def _chunks(count: int) -> Iterator[IntArray]:
-    for start in range(0, count, _CHUNK):
-        yield np.arange(start, min(start + _CHUNK, count))
+    for start in range(0, count, _POINTS_AT_ONCE):
+        yield np.arange(start, min(start + _POINTS_AT_ONCE, count))

@@ -11,7 +11,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import components, distinct_edges, merge_points
 
-_THIN = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
+_THIN_AREA = 1e-10  # doubled area over the squared longest edge: below, a triangle has no normal
 _LEAST_BULGE = 0.02  # outwardness below which a sheet's outside is open; a sphere's is 0.28
 
 
@@ -100,7 +100,7 @@ def _with_area(points: FloatArray, triangles: IntArray) -> BoolArray:
     a, b, c = points[triangles].transpose(1, 0, 2)
     doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
-    return np.asarray(doubled > _THIN * longest)
+    return np.asarray(doubled > _THIN_AREA * longest)
 
 
 def _not_repeated(triangles: IntArray) -> BoolArray:

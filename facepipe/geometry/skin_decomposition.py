@@ -22,13 +22,13 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.warp import nearest_rotations
 
-_SWEEPS = 6  # over all joints, where weights stay as they are
-_STEPS = 80  # of projected gradient a round
-_STAY = 0.1  # pull towards the first weights, of that towards the neighbours: points that never move keep theirs
-_LIKELY = 0.05  # first weights from here on cost nothing
-_DEAREST = 1e3  # most that a weight costs, against the pull of the neighbours
-_TURN = 1e-4  # of the spread of a joint's points: how much it keeps to the rotation it has
-_VALUES = 1 << 20  # numbers of the points' systems at a time: a bound on memory
+_SETTLING_SWEEPS = 6  # over all joints, where weights stay as they are
+_GRADIENT_STEPS = 80  # of projected gradient a round
+_STAY_PULL = 0.1  # pull towards the first weights, of that towards the neighbours: points that never move keep theirs
+_LIKELY_WEIGHT = 0.05  # first weights from here on cost nothing
+_HIGHEST_PRICE = 1e3  # most that a weight costs, against the pull of the neighbours
+_ROTATION_KEPT = 1e-4  # of the spread of a joint's points: how much it keeps to the rotation it has
+_VALUES_AT_ONCE = 1 << 20  # numbers of the points' systems at a time: a bound on memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +73,7 @@ def decompose(
         current = solver.fitted_weights(current, most)
         solver.fit_transforms(current)
         found = solver.residuals(current)
+        # weights pay for more than the distance (neighbours, few joints), and are cut: nothing makes each round nearer
         if (found**2).sum() < (after**2).sum():
             best, after = current, found
         step()
@@ -103,7 +104,7 @@ class _Solver:
 
     def settle(self, weights: FloatArray) -> None:
         """Fit transforms until they hardly change any more."""
-        for _ in range(_SWEEPS):
+        for _ in range(_SETTLING_SWEEPS):
             self.fit_transforms(weights)
 
     def _displacement(self, joint: int, rows: IntArray) -> FloatArray:
@@ -149,7 +150,7 @@ class _Solver:
         local = (at - middle) * shares[:, None]
         spread = local.T @ local
         turned = spread + (local.T @ goal).transpose(0, 2, 1)
-        keep = _TURN * float(np.trace(spread)) + np.finfo(np.float64).tiny
+        keep = _ROTATION_KEPT * float(np.trace(spread)) + np.finfo(np.float64).tiny
         self._R[joint] = nearest_rotations(turned + keep * self._R[joint])
         self._t[joint] = moved - self._R[joint] @ middle
 
@@ -159,13 +160,13 @@ class _Solver:
         First with all candidates, then with the `most` largest alone; those that are hardly among them, or had hardly
         any weight at first, pay for theirs, so that weights go to 0 where points stop having a joint.
         """
-        towards = (self._neighbour_means(start) + _STAY * self._first) / (1.0 + _STAY)
-        unlikely = np.clip(_LIKELY / np.maximum(self._first, 1e-12) - 1.0, 0.0, _DEAREST)
+        towards = (self._neighbour_means(start) + _STAY_PULL * self._first) / (1.0 + _STAY_PULL)
+        unlikely = np.clip(_LIKELY_WEIGHT / np.maximum(self._first, 1e-12) - 1.0, 0.0, _HIGHEST_PRICE)
         whole = self._solved(start, towards, self.allowed, unlikely)
         even = np.where(self.allowed, whole + self._neighbour_means(whole), 0.0)
         chosen = _largest(even, most)
         left_out = np.where(chosen, 0.0, even).max(axis=1, keepdims=True)
-        close = np.minimum(left_out / np.maximum(even - left_out, 1e-12), _DEAREST)
+        close = np.minimum(left_out / np.maximum(even - left_out, 1e-12), _HIGHEST_PRICE)
         return self._solved(np.where(chosen, whole, 0.0), towards, chosen, unlikely + close)
 
     def _solved(self, start: FloatArray, towards: FloatArray, allowed: BoolArray, price: FloatArray) -> FloatArray:
@@ -174,7 +175,7 @@ class _Solver:
         :param price: (n, k) of the squares of weights, against the pull of the neighbours
         """
         minima = np.empty_like(start)
-        step = max(1, _VALUES // (9 * self._candidates.shape[1] * len(self._motion)))
+        step = max(1, _VALUES_AT_ONCE // (9 * self._candidates.shape[1] * len(self._motion)))
         diagonal = np.arange(start.shape[1])
         for at in range(0, len(start), step):
             part = slice(at, at + step)
@@ -216,7 +217,7 @@ def _on_simplex(gram: FloatArray, linear: FloatArray, start: FloatArray, allowed
     bound = np.abs(gram).sum(axis=2).max(axis=1)[:, None]
     current = ahead = _projected(start, allowed)
     momentum = 1.0
-    for _ in range(_STEPS):
+    for _ in range(_GRADIENT_STEPS):
         slope = (gram @ ahead[:, :, None])[:, :, 0] - linear
         following = _projected(ahead - slope / bound, allowed)
         grown = (1.0 + np.sqrt(1.0 + 4.0 * momentum**2)) / 2.0

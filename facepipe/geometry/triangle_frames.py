@@ -21,7 +21,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import components
 
-_FLAT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
+_FLAT_HEIGHT = 1e-6  # a triangle lower than this share of its longest edge has no area and no normal
 
 
 def frames(points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -43,7 +43,7 @@ def duals(triangle_frames: FloatArray) -> tuple[FloatArray, FloatArray]:
     first, second, normal = triangle_frames.transpose(1, 0, 2)
     doubled = (normal * normal).sum(axis=1)  # |n|^2 = |e1 x e2|
     longest = np.maximum.reduce([(side * side).sum(axis=1) for side in (first, second, second - first)])
-    flat = doubled <= _FLAT * longest
+    flat = doubled <= _FLAT_HEIGHT * longest
     doubled = np.where(flat, 1.0, doubled)[:, None]
     upright = normal / np.sqrt(doubled)
     rows = (np.cross(second, upright), np.cross(upright, first), normal)
@@ -146,7 +146,7 @@ class Neighbours:
         )
 
     def where(self, points: BoolArray) -> Neighbours:
-        """Those with some of `points` (n,)."""
+        """The pairs with some of `points` (n,)."""
         kept = points[self.points].any(axis=1)
         return Neighbours(
             pairs=self.pairs[kept], points=self.points[kept], second=self.second[kept], weights=self.weights[kept]

@@ -8,10 +8,10 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals
 
 _DIRECTIONS = 60
-_SAMPLES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, 1 / 3]])  # of a triangle
-_CELLS = 100  # across the surface: wider than the gaps between samples
-_SLACK = 0.012  # of the surface's size, in depth
-_FACING = 0.1  # cosine between a point's normal and the direction that it is seen from
+_TRIANGLE_SAMPLES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, 1 / 3]])  # of a triangle
+_CELLS_ACROSS = 100  # across the surface: wider than the gaps between samples
+_DEPTH_SLACK = 0.012  # of the surface's size, in depth
+_FACING_COSINE = 0.1  # cosine between a point's normal and the direction that it is seen from
 
 
 def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
@@ -23,11 +23,11 @@ def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
     :param triangles: (t, 3), oriented outward
     """
     normals = point_normals(points, triangles)
-    samples = np.einsum("sc,tci->tsi", _SAMPLES, points[triangles]).reshape(-1, 3)
+    samples = np.einsum("sc,tci->tsi", _TRIANGLE_SAMPLES, points[triangles]).reshape(-1, 3)
     size = float(np.ptp(samples, axis=0).max()) or 1.0
     seen = np.zeros(len(points), bool)
     for towards in _sphere(_DIRECTIONS):
-        facing = np.flatnonzero((normals @ towards > _FACING) & ~seen)
+        facing = np.flatnonzero((normals @ towards > _FACING_COSINE) & ~seen)
         if len(facing):
             seen[facing] = _in_front(points[facing], samples, towards, size)
     used = np.zeros(len(points), bool)
@@ -42,7 +42,7 @@ def _in_front(points: FloatArray, samples: FloatArray, towards: FloatArray, size
     axes = np.stack([right, np.cross(towards, right)], axis=1) / np.linalg.norm(right)
     flat = samples @ axes
     low = flat.min(axis=0)
-    cell = size / _CELLS
+    cell = size / _CELLS_ACROSS
     shape = np.floor((flat.max(axis=0) - low) / cell).astype(np.int64) + 1
 
     def cells(values: FloatArray) -> IntArray:
@@ -51,7 +51,7 @@ def _in_front(points: FloatArray, samples: FloatArray, towards: FloatArray, size
 
     nearest = np.full(int(shape.prod()), -np.inf)
     np.maximum.at(nearest, cells(flat), samples @ towards)
-    return np.asarray(points @ towards >= nearest[cells(points @ axes)] - _SLACK * size)
+    return np.asarray(points @ towards >= nearest[cells(points @ axes)] - _DEPTH_SLACK * size)
 
 
 def _sphere(count: int) -> FloatArray:

@@ -21,7 +21,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.geometry.similarity import Similarity, fit_similarity
 
-_PAIRS = 1 << 22  # point-landmark pairs at a time: a bound on memory
+_PAIRS_AT_ONCE = 1 << 22  # point-landmark pairs at a time: a bound on memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Warp:
 
 
 def _parts(points: int, centres: int) -> list[slice]:
-    step = max(1, _PAIRS // max(centres, 1))
+    step = max(1, _PAIRS_AT_ONCE // max(centres, 1))
     return [slice(at, at + step) for at in range(0, points, step)]
 
 

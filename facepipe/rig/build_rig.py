@@ -25,6 +25,7 @@ def build(parts: FaceParts) -> Rig:
     offsets = np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in parts.meshes], dtype=np.int64)])
     spaces = mesh_spaces(parts)
     shapes = parts.shapes
+    # geomBindTransform goes into the points, as each mesh has its own: one matrix a joint then serves all meshes
     points = [transformed(mesh.points, space) for space, mesh in zip(spaces, parts.meshes, strict=True)]
     return Rig(
         name=parts.name,
@@ -95,6 +96,7 @@ def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_
     if not rows:
         return sparse.csr_array(shape)
     entries = (np.concatenate(rows), np.concatenate(columns))
+    # entries of one point and joint are summed: a joint twice in a vertex is one influence
     matrix = sparse.csr_array((np.concatenate(values), entries), shape=shape)
     matrix.eliminate_zeros()
     return matrix
@@ -132,6 +134,6 @@ def _targets(
 def _merge(sculpts: list[_Sculpt]) -> Target:
     name, shape, curve, indices, offsets = sculpts[0]
     if len(sculpts) > 1:
-        indices = np.concatenate([one for *_, one, _ in sculpts])
-        offsets = np.concatenate([one for *_, one in sculpts])
+        indices = np.concatenate([numbers for *_, numbers, _ in sculpts])
+        offsets = np.concatenate([moved for *_, moved in sculpts])
     return Target(name=name, shape=shape, curve=curve, point_indices=indices, offsets=offsets)

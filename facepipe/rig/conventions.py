@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
 _NAMESPACES = re.compile(r"[.:|]|__|^!ex-")  # blendShape1.jawOpen, face:jawOpen, MPFB's !ex-jawOpen
-_FEWEST = 3  # names that make a convention
+_FEWEST_NAMES = 3  # names that make a convention
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Convention:
 
 def _tables() -> dict[str, Convention]:
     read = json.loads(files("facepipe.rig").joinpath("conventions.json").read_text(encoding="utf-8"))
-    for one in read.values():
-        one["names"] = {meant: tuple(given) for meant, given in one["names"].items()}
-    return {kind: Convention(one["title"], one["source"], one["names"]) for kind, one in read.items()}
+    for table in read.values():
+        table["names"] = {meant: tuple(given) for meant, given in table["names"].items()}
+    return {kind: Convention(table["title"], table["source"], table["names"]) for kind, table in read.items()}
 
 
 def shape_key(name: str) -> str:
@@ -78,7 +78,7 @@ def spelling(name: str) -> str:
 
 
 CONVENTIONS: Mapping[str, Convention] = _tables()
-_MEANINGS = {key: one for table in CONVENTIONS.values() for key, one in table.keys.items()}
+_MEANINGS = {key: meant for table in CONVENTIONS.values() for key, meant in table.keys.items()}
 
 
 def meaning(name: str) -> str | None:
@@ -104,6 +104,7 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
     matched: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in shapes}
     taken = set(matched)
     both = ("left", "right")
+    # form by form over all names, not name by name: a loose match never takes the shape that a later name spells
     for form, sides in ((spelling, ("",)), (_meant, ("",)), (spelling, both), (_meant, both)):
         index = _index(form, shapes)
         for name in incoming:
@@ -121,8 +122,8 @@ def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
         kind: len({table.keys[key] for shape in shapes if (key := _known(table, shape)) is not None})
         for kind, table in CONVENTIONS.items()
     }
-    kind = max(counts, key=lambda one: counts[one])  # the first of equals: MPFB's names are ARKit's
-    return (kind, counts[kind]) if counts[kind] >= _FEWEST else None
+    kind = max(counts, key=lambda convention: counts[convention])  # the first of equals: MPFB's names are ARKit's
+    return (kind, counts[kind]) if counts[kind] >= _FEWEST_NAMES else None
 
 
 def _known(table: Convention, shape: str) -> str | None:
@@ -187,7 +188,7 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         parts,
         meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
         skeleton=skeleton.called(joint_names),
-        animations=tuple(replace(one, shapes=_all(one.shapes, names)) for one in parts.animations),
+        animations=tuple(replace(animation, shapes=_all(animation.shapes, names)) for animation in parts.animations),
         sliders=tuple(
             replace(slider, shapes=tuple((names.get(shape, shape), gain) for shape, gain in slider.shapes))
             for slider in parts.sliders
@@ -201,7 +202,7 @@ def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> 
     count = Counter(new)
     for name, other in zip(old, new, strict=True):
         if name != other and count[other] > 1:
-            both = [one for one, called in zip(old, new, strict=True) if called == other]
+            both = [before for before, called in zip(old, new, strict=True) if called == other]
             raise InputError(
                 where, f"the {kind} '{both[0]}' and '{both[1]}' would both be called '{other}', expected two names"
             )

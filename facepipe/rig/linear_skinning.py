@@ -10,7 +10,7 @@ from facepipe.parts import FaceParts
 from facepipe.rig.animation import sample_transforms, sample_weights
 from facepipe.rig.build_rig import build
 
-_POSES = 20  # of each animation, evenly spread
+_POSES_MEASURED = 20  # of each animation, evenly spread
 
 
 def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
@@ -25,12 +25,13 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
     apart, poses = 0.0, 0
     for animation in parts.animations:
         count = animation.samples
-        for index in np.unique(np.linspace(0, count - 1, min(count, _POSES)).astype(np.int64)).tolist():
+        for index in np.unique(np.linspace(0, count - 1, min(count, _POSES_MEASURED)).astype(np.int64)).tolist():
             local = sample_transforms(parts.skeleton, animation, index)
             weights = rig.weight_vector(
                 {name: weight for name, weight in sample_weights(animation, index).items() if name in rig.shapes}
             )
-            pair = [one.evaluate(weights, joint_transforms=local) for one in (rig, linear)]
+            # the same points and weights in both: the distance is what the method alone makes
+            pair = [either.evaluate(weights, joint_transforms=local) for either in (rig, linear)]
             apart = max(apart, float(np.linalg.norm(pair[0] - pair[1], axis=1).max(initial=0.0)))
             poses += 1
     if not poses:

@@ -11,7 +11,7 @@ from facepipe.core.errors import TopologyError
 from facepipe.rig.neural_rig import Control
 
 EPSILON = 1e-5  # added to the variances that tokens are divided by the roots of
-_AT_ONCE = 64  # frames
+_FRAMES_AT_ONCE = 64  # frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +96,8 @@ class NeuralEncoder:
     def of_offsets(self, offsets: FloatArray) -> FloatArray:
         """(b, c) from -1 to 1, of millimetres (b, p, 3) by which the chosen points are off their rest."""
         values = np.zeros((len(offsets), len(self.controls)))
-        for start in range(0, len(offsets), _AT_ONCE):
-            frames = slice(start, start + _AT_ONCE)
+        for start in range(0, len(offsets), _FRAMES_AT_ONCE):
+            frames = slice(start, start + _FRAMES_AT_ONCE)
             values[frames] = self._evaluated(offsets[frames])
         return values
 

@@ -109,4 +109,4 @@ class SkinnedPoints:
             sparse.csr_array((data, weights.indices, weights.indptr), shape=weights.shape) @ self._below.T
             for data in rows
         ]
-        return np.stack([one.T for one in sums], axis=1)
+        return np.stack([total.T for total in sums], axis=1)

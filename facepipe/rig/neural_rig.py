@@ -16,8 +16,8 @@ from facepipe.geometry.shape_basis import motion_basis
 from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.rig import Rig
 
-_ORTHONORMAL = 1e-5  # what float32 files may take from it
-_PROBES = 512  # random values of all controls, and as many corners
+_ORTHONORMAL_ERROR = 1e-5  # what float32 files may take from it
+_RANDOM_PROBES = 512  # random values of all controls, and as many corners
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ def _ranges(controls: Sequence[Control]) -> tuple[FloatArray, FloatArray, FloatA
 def with_orthonormal_shapes(rig: NeuralRig) -> NeuralRig:
     """The same rig by shapes whose activations are as far apart as the points that they make."""
     flat = rig.shapes.reshape(len(rig.shapes), -1)
-    if np.allclose(flat @ flat.T, np.eye(len(flat)), atol=_ORTHONORMAL):
+    if np.allclose(flat @ flat.T, np.eye(len(flat)), atol=_ORTHONORMAL_ERROR):
         return rig
     return with_basis(rig, rig.shapes, np.zeros((len(rig.controls), *rig.rest.shape)), 0.0, len(rig.shapes))
 
@@ -153,6 +153,7 @@ def with_basis(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, toler
     count = len(shapes)
     sizes = np.concatenate([output_reach(rig)[:count], np.ones(len(by_control))])
     rows = np.concatenate([shapes, by_control])
+    # each row as large as it gets: of rows as they are, the basis would hold shapes best that hardly come on
     basis, amounts = motion_basis(rows * sizes[:, None, None], tolerance, most)
     amounts = amounts / sizes[:, None]
     to_new, to_controls = amounts[:count], amounts[count:]
@@ -168,8 +169,8 @@ def with_basis(rig: NeuralRig, shapes: FloatArray, by_control: FloatArray, toler
 def output_reach(rig: NeuralRig) -> FloatArray:
     """(r + m,) how far each output goes: each control at its limits alone, all at random, all at random limits."""
     low, high, rest = _ranges(rig.controls)
-    shares = np.random.default_rng(0).random((2 * _PROBES, len(rest)))
-    shares[_PROBES:] = shares[_PROBES:] < 0.5
+    shares = np.random.default_rng(0).random((2 * _RANDOM_PROBES, len(rest)))
+    shares[_RANDOM_PROBES:] = shares[_RANDOM_PROBES:] < 0.5
     alone = np.repeat(rest[None], 2 * len(rest), axis=0)
     each = np.arange(len(rest))
     alone[each, each], alone[len(rest) + each, each] = low, high

@@ -23,8 +23,8 @@ from facepipe.rig.slider_network import evaluate
 from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, with_entries
 from facepipe.rig.trs import decompose
 
-_NOTHING = 1e-9  # of gains
-_EXACT = 1e-9
+_NO_GAIN = 1e-9  # of gains
+_EXACT_TRANSFORM = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ def _animation_on(
     if holds_person:
         animation = _without(parts, animation, person)
     if not animation.joints or all(
-        getattr(animation, one) is None for one in ("translations", "rotations", "scales", "coefficients")
+        getattr(animation, field) is None for field in ("translations", "rotations", "scales", "coefficients")
     ):
         return animation
     rows = places(parts.skeleton, animation)
@@ -96,8 +96,12 @@ def _animation_on(
     expression: FloatArray = np.linalg.solve(rest, local_transforms(parts.skeleton, animation))
     expression[..., :3, 3] = np.einsum("jab,tjb->tja", new.stretch[rows], expression[..., :3, 3])
     coefficients = matrix_coefficients(expression)
-    if np.allclose(coefficient_matrices(coefficients), expression, rtol=0, atol=_EXACT * max(1.0, np.abs(rest).max())):
+    if np.allclose(
+        coefficient_matrices(coefficients), expression, rtol=0, atol=_EXACT_TRANSFORM * max(1.0, np.abs(rest).max())
+    ):
         return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
+    # between joints of uneven scale a turn becomes a shear, which nine coefficients do not hold; posed from rest it may
+    # be a plain turn again
     posed = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
     return replace(animation, translations=posed.translation, rotations=posed.rotation, scales=posed.scale)
 
@@ -168,6 +172,7 @@ def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork 
         for key, factor in row.items():
             spread[channels.index(key), column] = factor
     spread[len(channels) :, len(rows) :] = np.eye(len(network.shapes))
+    # the last layer is straight: what channels become, and what the person has already, go into its numbers
     return replace(
         network,
         channels=channels,
@@ -191,7 +196,7 @@ class _Changes:
     def channels(self, joint: str, channel: str) -> dict[tuple[str, str], float]:
         """Factor of every channel that a change of one becomes."""
         row = self.by[self.index[joint], CHANNELS.index(channel)].tolist()
-        return {(joint, name): by for name, by in zip(CHANNELS, row, strict=True) if abs(by) > _NOTHING}
+        return {(joint, name): by for name, by in zip(CHANNELS, row, strict=True) if abs(by) > _NO_GAIN}
 
     def slider(self, slider: Slider) -> Slider:
         """The slider on top of the person."""
@@ -204,7 +209,7 @@ class _Changes:
             with_entries(
                 slider,
                 [((joint, channel, gain), curve) for (joint, channel, curve), gain in gains.items()],
-                [(one, _shifted(curve, value, slider.default)) for one, curve in shape_entries(slider)],
+                [(entry, _shifted(curve, value, slider.default)) for entry, curve in shape_entries(slider)],
             ),
             default=value,
             value=None,

@@ -21,8 +21,8 @@ from facepipe.rig.sliders import slide
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
 
-_SHOWN = 3  # sliders of a description
-_SAME = 1e-6
+_SLIDERS_NAMED = 3  # sliders of a description
+_SAME_POSE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,8 @@ def person_of(parts: FaceParts, pose: str = "set") -> Person:
     if not moved:
         return person_of(parts, "rest")
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, network=parts.slider_network)
-    some = ", ".join(f"{one.name}={one.value:g}" for one in moved[:_SHOWN])
-    more = f" and {len(moved) - _SHOWN} more" if len(moved) > _SHOWN else ""
+    some = ", ".join(f"{slider.name}={slider.value:g}" for slider in moved[:_SLIDERS_NAMED])
+    more = f" and {len(moved) - _SLIDERS_NAMED} more" if len(moved) > _SLIDERS_NAMED else ""
     return Person(description=f"set by sliders {some}{more}", coefficients=coefficients, weights=weights)
 
 
@@ -84,14 +84,16 @@ def is_person(parts: FaceParts, animation: Animation, person: Person) -> bool:
     apart = [abs(weights.get(name, 0.0) - expected.get(name, 0.0)) for name in {*weights, *expected}]
     local = sample_transforms(parts.skeleton, animation)
     at = np.asarray(parts.skeleton.rest_transforms, dtype=np.float64) @ person.matrices
-    tolerance = _SAME * max(1.0, float(np.abs(at).max(initial=0.0)))
-    return max(apart, default=0.0) <= _SAME and bool((np.abs(local - at) <= tolerance).all())
+    tolerance = _SAME_POSE * max(1.0, float(np.abs(at).max(initial=0.0)))
+    return max(apart, default=0.0) <= _SAME_POSE and bool((np.abs(local - at) <= tolerance).all())
 
 
 def _posed(parts: FaceParts, name: str, description: str) -> Person:
-    animation = next((one for one in parts.animations if one.name == name), None)
+    animation = next((candidate for candidate in parts.animations if candidate.name == name), None)
     if animation is None:
-        raise InputError(parts.name, unknown(name, [*POSES, *(one.name for one in parts.animations)], "pose"))
+        raise InputError(
+            parts.name, unknown(name, [*POSES, *(candidate.name for candidate in parts.animations)], "pose")
+        )
     skeleton = parts.skeleton
     if animation.coefficients is not None:
         coefficients = rest_coefficients(len(skeleton.joints))

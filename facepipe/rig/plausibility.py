@@ -14,8 +14,8 @@ _SCHEME, _COUNT = "multipie68", 68
 _EAR_ENDS, _CHIN, _BRIDGE, _NOSE_TIP, _OUTER_CORNERS, _EYES = (0, 16), 8, 27, 30, (36, 45), slice(36, 48)
 _BRIDGES, _CORNERS = 2.5, 3.0  # a head in heights from chin to bridge of the nose, in distances of the eyes' corners
 _ROOM = 1.25  # since proportions differ, of stylised faces above all
-_HEAD_LIKE = 1 / 3  # shortest side of a bounding box by the longest
-_STRAIGHT = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
+_HEAD_PROPORTION = 1 / 3  # shortest side of a bounding box by the longest
+_UPRIGHT_COSINE = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
 
 
@@ -24,8 +24,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
 
     Landmarks (`multipie68`) measure the head, with a body or without: it is too small or too large where both 2.5
     times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
-    Without landmarks the height of the bounding box counts, where that has the proportions of a head: a body doesn't,
-    nor has a part of a face. Up and front are known from landmarks alone.
+    Without landmarks the height of the bounding box counts, where that has the proportions of a head. Up and front are
+    known from landmarks alone.
     """
     rig = build(parts)
     points = rig.evaluate()
@@ -33,11 +33,15 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, by_mesh[mesh.name])) is not None), None)
     if marks is None:
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
-        if sides.min() < _HEAD_LIKE * sides.max():
+        # a body, or a part of a face: its height says nothing of the head
+        if sides.min() < _HEAD_PROPORTION * sides.max():
             return ()
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
-    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
+    return (
+        *_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM),
+        *_stance(marks, parts.up_axis),
+    )
 
 
 def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
@@ -45,8 +49,8 @@ def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
     return points[found.indices] if found is not None and len(found.indices) == _COUNT else None
 
 
-def _between(marks: FloatArray, one: int, other: int) -> float:
-    return float(np.linalg.norm(marks[one] - marks[other]))
+def _between(marks: FloatArray, first: int, other: int) -> float:
+    return float(np.linalg.norm(marks[first] - marks[other]))
 
 
 def _size(heights: FloatArray, meters_per_unit: float, how: str, room: float) -> tuple[str, ...]:
@@ -72,11 +76,11 @@ def _stance(marks: FloatArray, up_axis: str) -> tuple[str, ...]:
     up, front = _AXES[up_axis]
     eyes, ears = marks[_EYES].mean(axis=0), marks[list(_EAR_ENDS)].mean(axis=0)
     own_up, own_front = eyes - marks[_CHIN], marks[_NOSE_TIP] - ears
-    if _along(own_up, up) < _STRAIGHT:
+    if _along(own_up, up) < _UPRIGHT_COSINE:
         nearest = _nearest(own_up)
         fix = f"`facepipe import` with --up-axis {nearest[1]}" if nearest in ("+Y", "+Z") else "turning its source"
         return (f"the face doesn't stand upright: its eyes lie {nearest} of the chin, expected {up}; {fix} fixes it",)
-    if _along(own_front, front) < _STRAIGHT - 0.2:  # the nose lies below the ears
+    if _along(own_front, front) < _UPRIGHT_COSINE - 0.2:  # the nose lies below the ears
         return (f"the face looks along {_nearest(own_front)}, expected {front}; turning its source fixes it",)
     return ()
 

@@ -22,7 +22,7 @@ from facepipe.rig.activation import Curve
 from facepipe.rig.bone_coefficients import coefficient_matrices
 from facepipe.rig.trs import decompose, rotation_matrices
 
-_FLAT = 1e-9  # of a volume: less, and there is no way back
+_FLAT_VOLUME = 1e-9  # of a volume: less, and there is no way back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ class Rig:
 
     @cached_property
     def _hinges(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Of targets' curves, as `Curve.hinges`: shapes (t,), base and slope (2, t), bends (b, 2, t), 0 where fewer."""
+        """Hinges of all targets' curves: shapes (t,), bases and slopes (2, t), bends (b, 2, t) padded by 0."""
         curves = [target.curve.hinges() for target in self.targets]
         bends = np.zeros((max((len(each) for _, _, each in curves), default=0), 2, len(curves)))
         for number, (_, _, each) in enumerate(curves):
@@ -174,11 +174,13 @@ class Rig:
         linear, off = blended[:, :, :3], points - blended[:, :, 3]
         crossed = np.stack([np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)], axis=1)
         volume = np.einsum("ni,ni->n", linear[:, 0], crossed[:, 0])
-        flat = np.abs(volume) < _FLAT
+        flat = np.abs(volume) < _FLAT_VOLUME
         solved = np.einsum("nij,ni->nj", crossed, off) / np.where(flat, 1.0, volume)[:, None]  # Cramer's rule
         for point in np.flatnonzero(flat):
             rest = self.points[point]
-            solved[point] = rest + np.linalg.pinv(linear[point], rcond=_FLAT) @ (off[point] - linear[point] @ rest)
+            solved[point] = rest + np.linalg.pinv(linear[point], rcond=_FLAT_VOLUME) @ (
+                off[point] - linear[point] @ rest
+            )
         return np.asarray(solved)
 
     def evaluate(

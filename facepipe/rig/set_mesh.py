@@ -13,7 +13,7 @@ from facepipe.parts import Blendshape, Inbetween, Mesh
 from facepipe.rig.activation import curves
 from facepipe.rig.build_rig import inverse
 
-_APART = 1e-6  # of weights: nearer knots are one
+_KNOTS_APART = 1e-6  # of weights: nearer knots are one
 
 
 def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None) -> Mesh:
@@ -35,6 +35,7 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
         back = inverse(space, f"{mesh.name} -> geomBindTransform")
         whole = np.zeros((len(points), 4, 4))
         whole[:, :3], whole[:, 3, 3] = moved, 1.0
+        # points and offsets lie before geomBindTransform B, the matrices M after it: B^-1 M B
         whole = back @ whole @ space
         linear = whole[:, :3, :3]
         points = np.einsum("nij,nj->ni", linear, points) + whole[:, :3, 3]
@@ -76,11 +77,15 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
     filled = [np.zeros(np.shape(shape.offsets)) if normal is None else normal for normal in normals]
 
     def at(weight: float) -> tuple[FloatArray, FloatArray | None]:
-        ends = [_blended(shape, start + weight, one) - _blended(shape, start, one) for one in (positions, filled)]
+        ends = [
+            _blended(shape, start + weight, sculpts) - _blended(shape, start, sculpts)
+            for sculpts in (positions, filled)
+        ]
         return ends[0], ends[1] if known else None
 
+    # the old 0 and 1 are knots as well: pieces end there, and the outermost ones go on beyond with the slope they have
     knots = sorted({0.0 - start, 1.0 - start, *(inbetween.weight - start for inbetween in shape.inbetweens)})
-    knots = [knot for knot in knots if min(abs(knot), abs(knot - 1.0)) > _APART]
+    knots = [knot for knot in knots if min(abs(knot), abs(knot - 1.0)) > _KNOTS_APART]
     names = {0.0 - start: "neutral", 1.0 - start: "full"}
     names |= {inbetween.weight - start: inbetween.name for inbetween in shape.inbetweens}
     inbetweens = []

@@ -19,12 +19,12 @@ from facepipe.rig.sliders import slide
 if TYPE_CHECKING:
     from facepipe.rig.on_person import NewRest
 
-_FLAT = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
+_FLAT_SIZE = 1e-12  # of a joint's size, in one direction beside the others: there is no way back
 POSES = 50
-_TURN = 0.2  # radians
-_MOVE_MM = 1.0
-_SHAPES = 3  # on in each pose
-_SEED = 0
+_POSE_TURN = 0.2  # radians
+_POSE_MOVE_MM = 1.0
+_SHAPES_A_POSE = 3  # on in each pose
+_POSE_SEED = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +100,8 @@ def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
         worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
         finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
         sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
-        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT)
-        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT * np.maximum(sizes[:, 0], 1.0)))
+        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT_SIZE)
+        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT_SIZE * np.maximum(sizes[:, 0], 1.0)))
         if flat.size:
             what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
             raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
@@ -130,6 +130,7 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
     for weights, expression in [*shapes, *poses]:
         together = person.weights_under(weights)
         exact = before.evaluate(together, joint_transforms=before.rest @ person.under(expression))
+        # new joints lack the person's scales, which stretched an expression's translations: `carried` makes up for it
         moved = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
         np.maximum(largest, np.linalg.norm(moved - exact, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
@@ -144,7 +145,7 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
 
 def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
     """Largest distance between points under the same slider values, in stage units."""
-    random, farthest = np.random.default_rng(_SEED), 0.0
+    random, farthest = np.random.default_rng(_POSE_SEED), 0.0
     for _ in range(POSES if parts.sliders else 0):
         values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
         exact, moved = (
@@ -160,9 +161,9 @@ def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts)
 
 def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:
     """Shape weights and bone coefficients (j, 9) of random poses: up to 0.2 radians and 1 mm within the limits."""
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(_POSE_SEED)
     reach = np.zeros(9)
-    reach[:3], reach[3:6] = _MOVE_MM / (1000 * parts.meters_per_unit), _TURN
+    reach[:3], reach[3:6] = _POSE_MOVE_MM / (1000 * parts.meters_per_unit), _POSE_TURN
     rest = rest_coefficients(len(rig.joints))
     low, high = rest - reach, rest + reach
     if parts.bone_limits is not None:
@@ -170,7 +171,7 @@ def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], Flo
         low, high = np.minimum(low, rest), np.maximum(high, rest)
     poses: list[tuple[dict[str, float], FloatArray]] = []
     for _ in range(POSES):
-        chosen = random.permutation(len(rig.shapes))[:_SHAPES]
+        chosen = random.permutation(len(rig.shapes))[:_SHAPES_A_POSE]
         weights = {rig.shapes[i]: float(random.random()) for i in chosen}
         poses.append((weights, low + random.random(rest.shape) * (high - low)))
     return poses

@@ -95,7 +95,7 @@ def network_fault(network: SliderNetwork) -> str | None:
 
 
 def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str, dict[str, float]]:
-    """By slider that it takes, how much each shape's weight changes at most as that slider alone goes to its ends.
+    """The most that each shape's weight changes as one slider alone goes to its ends, for every slider it takes.
 
     The others are at their defaults, at their least and at their largest values meanwhile: what two sliders do together
     counts for both. Sliders that the first layer weighs with 0 do nothing.
@@ -116,7 +116,7 @@ def shape_changes(network: SliderNetwork, sliders: Sequence[Slider]) -> dict[str
 
 def kept(network: SliderNetwork, joint: Callable[[str], bool], shape: Callable[[str], bool]) -> SliderNetwork | None:
     """A network with only the channels and shapes whose names pass; None where none is left."""
-    passes = [joint(one) for one, _ in network.channels], [shape(one) for one in network.shapes]
+    passes = [joint(name) for name, _ in network.channels], [shape(name) for name in network.shapes]
     rows = np.flatnonzero(np.concatenate([*map(np.asarray, passes), []]).astype(bool))
     if not len(rows):
         return None

@@ -44,6 +44,7 @@ def slide(
         fault = curves_fault(slider)
         if fault:
             raise InputError(f"slider {slider.name}", fault)
+        # clamped before anything reads it: outside its range a network was never trained
         value = clamped[slider.name] = _clamped(slider, settings.pop(slider.name, slider.setting))
         for (joint, channel, gain), curve in channel_entries(slider):
             if joint not in joint_index or channel not in CHANNELS:
@@ -148,7 +149,7 @@ def mirror_fault(slider: Slider, sliders: Sequence[Slider]) -> str | None:
     """The fault of a slider's mirror among those of its face; None where it has none, or a mutual one."""
     if slider.mirror is None:
         return None
-    other = next((one for one in sliders if one.name == slider.mirror), None)
+    other = next((candidate for candidate in sliders if candidate.name == slider.mirror), None)
     if other is None or other.name == slider.name:
         return f"mirror '{slider.mirror}', expected the name of another slider"
     if other.mirror != slider.name:
@@ -158,7 +159,7 @@ def mirror_fault(slider: Slider, sliders: Sequence[Slider]) -> str | None:
 
 def sliders_fault(sliders: Sequence[Slider]) -> tuple[str, str] | None:
     """The first slider with damaged curves or a mirror that is not mutual, and what is wrong; None for none."""
-    by_name = {one.name: one for one in sliders}
+    by_name = {slider.name: slider for slider in sliders}
     for slider in sliders:
         twin = by_name.get(slider.mirror or "")
         fault = curves_fault(slider) or mirror_fault(slider, (twin,) if twin else ())

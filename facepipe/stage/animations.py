@@ -57,7 +57,7 @@ def author_animation_changes(
     present = list(zip(prims, old, strict=True))
     lines = []
     for animation in new:
-        number = next((i for i, (_, one) in enumerate(present) if one.name == animation.name), None)
+        number = next((i for i, (_, known) in enumerate(present) if known.name == animation.name), None)
         if number is None:
             author_animation(
                 face.GetStage(), free_path(face, tokens.ANIMATIONS_SCOPE, animation.name), animation, skeleton
@@ -71,9 +71,10 @@ def author_animation_changes(
             _write(UsdSkel.Animation(editable(prim)), done, fields)
             lines.append(f"{animation.name}: {', '.join(fields)}")
     for prim, before in present:
+        # inactive: a layer cannot remove a prim that a weaker one holds
         editable(prim).SetActive(False)
         lines.append(f"{before.name}: removed")
-    if not same([one.times for one in old], [one.times for one in new]):
+    if not same([animation.times for animation in old], [animation.times for animation in new]):
         author_time_range(face.GetStage(), new)
     return tuple(lines)
 

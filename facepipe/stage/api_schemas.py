@@ -26,7 +26,7 @@ def instances(prim: Usd.Prim, schema: str) -> list[str]:
     """Names under which a multiple-apply schema is on the prim."""
     prefix = f"{schema}:"
     applied = map(str, prim.GetPrimTypeInfo().GetAppliedAPISchemas())
-    return [one.removeprefix(prefix) for one in applied if one.startswith(prefix)]
+    return [schema.removeprefix(prefix) for schema in applied if schema.startswith(prefix)]
 
 
 def apply_schema(prim: Usd.Prim, schema: str, instance: str = "") -> None:

@@ -13,7 +13,7 @@ from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_regular
 
 _DEFAULT = Usd.TimeCode.Default()
-_MOST_BYTES = 1 << 28  # of an image
+_MOST_IMAGE_BYTES = 1 << 28  # of an image
 
 
 def read_image(asset: Sdf.AssetPath) -> bytes | None:
@@ -24,7 +24,7 @@ def read_image(asset: Sdf.AssetPath) -> bytes | None:
     if not asset.resolvedPath:
         return None
     file = file_of(asset.resolvedPath)
-    check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_BYTES)
+    check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_IMAGE_BYTES)
     opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
     data = bytes(opened.GetBuffer() or b"") if opened else b""  # an empty file has no buffer
     return data if is_image(data) else None
@@ -92,7 +92,7 @@ def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
     """The file of the layer that a value comes from; None where all of the stage is in memory."""
     layer = _layer(attribute, time)
     if layer is None or layer.anonymous:  # a repair in memory of what a file says
-        below = [one for one in attribute.GetStage().GetLayerStack() if not one.anonymous]
+        below = [layer for layer in attribute.GetStage().GetLayerStack() if not layer.anonymous]
         layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
     return None if layer is None else file_of(layer.realPath or layer.identifier)
 

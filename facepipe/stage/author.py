@@ -56,6 +56,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
 
     :param textures: asset path by texture name; names themselves where not given
     """
+    # what our own reader would refuse is not written
     _check_counts(parts)
     require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
@@ -104,6 +105,7 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
     materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
     taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
     taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
+    # a mesh called like the Skeleton or a scope would be defined as that very prim
     names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
     for mesh, name in zip(parts.meshes, names, strict=True):
         author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
@@ -111,7 +113,7 @@ def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textur
         folder = path.AppendChild(tokens.ANIMATIONS_SCOPE)
         UsdGeom.Scope.Define(stage, folder)
         for animation, name in zip(
-            parts.animations, unique_identifiers(one.name for one in parts.animations), strict=True
+            parts.animations, unique_identifiers(animation.name for animation in parts.animations), strict=True
         ):
             author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
             if animation.name == parts.played:

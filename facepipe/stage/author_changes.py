@@ -78,9 +78,9 @@ def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
     """
     require_finite(mesh, face.where)
     prim = face.mesh_prim(mesh.name)
-    old = next(one for one in face.meshes if one.name == mesh.name)
+    old = next(candidate for candidate in face.meshes if candidate.name == mesh.name)
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
-    shared = _shared_targets(face, [face.mesh_prim(one.name).GetPath() for one in face.meshes])
+    shared = _shared_targets(face, [face.mesh_prim(sibling.name).GetPath() for sibling in face.meshes])
     at = face.stage.GetPrimAtPath
     author_other_mesh(prim, old, mesh, at(skeleton), face.skeleton.joints, shared)
     _hide_extents(at(path) for path in (face.prim.GetPath(), skeleton))
@@ -122,7 +122,9 @@ def _paths(face: Face, schema: type) -> list[Sdf.Path]:
 def _shared_targets(face: Face, meshes: list[Sdf.Path]) -> set[Sdf.Path]:
     """BlendShape prims that are the target of more than one shape."""
     prims = [face.stage.GetPrimAtPath(path) for path in meshes]
-    count = Counter(one for prim in prims for one in UsdSkel.BindingAPI(prim).GetBlendShapeTargetsRel().GetTargets())
+    count = Counter(
+        target for prim in prims for target in UsdSkel.BindingAPI(prim).GetBlendShapeTargetsRel().GetTargets()
+    )
     return {path for path, times in count.items() if times > 1}
 
 

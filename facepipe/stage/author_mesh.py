@@ -43,6 +43,7 @@ def author_mesh(
     prim.CreatePointsAttr(to_vec3f(mesh.points))
     prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
     prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
+    # USD's default is catmullClark: renderers would smooth the face, and shapes would move other points than ours
     prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     prim.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(prim.GetPointsAttr().Get()) or [])
     if mesh.double_sided:
@@ -132,9 +133,9 @@ def _author_materials(
         bind(prim.GetPrim(), mesh.material)
     if mesh.material_faces:
         api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
-        for name, one in zip(names, mesh.material_faces, strict=True):
-            subset = api.CreateMaterialBindSubset(name, to_ints(one.faces))
-            bind(subset.GetPrim(), one.material)
+        for name, material_face in zip(names, mesh.material_faces, strict=True):
+            subset = api.CreateMaterialBindSubset(name, to_ints(material_face.faces))
+            bind(subset.GetPrim(), material_face.material)
         covered = sum(len(material_face.faces) for material_face in mesh.material_faces)
         whole = covered == len(mesh.face_vertex_counts)
         api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
@@ -143,7 +144,7 @@ def _author_materials(
 def author_skin(prim: Usd.Prim, skin: Skin, joints: Sequence[str], present: Skin | None = None) -> None:
     """Write what of a skin differs from `present`, or all, on a Mesh prim: influences per point, into `joints`."""
     binding, width = UsdSkel.BindingAPI(prim), skin.joint_indices.shape[1]
-    if not (present and all(same(getattr(skin, one), getattr(present, one)) for one in _INFLUENCES)):
+    if not (present and all(same(getattr(skin, field), getattr(present, field)) for field in _INFLUENCES)):
         indices = binding.CreateJointIndicesPrimvar(False, width)
         weights = binding.CreateJointWeightsPrimvar(False, width)
         indices.Set(to_ints(skin.joint_indices))
@@ -205,6 +206,7 @@ def author_mesh_changes(
         put(mesh.CreateExtentAttr(), UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()) or [])
         lines.append("points")
     if not same(old.normals, new.normals):
+        # parts have faces wound counter-clockwise; face-varying normals follow the corners as the prim winds them
         _author_normals(mesh, turned(new) if is_left_handed(mesh) else new)
         lines.append("normals")
     if new.blendshapes or (new.skin and joints):
@@ -237,7 +239,7 @@ def author_other_mesh(
     """
     where = prim.GetPath()
     require_same(where, old, new, _KEPT)
-    if [one.name for one in old.uv_sets] != [one.name for one in new.uv_sets]:
+    if [uv.name for uv in old.uv_sets] != [uv.name for uv in new.uv_sets]:
         raise InputError(f"{where} -> uv_sets", "others, expected texture coordinates of the same names")
     mesh = UsdGeom.Mesh(editable(prim))
     put(mesh.CreateFaceVertexCountsAttr(), to_ints(new.face_vertex_counts))
@@ -257,7 +259,9 @@ def _author_normals(mesh: UsdGeom.Mesh, new: Mesh) -> None:
 
 
 def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:
-    changed = {name: one for name, one in new.landmarks.items() if not same(one, old.landmarks.get(name))}
+    changed = {
+        name: landmarks for name, landmarks in new.landmarks.items() if not same(landmarks, old.landmarks.get(name))
+    }
     removed = [name for name in old.landmarks if name not in new.landmarks]
     anchor = new.anchor if new.anchor != old.anchor else None
     author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))

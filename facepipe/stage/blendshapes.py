@@ -70,8 +70,8 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
 def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
     """How many normal offsets and offsets of inbetweens a shape has, where it has some."""
     arrays = [shape.GetNormalOffsetsAttr().Get()]
-    for one in shape.GetInbetweens():
-        arrays += [one.GetOffsets(), one.GetNormalOffsets()]
+    for inbetween in shape.GetInbetweens():
+        arrays += [inbetween.GetOffsets(), inbetween.GetNormalOffsets()]
     return [len(array) for array in arrays if array]
 
 
@@ -84,6 +84,7 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
         name = inbetween.GetAttr().GetName().removeprefix("inbetweens:")
         weight = inbetween.GetWeight()
         where = f"{merge.where}.inbetweens:{name}"
+        # UsdSkel has the neutral at 0 and the shape at 1: another sculpt there would be a second value at one weight
         if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
             raise SchemaError(where, f"weight {weight}, expected a number other than 0 and 1")
         normals = inbetween.GetNormalOffsets()
@@ -97,13 +98,13 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
         )
     if len({part.weight for part in parts}) != len(parts):
         raise SchemaError(merge.where, "two inbetweens have the same weight")
-    return tuple(sorted(parts, key=lambda one: one.weight))
+    return tuple(sorted(parts, key=lambda inbetween: inbetween.weight))
 
 
-def _inbetween_offsets(merge: _Merge, name: str, one: UsdSkel.InbetweenShape) -> FloatArray:
+def _inbetween_offsets(merge: _Merge, name: str, inbetween: UsdSkel.InbetweenShape) -> FloatArray:
     """Zeros for an inbetween that turns normals alone."""
-    offsets = floats(one.GetOffsets(), 3)
-    if not len(offsets) and one.GetNormalOffsets():
+    offsets = floats(inbetween.GetOffsets(), 3)
+    if not len(offsets) and inbetween.GetNormalOffsets():
         offsets = np.zeros((merge.count, 3), np.float32)
     return merge(f"inbetweens:{name}", offsets)
 
@@ -141,7 +142,7 @@ def author_blendshape_changes(
     """Author on a Mesh prim what of its blendshapes differs; one line per shape.
 
     Prims of shapes that are gone are deactivated. A shape gets a new prim in place of its own where others use that
-    one too, and where it has an inbetween to lose: UsdSkel still applies an inbetween whose value is blocked.
+    one too, and where it has an inbetween to lose.
 
     :param prim: bound to a skeleton
     :param old: the blendshapes as read from `prim`
@@ -152,7 +153,7 @@ def author_blendshape_changes(
     prim = editable(prim, below=True)
     api = UsdSkel.BindingAPI(prim)
     before = list(api.GetBlendShapeTargetsRel().GetTargets())
-    paths = dict(zip((str(one) for one in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
+    paths = dict(zip((str(token) for token in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
     present = {shape.name: shape for shape in old}
     targets, lines = [], []
     for shape in new:
@@ -162,6 +163,7 @@ def author_blendshape_changes(
     names = {shape.name for shape in new}
     lines += [f"{shape.name}: removed" for shape in old if shape.name not in names]
     for path in before:
+        # a shared prim is still the target of a shape elsewhere
         if path not in targets and path not in shared:
             editable(prim.GetStage().GetPrimAtPath(path)).SetActive(False)
     if targets != before or [shape.name for shape in new] != [shape.name for shape in old]:
@@ -178,6 +180,7 @@ def _author_change(
     if same(shape, present):
         return path, []
     lost = {inbetween.name for inbetween in present.inbetweens} - {inbetween.name for inbetween in shape.inbetweens}
+    # UsdSkel still applies an inbetween whose value is blocked
     if lost or path in shared:
         return _define(prim, shape, _free_name(prim, shape.name)), [f"{shape.name}: replaced"]
     target = UsdSkel.BlendShape(editable(prim.GetStage().GetPrimAtPath(path)))
@@ -219,7 +222,7 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
     if present is None or not same(_some(shape.normal_offsets), present.normal_offsets):
         _put_normals(target.CreateNormalOffsetsAttr, target.GetNormalOffsetsAttr(), shape.normal_offsets)
         written.append("normalOffsets")
-    known = {one.name: one for one in present.inbetweens} if present else {}
+    known = {inbetween.name: inbetween for inbetween in present.inbetweens} if present else {}
     for name, inbetween in zip(_inbetween_names(target, shape), shape.inbetweens, strict=True):
         if not same(inbetween, known.get(inbetween.name)):
             _author_inbetween(target, name, inbetween, known.get(inbetween.name))
@@ -229,7 +232,7 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
 
 def _inbetween_names(target: UsdSkel.BlendShape, shape: Blendshape) -> list[str]:
     """Names for the attributes: as the target has them, or identifiers that it has not."""
-    there = [one.GetAttr().GetName().removeprefix("inbetweens:") for one in target.GetInbetweens()]
+    there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
     fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
     names = iter(unique_identifiers([*there, *fresh])[len(there) :])
     return [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens]

@@ -24,7 +24,7 @@ _ROOT = Sdf.Path.absoluteRootPath
 
 
 class _Count(NamedTuple):
-    """Of a prim and what is below it."""
+    """The counts of a prim and what is below it."""
 
     prims: int
     opinions: int  # of all prims together
@@ -108,6 +108,7 @@ class Composition:
         while todo:
             path = todo.pop()
             index, _ = cache.ComputePrimIndex(path)
+            # Pcp leaves payloads out until they are asked for, while the stage will be opened with all of them
             if index.hasAnyPayloads:
                 cache.RequestPayloads([path], [])
                 index, _ = cache.ComputePrimIndex(path)
@@ -121,7 +122,7 @@ class Composition:
     # what is below a prim
 
     def _below(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
-        """Of the prims that the layers have at and below a path, and of what the arcs on them add."""
+        """The count of the prims that the layers have at and below a path, and of what the arcs on them add."""
         key = (id(stack), path, False)
         if key in self._counts:
             return self._known(key)
@@ -131,16 +132,16 @@ class Composition:
         own = [self._below(stack, way, level + 1) for way in ways]
         plain = max(stack.size(path) - sum(stack.size(way) for way in ways), 1)
         base = _Count(
-            plain + sum(one.prims for one in own),
-            plain + sum(one.opinions for one in own),
-            max((one.most for one in own), default=1),
-            1 + max((one.levels for one in own), default=0),
+            plain + sum(child.prims for child in own),
+            plain + sum(child.opinions for child in own),
+            max((child.most for child in own), default=1),
+            1 + max((child.levels for child in own), default=0),
         )
         parts = [self._whole(target, prim, level + 1) for target, prim in self._targets_at(stack, path)]
         return self._keep(key, _joined(base, parts))
 
     def _whole(self, stack: _Stack, path: Sdf.Path, level: int) -> _Count:
-        """The same with what the arcs of the prims above add."""
+        """The count of `_below` with what the arcs of the prims above add."""
         key = (id(stack), path, True)
         if key in self._counts:
             return self._known(key)

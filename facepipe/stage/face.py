@@ -73,7 +73,7 @@ class Face:
         below = list(self._below())
         check_kinds(below, self.where)
         check_arrays(below, self.where)
-        skeletons = [one for one in below if one.IsA(UsdSkel.Skeleton)]
+        skeletons = [prim for prim in below if prim.IsA(UsdSkel.Skeleton)]
         if len(skeletons) != 1:
             raise SchemaError(self.where, f"{len(skeletons)} Skeleton prims, expected one")
         self._skeleton_prim = skeletons[0]
@@ -126,8 +126,8 @@ class Face:
         :raises SchemaError: a mesh that doesn't follow the stage convention
         :raises TopologyError: one whose arrays don't fit each other
         """
-        prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
-        own = distinct_names(prims, [str(one.GetPath().MakeRelativePath(self.prim.GetPath())) for one in prims])
+        prims = [prim for prim in self._below() if prim.IsA(UsdGeom.Mesh)]
+        own = distinct_names(prims, [str(prim.GetPath().MakeRelativePath(self.prim.GetPath())) for prim in prims])
         with errors_below(self.where):
             bindings, materials = self._bindings(), dict(self.material_names)
             return self._finite(
@@ -186,7 +186,7 @@ class Face:
     def photos(self) -> tuple[PhotoView, ...]:
         """Photos that it was fitted to."""
         with errors_below(self.where):
-            cameras = [one for one in self._below() if one.IsA(UsdGeom.Camera)]
+            cameras = [prim for prim in self._below() if prim.IsA(UsdGeom.Camera)]
             if not cameras:
                 return ()
             from facepipe.stage.photos import is_photo, read_photo
@@ -315,6 +315,7 @@ class Face:
             own, driven = slide(self.sliders, self.skeleton.joints, sliders, self.slider_network)
             person = Person(description="sliders", coefficients=own, weights=driven)
         if person is not None and coefficients is not None:
+            # coefficients do not add, as angles of two turns don't: their matrices are multiplied
             joint_transforms = self._rig.rest @ person.under(self._rig.checked_coefficients(coefficients))
             coefficients = None
         elif person is not None:
@@ -339,9 +340,9 @@ class Face:
 
         :raises InputError: no such animation or sample, or joints and shapes that the face lacks
         """
-        animation = next((one for one in self.animations if one.name == name), None)
+        animation = next((candidate for candidate in self.animations if candidate.name == name), None)
         if animation is None:
-            raise InputError(self.where, unknown(name, [one.name for one in self.animations], "animation"))
+            raise InputError(self.where, unknown(name, [candidate.name for candidate in self.animations], "animation"))
         count = animation.samples
         if not 0 <= index < count:
             raise InputError(f"{self.where} -> {name}", f"no sample {index}, expected 0 to {count - 1}")
@@ -405,6 +406,7 @@ class Face:
             if flatten:
                 save_standalone(stage, path, textures.files)
                 return
+            # a copy: its texture paths and sublayer change, while the face goes on reading the layer of its own stage
             written = Sdf.Layer.CreateAnonymous(".usda")
             written.TransferContent(stage.GetRootLayer())
             textures.save(written, target, base.realPath)
@@ -441,7 +443,7 @@ class Face:
         )
         changes: dict[str, dict[str, Any]] = {material.name: {} for material in parts.materials}
         for (material, field), texture in shown.items():
-            source = next(getattr(one, field) for one in parts.materials if one.name == material)
+            source = next(getattr(candidate, field) for candidate in parts.materials if candidate.name == material)
             changes[material][field] = replace(source, texture=texture)
         return replace(parts, materials=tuple(replace(one, **changes[one.name]) for one in parts.materials))
 
@@ -456,7 +458,7 @@ class Face:
 
         :raises InputError: no such mesh
         """
-        prims = [one for one in self._below() if one.IsA(UsdGeom.Mesh)]
+        prims = [prim for prim in self._below() if prim.IsA(UsdGeom.Mesh)]
         for prim, mesh in zip(prims, self.meshes, strict=True):
             if mesh.name == name:
                 return prim
@@ -476,7 +478,7 @@ class Face:
     @cached_property
     def material_names(self) -> dict[str, str]:
         """Prim path of each material -> what it is called."""
-        prims = [one for one in self._below() if one.IsA(UsdShade.Material)]
+        prims = [prim for prim in self._below() if prim.IsA(UsdShade.Material)]
         paths = [str(prim.GetPath()) for prim in prims]
         return dict(zip(paths, distinct_names(prims, paths), strict=True))
 

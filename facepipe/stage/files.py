@@ -51,9 +51,10 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
     file = Path(path)
     check_stage_file(file)
     with quiet_diagnostics(), usd_errors(file, RuntimeError):
+        # held until the stage has them: USD would read the files again, and what it reads then was not looked at
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
-        problems = [str(one) for one in stage.GetCompositionErrors()] if strict else []
+        problems = [str(error) for error in stage.GetCompositionErrors()] if strict else []
         del held
         _check_clocks(file, stage)
         check_counts(file, stage)
@@ -222,7 +223,7 @@ _name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a
 
 @contextlib.contextmanager
 def naming(name: Callable[[Path], str]) -> Iterator[None]:
-    """In the block, copies of files at URLs are named by these URLs where no relative path leads to them.
+    """Copies of files at URLs are named by these URLs in the block, where no relative path leads to them.
 
     :param name: the URL of a path, or the path where it has none
     """

@@ -40,7 +40,7 @@ def usd_errors(where: object, *further: type[Exception]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def errors_below(where: str) -> Iterator[None]:
-    """As `usd_errors`; the trails of other errors begin with the file of `where`."""
+    """Do as `usd_errors` does; the trails of other errors begin with the file of `where`."""
     file = where.partition(" -> ")[0]
     try:
         with usd_errors(where):

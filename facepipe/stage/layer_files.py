@@ -103,7 +103,7 @@ def _check_text(where: object, data: bytes | mmap.mmap) -> None:
         return
     kept = _MARKS + b"\x01\x02\x03" + (b"()" if expressions else b"")
     text = _without_runs(text, kept + b"\\")
-    for old, new in (*((one, b"") for one in _NO_QUOTES), *_LONG_QUOTES):
+    for old, new in (*((quote, b"") for quote in _NO_QUOTES), *_LONG_QUOTES):
         text = text.replace(old, new)
     depth = 0
     for match in _WORDS.finditer(text.translate(None, _all_but(kept))):
@@ -126,14 +126,17 @@ def _all_but(kept: bytes) -> bytes:
 
 
 def _levels(word: bytes) -> int:
-    """Of a path, or of an expression in quotes."""
+    """Most levels that a path, or an expression in quotes, may nest."""
     if word[:1] == b"<":
         return len(word)
-    return max(accumulate((one == 0x28) - (one == 0x29) for one in word)) if word.count(b"(") > MOST_LEVELS else 0
+    return max(accumulate((byte == 0x28) - (byte == 0x29) for byte in word)) if word.count(b"(") > MOST_LEVELS else 0
 
 
 def _check_counts(where: object, data: bytes | mmap.mmap) -> None:
-    """Of the sections of a binary layer, each of which begins with the number of what it holds."""
+    """Check the sections of a binary layer, each of which begins with the number of what it holds.
+
+    :raises InputError: a number that the bytes can't hold
+    """
     if len(data) < 24:
         return
     (contents,) = struct.unpack_from("<q", data, 16)
@@ -244,7 +247,7 @@ def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:
     """Value clips are files that USD opens when a value is read."""
     where = f"{layer.identifier} -> <{prim.path}>"
     for clips in prim.GetInfo("clips").values():
-        names = [one.path for one in clips.get("assetPaths", ())]
+        names = [asset.path for asset in clips.get("assetPaths", ())]
         names += [clips["manifestAssetPath"].path] if "manifestAssetPath" in clips else []
         template = clips.get("templateAssetPath", "")
         if template:

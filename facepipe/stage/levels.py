@@ -53,7 +53,7 @@ def _author_level(face: Face, name: str, meshes: Sequence[Mesh]) -> None:
     materials = {
         label: UsdShade.Material(face.stage.GetPrimAtPath(path)) for path, label in face.material_names.items()
     }
-    taken = [str(one.GetName()) for one in face.prim.GetAllChildren()]
+    taken = [str(child.GetName()) for child in face.prim.GetAllChildren()]
     children = unique_identifiers([*taken, *(f"{mesh.name}_{name}" for mesh in meshes)])[len(taken) :]
     to_face = np.linalg.inv(matrix(UsdGeom.Xformable(face.prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())))
     for mesh, child in zip(meshes, children, strict=True):

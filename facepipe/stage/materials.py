@@ -36,6 +36,7 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
     if not surface or surface.GetShaderId() != "UsdPreviewSurface":
         return None
+    # what is not authored has the default of the UsdPreviewSurface specification
     return Material(
         name=name,
         diffuse_color=_color(surface, "diffuseColor", (0.18, 0.18, 0.18), images),
@@ -130,7 +131,7 @@ def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any, images: Ima
     return Texture(name=name, data=b"" if refusal else data, refusal=refusal)
 
 
-_COLORS = ("diffuse_color", "emissive_color")
+_COLOR_FIELDS = ("diffuse_color", "emissive_color")
 _USD_NAMES = {
     "diffuse_color": "diffuseColor",
     "emissive_color": "emissiveColor",
@@ -172,7 +173,7 @@ def author_texture(material: Usd.Prim, field: str, path: str) -> None:
     if not shader or shader.GetShaderId() != "UsdUVTexture":
         raise InputError(material.GetPath(), f"no texture of its {_USD_NAMES[field]}, expected one")
     put(shader.CreateInput("file", Sdf.ValueTypeNames.Asset).GetAttr(), Sdf.AssetPath(path))
-    if field not in _COLORS:
+    if field not in _COLOR_FIELDS:
         return
     for name, neutral in (("scale", 1.0), ("bias", 0.0)):
         if shader.GetInput(name):
@@ -226,14 +227,14 @@ def _author(stage: Usd.Stage, path: Sdf.Path, material: Material, textures: dict
             texture = _author_texture(stage, path.AppendChild(f"{name}_texture"), value, field, textures)
             given.ConnectToSource(texture.ConnectableAPI(), value.channels)
         else:
-            given.Set(Gf.Vec3f(*value) if field in _COLORS else float(value))
+            given.Set(Gf.Vec3f(*value) if field in _COLOR_FIELDS else float(value))
     return prim
 
 
 def _kind(field: str) -> Sdf.ValueTypeName:
     if field == "normal":
         return Sdf.ValueTypeNames.Normal3f
-    return Sdf.ValueTypeNames.Color3f if field in _COLORS else Sdf.ValueTypeNames.Float
+    return Sdf.ValueTypeNames.Color3f if field in _COLOR_FIELDS else Sdf.ValueTypeNames.Float
 
 
 def _author_texture(
@@ -252,7 +253,8 @@ def _author_texture(
     shader.CreateInput("wrapT", Sdf.ValueTypeNames.Token).Set(given.wrap_t)
     shader.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*given.scale))
     shader.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*given.bias))
-    space = "sRGB" if field in _COLORS else "raw"
+    # numbers are not colours: read as sRGB, a roughness of 0.5 would be 0.21
+    space = "sRGB" if field in _COLOR_FIELDS else "raw"
     shader.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
     kind = Sdf.ValueTypeNames.Float3 if given.channels == "rgb" else Sdf.ValueTypeNames.Float
     shader.CreateOutput(given.channels, kind)

@@ -32,7 +32,7 @@ def read_neural_rig_link(prim: Usd.Prim) -> NeuralRigLink | None:
     attribute = prim.GetAttribute(tokens.NEURAL_RIG_FILE)
     file = attribute.Get() or Sdf.AssetPath()
     names = (tokens.NEURAL_RIG_DIGEST, tokens.NEURAL_RIG_TOPOLOGY)
-    digest, topology = (str(prim.GetAttribute(one).Get() or "") for one in names)
+    digest, topology = (str(prim.GetAttribute(name).Get() or "") for name in names)
     path = Path(str(file.resolvedPath)) if file.resolvedPath else None
     refused = copy_refusal(attribute.GetPath(), attribute, file) if path else None
     found = path if path and refused is None and is_file(path) else None

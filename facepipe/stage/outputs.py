@@ -11,7 +11,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
 from facepipe.stage.files import SUFFIXES, dependencies
 
-_REPORT = "report.json"
+_REPORT_FILE = "report.json"
 
 
 def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
@@ -26,7 +26,7 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     collect(output.parent)
     if output.is_dir():
         raise InputError(output, "is a folder, expected a file")
-    if any(one.exists() and output.exists() and output.samefile(one) for one in inputs):
+    if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:
         raise InputError(output, "exists, expected a new file (or --force)")
@@ -58,15 +58,16 @@ def check_report_folder(
         raise InputError(folder, "the folder around it does not exist")
     if place.exists() and not place.is_dir():
         raise InputError(folder, "is a file, expected a folder to make")
-    inside = next((one for one in taken if place in one.resolve().parents or place == one.resolve()), None)
+    inside = next((path for path in taken if place in path.resolve().parents or place == path.resolve()), None)
     if inside is not None:
         raise InputError(folder, f"holds {inside.name}, which is read or written too, expected another folder")
     if not place.exists():
         return
     if not overwrite:
         raise InputError(folder, "exists, expected a new folder (or --force)")
+    # --force replaces a whole folder: one that holds anything but a report may be of use to someone
     names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*"))
     foreign = [name for name in names if not known.fullmatch(name)]
-    if foreign or (names and _REPORT not in names):
-        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT}"
+    if foreign or (names and _REPORT_FILE not in names):
+        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT_FILE}"
         raise InputError(folder, f"{found}, expected an empty folder or a report of {command} to replace")

@@ -50,6 +50,7 @@ def author_photo_changes(
         _write(UsdGeom.Camera(editable(prim)), photo)
         lines.append(f"{photo.name}: camera {'added' if before is None else 'changed'}")
     for name, (prim, _) in present.items():
+        # inactive, as the camera may be in a weaker layer, which this one cannot take it from
         editable(prim).SetActive(False)
         lines.append(f"{name}: camera removed")
     return tuple(lines)
@@ -84,7 +85,7 @@ def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
         (tokens.PHOTO_KEY_SHINE, key and float(key.shine)),
         (tokens.PHOTO_KEY_EXPONENT, key and float(key.exponent)),
         (tokens.PHOTO_TINTED_MATERIALS, names or None),
-        (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[one] for one in names])) if names else None),
+        (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[material] for material in names])) if names else None),
     ):
         put_value(prim, name, value)
 
@@ -138,8 +139,8 @@ def key_fault(key: KeyLamp) -> str | None:
     return None if exponent > 0 else f"key light with exponent {key.exponent:g}, expected more than 0"
 
 
-_FILM = 0.036  # metres of the longer side: that of a 35 mm camera
-_TENTHS = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
+_FILM_METRES = 0.036  # metres of the longer side: that of a 35 mm camera
+_TENTHS_A_UNIT = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
 
 
 _FILM_ATTRIBUTES = (  # in the order of `_Film`
@@ -164,7 +165,7 @@ def _to_film(width: int, height: int, focal: float, center: tuple[float, float],
     A pixel is a power of two of them, so that float32 holds its multiples as exactly as it holds pixels; the longer
     side comes to 25 to 51 mm.
     """
-    pixel = 2.0 ** round(math.log2(_FILM / meters_per_unit * _TENTHS / max(width, height)))
+    pixel = 2.0 ** round(math.log2(_FILM_METRES / meters_per_unit * _TENTHS_A_UNIT / max(width, height)))
     return _Film(
         focal * pixel, width * pixel, height * pixel, (width / 2 - center[0]) * pixel, (center[1] - height / 2) * pixel
     )
@@ -196,7 +197,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     def value(name: str) -> Any:
         return prim.GetAttribute(name).Get()
 
-    width, height = (int(one) for one in value(tokens.PHOTO_SIZE) or (0, 0))
+    width, height = (int(side) for side in value(tokens.PHOTO_SIZE) or (0, 0))
     film = _Film(*(float(value(name)) for name in _FILM_ATTRIBUTES))
     if not min(width, height, film.horizontal_aperture, film.vertical_aperture) > 0:
         raise SchemaError(where, f"{width} x {height} pixels, or no aperture, expected both above 0")
@@ -231,7 +232,7 @@ def read_key_lamp(prim: Usd.Prim) -> KeyLamp | None:
 
     def numbers(name: str, *otherwise: float) -> list[float]:
         found = prim.GetAttribute(name).Get()
-        return [float(one) for one in floats(otherwise if found is None else found)]
+        return [float(number) for number in floats(otherwise if found is None else found)]
 
     color = numbers(tokens.PHOTO_KEY_COLOR, 0, 0, 0)
     if not any(color):

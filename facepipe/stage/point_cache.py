@@ -118,6 +118,7 @@ def _read(stage: Usd.Stage, also: Collection[float]) -> PointCache:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(twice, "is the name of more than one mesh, expected different names")
+    # kept apart from `also`: at codes of the controls alone USD interpolates points, which nobody recorded
     own = {code for prim in prims for code in _codes(prim)}
     codes = sorted(own | set(also))
     if len(codes) > MOST_SAMPLES:

@@ -61,8 +61,8 @@ class Clip:
     moves_joints: bool = False  # it animates joints too, which no control moves
 
 
-_NUMBERS = ("double", "float", "half", "int", "bool")
-_USER = "userProperties:"  # where Maya and Blender put attributes of their own
+_NUMBER_TYPES = ("double", "float", "half", "int", "bool")
+_USER_PREFIX = "userProperties:"  # where Maya and Blender put attributes of their own
 
 
 def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tuple[ControlTrack, ...]:
@@ -99,8 +99,7 @@ def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
 def is_recorded(path: str | os.PathLike[str]) -> bool:
     """Whether a stage is to be learned from its samples: it has no face, or controls over time and points over time.
 
-    Points may be those that a SkelAnimation moves, beside numbers ``facepipe:control:<name>``: a face's own sliders and
-    shapes are better learned from its own rig.
+    Points may be those that a SkelAnimation moves, beside numbers ``facepipe:control:<name>``.
 
     :raises InputError: no such file, or no readable USD
     """
@@ -122,6 +121,7 @@ def is_recorded(path: str | os.PathLike[str]) -> bool:
             or (name == "blendShapeWeights" and prim.IsA(UsdSkel.Animation))
             for prim, name in sampled
         )
+    # a face's own sliders and shapes alone are no record: they are better learned from its own rig
     return declared and any(prim.IsA(UsdSkel.Animation) for prim, _ in sampled)
 
 
@@ -146,7 +146,7 @@ def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...
             for attribute in prim.GetAuthoredAttributes()
             if attribute.IsCustom() and attribute.HasAuthoredValue()
         ]
-        numbers = [number for number in numbers if str(number.GetTypeName()) in _NUMBERS]
+        numbers = [number for number in numbers if str(number.GetTypeName()) in _NUMBER_TYPES]
         if not numbers:
             raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
         tracks += [_track(number) for number in numbers]
@@ -155,8 +155,8 @@ def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...
 
 def _track(attribute: Usd.Attribute) -> ControlTrack:
     where, kind = str(attribute.GetPath()), str(attribute.GetTypeName())
-    if kind not in _NUMBERS:
-        raise InputError(where, f"type {kind}, expected a number: one of {', '.join(_NUMBERS)}")
+    if kind not in _NUMBER_TYPES:
+        raise InputError(where, f"type {kind}, expected a number: one of {', '.join(_NUMBER_TYPES)}")
     codes = attribute.GetTimeSamples()
     read = [(code, attribute.Get(code)) for code in codes] or [(None, attribute.Get())]
     for code, value in read:
@@ -166,7 +166,7 @@ def _track(attribute: Usd.Attribute) -> ControlTrack:
     low, high = _limits(attribute)
     untimed = attribute.Get(Usd.TimeCode.Default())
     return ControlTrack(
-        name=str(attribute.GetName()).removeprefix(tokens.CONTROL_PREFIX).removeprefix(_USER),
+        name=str(attribute.GetName()).removeprefix(tokens.CONTROL_PREFIX).removeprefix(_USER_PREFIX),
         where=where,
         codes=np.array(codes, dtype=np.float64),
         values=np.array([float(value) for _, value in read]),
@@ -182,7 +182,7 @@ def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
     pairs = [(kind.GetMinimum(), kind.GetMaximum()) for kind in kinds]
     data = attribute.GetCustomData()
     pairs.append((data.get("minimum"), data.get("maximum")))
-    low, high = (next((one for one in ends if one is not None), None) for ends in zip(*pairs, strict=True))
+    low, high = (next((end for end in ends if end is not None), None) for ends in zip(*pairs, strict=True))
     for end in (low, high):
         if end is not None and not (isinstance(end, int | float) and np.isfinite(end)):
             raise InputError(str(attribute.GetPath()), f"limit {end}, expected a finite number")

@@ -20,7 +20,7 @@ from facepipe.stage.prims import data_label, label
 from facepipe.stage.values import floats, ints, matrix
 
 UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
-_SCALARS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
+_FLOAT_ARRAYS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
 
 
 class Binding(NamedTuple):
@@ -49,6 +49,7 @@ def read_mesh(
     points = floats(mesh.GetPointsAttr().Get(), 3)
     counts, indices = ints(mesh.GetFaceVertexCountsAttr().Get()), ints(mesh.GetFaceVertexIndicesAttr().Get())
     where = str(prim.GetPath())
+    # the sum is not enough: counts of 5 and -1 fit four corners
     if (counts.size and (counts.min() < 0 or counts.sum() != len(indices))) or (not counts.size and indices.size):
         raise TopologyError(where, f"face counts ask for {counts.sum()} corners, got {len(indices)}")
     if indices.size and not (indices.min() >= 0 and indices.max() < len(points)):
@@ -84,7 +85,7 @@ def read_mesh(
 def read_point_values(prim: Usd.Prim, name: str, points: int) -> FloatArray:
     """(n,) values of a float primvar with one value per point; NaN where the mesh has none of that name."""
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar(name)
-    values = floats(primvar.ComputeFlattened()) if primvar and primvar.GetTypeName() in _SCALARS else floats(None)
+    values = floats(primvar.ComputeFlattened()) if primvar and primvar.GetTypeName() in _FLOAT_ARRAYS else floats(None)
     return values if len(values) == points else np.full(points, np.nan, dtype=np.float32)
 
 
@@ -115,6 +116,7 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
         if per_point:
             uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
         else:
+            # per corner the indices stay: corners of a point with different ones are a seam
             corner = np.arange(corners, dtype=np.int32) if indices is None else indices
             uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
     return tuple(uv_sets)
@@ -142,6 +144,7 @@ def _skin(where: str, points: int, binding: Binding) -> Skin | None:
         raise TopologyError(where, f"{len(indices)} joint indices and {len(weights)} joint weights, expected as many")
     indices, weights = indices.reshape(-1, width), weights.reshape(-1, width)
     if query.IsRigidlyDeformed():
+        # constant influences move a mesh as a whole, for which parts have no case of its own
         indices, weights = np.repeat(indices[:1], points, axis=0), np.repeat(weights[:1], points, axis=0)
     if len(indices) != points:
         raise TopologyError(where, f"joint influences of {len(indices)} points, expected {points}")
@@ -208,7 +211,7 @@ def _landmarks(prim: Usd.Prim, points: int) -> dict[str, Landmarks]:
             if indices.size and not (indices.min() >= 0 and indices.max() < points):
                 raise TopologyError(f"{prim.GetPath()}.{name}", f"indices outside 0..{points - 1}")
             names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Get() or ()
-            schemes[scheme] = Landmarks(indices=indices, names=tuple(str(one) for one in names))
+            schemes[scheme] = Landmarks(indices=indices, names=tuple(str(landmark) for landmark in names))
     return schemes
 
 

@@ -24,7 +24,7 @@ from facepipe.stage.guard import USD_ERRORS, errors_below, usd_errors
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
-_MOST_BYTES = 1 << 28  # of a glTF document
+_MOST_GLTF_BYTES = 1 << 28  # of a glTF document
 
 
 class FileRecipe(NamedTuple):
@@ -96,7 +96,7 @@ def named_source(where: str, source: str, file: Path) -> Path:
 
 def _is_stage(path: Path) -> bool:
     """Whether it is a USD file by its name, and so is what a link there leads to: a photo is read under any name."""
-    return all(one.suffix.lower() in SUFFIXES for one in (path, real_path(path) or path))
+    return all(file.suffix.lower() in SUFFIXES for file in (path, real_path(path) or path))
 
 
 def existing_source(where: str, path: Path, instead: str) -> Path:
@@ -117,7 +117,7 @@ def is_source(path: Path) -> bool:
 
 
 def _photos(path: Path) -> set[Path]:
-    """Those in a folder; none where it is no folder."""
+    """The photos in a folder; none where it is no folder."""
     if not os.path.isdir(path):  # noqa: PTH112  (False for names that no folder can have)
         return set()
     return set(files_in(path, PHOTO_SUFFIXES))
@@ -128,7 +128,9 @@ def changed_sources(path: Path, sources: Iterable[tuple[Path, str]]) -> tuple[st
 
     :raises InputError: a source can't be read
     """
-    return tuple(f"{one.name} changed since {path.name} was made" for one, old in sources if source_digest(one) != old)
+    return tuple(
+        f"{source.name} changed since {path.name} was made" for source, old in sources if source_digest(source) != old
+    )
 
 
 def source_digest(path: Path) -> str:
@@ -155,7 +157,7 @@ def source_files(path: Path) -> set[Path]:
 def _buffers(path: Path) -> set[Path]:
     """Files that the buffers of a glTF are in; none of one that is damaged."""
     try:
-        buffers = read_json_object(path, _MOST_BYTES).get("buffers")
+        buffers = read_json_object(path, _MOST_GLTF_BYTES).get("buffers")
     except InputError:
         return set()
     uris = [buffer.get("uri") for buffer in buffers if isinstance(buffer, dict)] if isinstance(buffers, list) else []
@@ -190,7 +192,7 @@ def layer_links(path: Path) -> LayerLinks:
     facepipe_schemas.register()
     with quiet_diagnostics(), usd_errors(path, RuntimeError):
         layer = _fresh(path)
-        names = [Sdf.Layer.SplitIdentifier(one)[0] for one in layer.GetCompositionAssetDependencies()]
+        names = [Sdf.Layer.SplitIdentifier(asset)[0] for asset in layer.GetCompositionAssetDependencies()]
         layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
         return LayerLinks(layers, _has_recipe(layer))
 

@@ -44,6 +44,7 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
         rest_transforms=rest,
         transform=world,
     )
+    # world matrices are multiplied in this order: a parent that came later would have none yet
     late = np.flatnonzero(result.parents >= np.arange(len(joints)))
     if late.size or len(set(joints)) != len(joints):
         raise SchemaError(f"{where}.joints", f"'{joints[late[0]] if late.size else joints}' out of order or twice")
@@ -90,6 +91,7 @@ def read_animation(prim: Usd.Prim, name: str | None = None) -> Animation:
         animation.GetBlendShapeWeightsAttr(),
         *([coefficients] if coefficients else []),
     ]
+    # the codes of all attributes: where one has no sample of its own, USD interpolates it
     codes = sorted({code for attribute in attributes for code in attribute.GetTimeSamples()})
     times = [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
     rate = prim.GetStage().GetTimeCodesPerSecond() or 24.0
@@ -98,7 +100,7 @@ def read_animation(prim: Usd.Prim, name: str | None = None) -> Animation:
         if not attribute or not attribute.HasAuthoredValue():
             return None
         read = [attribute.Get(time) for time in times]
-        rows = [quaternions(one) if quaternion else floats(one, width) for one in read]
+        rows = [quaternions(sample) if quaternion else floats(sample, width) for sample in read]
         other = next((len(row) for row in rows if len(row) != count), None)
         if other is not None:
             raise TopologyError(attribute.GetPath(), f"{other} values at a time sample, expected {count}")

@@ -61,6 +61,7 @@ def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[S
 
     :param steps: of the properties that were followed; filled in
     """
+    # a list instead of recursion, which a long chain of connections would end at Python's limit
     todo, begun = [start], set()
     while todo:
         path = todo[-1]
@@ -69,12 +70,12 @@ def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[S
         elif path not in begun:
             begun.add(path)
             onward = _onward(stage, path)
-            if any(one in begun and one not in steps for one in onward):
+            if any(following in begun and following not in steps for following in onward):
                 raise InputError(f"{where} -> {path}", "leads back to itself, expected an end")
             todo.extend(onward)
         else:
             onward = _onward(stage, path)
-            steps[path] = 1 + sum(steps[one] for one in onward) if onward else 0
+            steps[path] = 1 + sum(steps[following] for following in onward) if onward else 0
             if steps[path] > MOST_STEPS:
                 raise InputError(f"{where} -> {path}", f"leads through more than {MOST_STEPS} properties")
 
@@ -82,4 +83,4 @@ def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[S
 def _onward(stage: Usd.Stage, path: Sdf.Path) -> list[Sdf.Path]:
     found = stage.GetPropertyAtPath(path)
     paths = found.GetConnections() if isinstance(found, Usd.Attribute) else found.GetTargets() if found else []
-    return [one for one in paths if one.IsPropertyPath()]
+    return [target for target in paths if target.IsPropertyPath()]

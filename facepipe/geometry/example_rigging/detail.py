@@ -18,7 +18,7 @@ from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.triangle_frames import gradient_operator
 
-_PART = 4096  # places at a time: a bound on memory
+_PLACES_AT_ONCE = 4096  # places at a time: a bound on memory
 
 
 def added_detail(
@@ -93,7 +93,7 @@ def _columns(values: FloatArray) -> FloatArray:
 
 def parts(count: int) -> list[slice]:
     """Slices of `count` places."""
-    return [slice(start, start + _PART) for start in range(0, count, _PART)]
+    return [slice(start, start + _PLACES_AT_ONCE) for start in range(0, count, _PLACES_AT_ONCE)]
 
 
 class AnchoredPoisson:

@@ -53,6 +53,7 @@ def examples_of(
         offsets=finite("composites", composites) - points,
         weights=weights,
         confidence=confidence,
+        # a point without a triangle has no area: with a hold of 0 the detail's system would be singular there
         areas=np.maximum(areas, 1e-6 * (areas.mean() or 1.0)),
         stiff=np.maximum(np.asarray(stiff, np.int64), -1),
     )

@@ -11,8 +11,8 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.example_rigging.field_system import FieldSystem, bent, bent_back, crossed
 from facepipe.geometry.example_rigging.options import SplitOptions
 
-_SETTLED = 1e-4  # of the right-hand side that conjugate gradients leave
-_STEPS = 400
+_CG_TOLERANCE = 1e-4  # of the right-hand side that conjugate gradients leave
+_CG_STEPS = 400
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,16 @@ def solve_fields(system: FieldSystem, options: SplitOptions) -> FieldSolution:
     """The most probable fields, and weights inside their bounds.
 
     Each alternation solves for the fields with the last weights and, together with them, for the change of weights
-    that the templates show. (Li, Weise & Pauly, "Example-Based Facial Rigging", SIGGRAPH 2010, section 4, solve for
-    one and the other in turn; but where shapes follow the scans, nothing is left by which weights could move. With the
-    personal shapes in place of the templates weights would grow: that makes all of the fields smaller.) A weight that
-    goes beyond its bound is held there from then on. The last solve is for the fields alone.
+    that the templates show. A weight that goes beyond its bound is held there from then on. The last solve is for the
+    fields alone.
     """
     given_weights = system.examples.weights
     low, high = np.minimum(given_weights, 0.0), np.maximum(given_weights, options.largest_weight)
     weights, z, held = given_weights.copy(), np.zeros(system.starts[-1]), given_weights == 0
     for _ in range(options.alternations if options.weight_spread > 0 else 0):
+        # Li, Weise & Pauly (SIGGRAPH 2010, section 4) solve for fields and weights in turn; but where shapes follow the
+        # scans, nothing is left by which weights could move. By personal shapes in place of the templates weights would
+        # grow: that makes all of the fields smaller
         step = _Step(system, weights, z, np.where(held, 0.0, options.weight_spread)).solve()
         ahead = weights + step.change
         z, weights = step.z, np.clip(ahead, low, high)
@@ -73,7 +74,7 @@ class _Step:
             composites[spreads[composites, shape] > 0] for composites, shape in self._pairs(self._uses)
         ]
         self._spread = spreads
-        self._changes = np.cumsum([system.starts[-1], *[len(one) for one in self._moving]])
+        self._changes = np.cumsum([system.starts[-1], *[len(composites) for composites in self._moving]])
 
     def _pairs(self, uses: list[IntArray]) -> list[tuple[IntArray, int]]:
         return [(composites, row.shape) for composites, row in zip(uses, self._system.rows, strict=True)]
@@ -90,6 +91,7 @@ class _Step:
         start[: len(self._z)] = self._z
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
             spread = self._spread[composites, shape]
+            # the prior holds weights to the given ones: held to those of the last step they would drift
             behind = (given_weights[composites, shape] - self._weights[composites, shape]) / spread
             right[self._changes[number] : self._changes[number + 1]] += behind
         if not right.any():
@@ -97,7 +99,7 @@ class _Step:
         matrix = LinearOperator((size, size), matvec=self._applied, dtype=np.float64)
         guess = Preconditioner(system, self._weights, self._weight_diagonal())
         inverse = LinearOperator((size, size), matvec=guess.solve, dtype=np.float64)
-        unknowns, steps = cg(matrix, right, x0=start, rtol=_SETTLED, maxiter=_STEPS, M=inverse)
+        unknowns, steps = cg(matrix, right, x0=start, rtol=_CG_TOLERANCE, maxiter=_CG_STEPS, M=inverse)
         change = np.zeros_like(given_weights)
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
             scaled = unknowns[self._changes[number] : self._changes[number + 1]]
@@ -181,7 +183,7 @@ def _products(delta: FloatArray) -> FloatArray:
 
 
 def _columns(delta: FloatArray) -> FloatArray:
-    """(p, 3, 4)"""
+    """(p, 3, 4) the Jacobian of that motion: the delta itself, and its turns about the axes."""
     axes = [crossed(np.broadcast_to(axis, delta.shape), delta) for axis in np.eye(3)]
     return np.stack([delta, *axes], axis=2)
 

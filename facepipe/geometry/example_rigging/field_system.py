@@ -17,11 +17,11 @@ from facepipe.geometry.example_rigging.examples import Examples
 from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.vectors import group_sums
 
-_SAMPLES = 4.0  # sampled points per length of fields
-_SPACING = 1.1  # lengths of fields between nodes
-_STILL = 0.02  # a point moves with a shape if by more than this share of the shape's largest motion
-_JITTER = 1e-6  # of the nodes' covariance: keeps its factor definite
-_EVERYWHERE = 0.25  # share of the variance that is the same at all points
+_SAMPLES_PER_LENGTH = 4.0  # sampled points per length of fields
+_NODE_SPACING = 1.1  # lengths of fields between nodes
+_STILL_SHARE = 0.02  # a point moves with a shape if by more than this share of the shape's largest motion
+_NODE_JITTER = 1e-6  # of the nodes' covariance: keeps its factor definite
+_CONSTANT_VARIANCE = 0.25  # share of the variance that is the same at all points
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ShapeRows:
 
 
 class FieldSystem:
-    """Everything but the weights.
+    """The fields' part of the system: everything but the weights.
 
     Unknowns, all of spread 1: per excited shape (4, k) of its own field, then (4, k) of the shared one: gain, turn x,
     y and z; then one per weight that is not 0.
@@ -45,11 +45,11 @@ class FieldSystem:
     def __init__(self, examples: Examples, options: SplitOptions) -> None:
         self.examples = examples
         length = options.field_length
-        self.sample = spread_points(examples.neutral, length / _SAMPLES)
+        self.sample = spread_points(examples.neutral, length / _SAMPLES_PER_LENGTH)
         self.rows = _shape_rows(examples, self.sample, length)
         points = examples.neutral[self.sample]
         moved = np.unique(np.concatenate([row.points for row in self.rows])) if self.rows else self.sample
-        nodes = spread_points(points[moved], _SPACING * length)
+        nodes = spread_points(points[moved], _NODE_SPACING * length)
         self.shared = SmoothBasis(points[moved][nodes], length)
         self.shared_values = self.shared(points)
         self.own_spread = np.array([options.own_gain, *3 * [options.own_turn / np.sqrt(3.0)]])
@@ -64,7 +64,7 @@ class FieldSystem:
         return np.asarray(values @ amplitudes.T * (self.shared_spread if part == len(self.rows) else self.own_spread))
 
     def shape_fields(self, z: FloatArray) -> list[FloatArray]:
-        """Per excited shape (p, 4) its whole gain and turn at its sampled points."""
+        """The whole gain and turn (p, 4) of each excited shape at its sampled points."""
         shared = self.fields(z, len(self.rows), self.shared_values)
         return [self.fields(z, part, row.values) + shared[row.points] for part, row in enumerate(self.rows)]
 
@@ -124,9 +124,9 @@ def _shape_rows(examples: Examples, sample: IntArray, length: float) -> list[Sha
     for shape in examples.excited:
         template = examples.templates[shape][sample]
         motion = np.linalg.norm(template, axis=1)
-        moved = np.flatnonzero(motion > _STILL * motion.max(initial=0.0))
+        moved = np.flatnonzero(motion > _STILL_SHARE * motion.max(initial=0.0))
         if len(moved):
-            nodes = spread_points(points[moved], _SPACING * length)
+            nodes = spread_points(points[moved], _NODE_SPACING * length)
             basis = SmoothBasis(points[moved][nodes], length)
             rows.append(ShapeRows(int(shape), moved, basis, basis(points[moved]), template[moved]))
     return rows
@@ -175,7 +175,7 @@ class SmoothBasis:
 
     def __init__(self, nodes: FloatArray, length: float) -> None:
         self.nodes, self._length = nodes, length
-        self._factor = np.linalg.cholesky(self._covariance(nodes) + _JITTER * np.eye(len(nodes)))
+        self._factor = np.linalg.cholesky(self._covariance(nodes) + _NODE_JITTER * np.eye(len(nodes)))
 
     def __len__(self) -> int:
         return 1 + len(self.nodes)
@@ -184,9 +184,9 @@ class SmoothBasis:
         """(p, k) values of the functions at points (p, 3)."""
         from scipy.linalg import solve_triangular
 
-        values = np.full((len(self), len(points)), np.sqrt(_EVERYWHERE))
+        values = np.full((len(self), len(points)), np.sqrt(_CONSTANT_VARIANCE))
         values[1:] = solve_triangular(self._factor, self._covariance(points).T, lower=True, overwrite_b=True)
-        values[1:] *= np.sqrt(1.0 - _EVERYWHERE)
+        values[1:] *= np.sqrt(1.0 - _CONSTANT_VARIANCE)
         return np.asarray(values.T)
 
     def _covariance(self, points: FloatArray) -> FloatArray:

@@ -14,14 +14,14 @@ from facepipe.geometry.example_rigging.field_solve import FieldSolution, solve_f
 from facepipe.geometry.example_rigging.field_system import FieldSystem
 from facepipe.geometry.example_rigging.options import SplitOptions
 
-_NAMED = 5  # pairs that a warning names
-_UNSEEN = 0.05  # excited shapes observed less than this are as good as not scanned
-_MOVES = 0.05  # a place moves with a shape if by more than this share of the shape's largest motion
-_NULL = 1e-6  # singular values below this share of the largest are 0
-_TOGETHER = 0.1  # two shapes go together if this share of what they move in common can be of either
+_PAIRS_NAMED = 5  # pairs that a warning names
+_HARDLY_OBSERVED = 0.05  # excited shapes observed less than this are as good as not scanned
+_MOVING_SHARE = 0.05  # a place moves with a shape if by more than this share of the shape's largest motion
+_NULL_SINGULAR_VALUE = 1e-6  # singular values below this share of the largest are 0
+_TOGETHER_SHARE = 0.1  # two shapes go together if this share of what they move in common can be of either
 # and are one for the composites from this share on: less leaves them truer than their templates, as people's own way is
 # much the same in neighbouring shapes
-_SAME = 0.9
+_ONE_SHAPE_SHARE = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,8 @@ def split_shapes(
         excited = examples.excited
         deltas[excited] += added_detail(examples, solution.weights, left, deltas[excited], options)
     shared = inseparable(examples, system.sample)
-    undecided = np.unique(np.argwhere(shared >= _SAME))
+    undecided = np.unique(np.argwhere(shared >= _ONE_SHAPE_SHARE))
+    # of what composites show as one, the prior alone would say whose it is
     deltas[undecided] = examples.templates[undecided]
     return _report(examples, solution, deltas, options, shared, names)
 
@@ -97,9 +98,9 @@ def _report(
     shared: FloatArray,
     names: Sequence[str],
 ) -> Split:
-    """:param shared: what `inseparable` gives"""
+    """The split with its measures and warnings; `shared` (e, e) is what `inseparable` gives."""
     seen, together = observed(examples, solution.weights, options), _pairs(shared)
-    undecided = np.unique(np.argwhere(shared >= _SAME))
+    undecided = np.unique(np.argwhere(shared >= _ONE_SHAPE_SHARE))
     seen[undecided] = 0.0
     means, p95 = _residuals(examples, examples.residuals(deltas, solution.weights))
     return Split(
@@ -160,12 +161,12 @@ def _warnings(
     unexcited = np.flatnonzero(~examples.weights.any(axis=0)).tolist()
     if unexcited:
         warnings.append(f"no composite shows {', '.join(names[shape] for shape in unexcited)}: kept from the template")
-    hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _UNSEEN]
+    hidden = [shape for shape in examples.excited.tolist() if seen[shape] < _HARDLY_OBSERVED]
     if hidden:
         warnings.append(f"the scans hardly show {', '.join(names[shape] for shape in hidden)}")
     if together:
-        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in together[:_NAMED])
-        more = f" and {len(together) - _NAMED} more pairs" if len(together) > _NAMED else ""
+        pairs = ", ".join(f"{names[a]} and {names[b]}" for a, b in together[:_PAIRS_NAMED])
+        more = f" and {len(together) - _PAIRS_NAMED} more pairs" if len(together) > _PAIRS_NAMED else ""
         warnings.append(f"the weights don't separate, where both move: {pairs}{more}")
     if solution.held:
         stopped = ", ".join(f"{names[shape]} in composite {composite}" for composite, shape in solution.held)
@@ -195,7 +196,7 @@ def inseparable(examples: Examples, sample: IntArray) -> FloatArray:
     show: by the null space, at sampled points, of the weights of the shapes that move there.
     """
     motion = np.linalg.norm(examples.templates[:, sample], axis=2).T  # (s, e)
-    moves = (motion > _MOVES * motion.max(axis=0)) & examples.weights.any(axis=0)
+    moves = (motion > _MOVING_SHARE * motion.max(axis=0)) & examples.weights.any(axis=0)
     energy = np.where(moves, motion**2 * examples.areas[sample, None], 0.0)
     count = examples.weights.shape[1]
     mixed = np.zeros((count, count))
@@ -213,8 +214,8 @@ def inseparable(examples: Examples, sample: IntArray) -> FloatArray:
 
 
 def _pairs(shared: FloatArray) -> tuple[tuple[int, int], ...]:
-    """Those of `inseparable` that are worth naming, most first."""
-    pairs = np.argwhere(shared > _TOGETHER)
+    """The pairs of `inseparable` that are worth naming, most first."""
+    pairs = np.argwhere(shared > _TOGETHER_SHARE)
     pairs = pairs[np.argsort(-shared[tuple(pairs.T)], kind="stable")]
     return tuple((int(a), int(b)) for a, b in pairs)
 
@@ -224,7 +225,7 @@ def _null_projector(weights: FloatArray) -> FloatArray:
     if not weights.size:
         return np.eye(weights.shape[1])
     _, values, rows = np.linalg.svd(weights / np.linalg.norm(weights, axis=0))
-    seen = rows[: int((values > _NULL * values[0]).sum())]
+    seen = rows[: int((values > _NULL_SINGULAR_VALUE * values[0]).sum())]
     return np.asarray(np.eye(weights.shape[1]) - seen.T @ seen)
 
 

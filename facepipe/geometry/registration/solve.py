@@ -47,7 +47,7 @@ def in_stages(stages: Sequence[Stage], advance: Callable[[Stage], float], progre
 
 _STAGES = (Stage(5.0, 4.0, 6, 0.3, by_model=True), Stage(2.0, 2.0, 4, 0.5), Stage(1.0, 1.0, 8, 0.05))
 _ENOUGH_MODES = 20
-_SOME_POINTS = 3000
+_COARSE_POINTS = 3000
 
 
 def register(
@@ -113,7 +113,7 @@ class _State:
         return self._surface.points(self.coefficients, self.residual)
 
     def run(self, stages: Sequence[Stage], progress: Callable[[int], None]) -> tuple[Registered, ...]:
-        """All stages; a result for each scan."""
+        """Take the steps of all stages; a result for each scan."""
         with one_thread():
             steps = in_stages(stages, self._advance, progress)
             return tuple(
@@ -121,7 +121,7 @@ class _State:
             )
 
     def _advance(self, stage: Stage) -> float:
-        """One step; the RMS movement of seen points against the first scan, in millimetres."""
+        """Take one step; the RMS movement of seen points against the first scan, in millimetres."""
         before, all_seen = self.points, self._surface.seen
         by_model = stage.by_model and len(self.coefficients) >= _ENOUGH_MODES
         surface = self._some if by_model else self._surface
@@ -143,4 +143,4 @@ class _State:
 
 def _thinned(surface: DeformableSurface) -> DeformableSurface:
     """The same with some of its seen points, evenly taken."""
-    return replace(surface, seen=surface.seen[:: max(1, len(surface.seen) // _SOME_POINTS)])
+    return replace(surface, seen=surface.seen[:: max(1, len(surface.seen) // _COARSE_POINTS)])

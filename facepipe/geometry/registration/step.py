@@ -28,7 +28,7 @@ from facepipe.geometry.registration.surface import Anchors, DeformableSurface, S
 from facepipe.geometry.registration.target import Matches
 from facepipe.geometry.similarity import Similarity
 
-_OPEN = 1e-9  # share of the system's trace that keeps what nothing determines from moving
+_UNDETERMINED_HOLD = 1e-9  # share of a place's own curvature that keeps what nothing determines from moving
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class _Rows:
         return cls(pull=pull, planes=planes, fixed=fixed, centre=centre)
 
     def normal(self) -> FloatArray:
-        """(1 + k + q, 1 + k + q)."""
+        """(1 + k + q, 1 + k + q) normal equations of the view's own unknowns, and its distances with them."""
         found = self.planes.T @ (self.pull.weights[:, None] * self.planes)
         return np.asarray(found + np.einsum("lip,l,liq->pq", self.fixed, self.pull.anchor_weights, self.fixed))
 
@@ -143,7 +143,7 @@ class _System:
         normal -= by_residual
         matrix, right = normal[1:, 1:], normal[1:, 0] + self.precision * self.expected
         known = np.arange(self.count)
-        matrix[known, known] += np.where(self.precision > 0.0, self.precision, _OPEN * np.diag(matrix))
+        matrix[known, known] += np.where(self.precision > 0.0, self.precision, _UNDETERMINED_HOLD * np.diag(matrix))
         scales = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
         return np.asarray(np.linalg.solve(matrix / np.outer(scales, scales), right / scales) / scales)
 
@@ -187,7 +187,7 @@ def _anchor_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) 
 
 
 def _similarity(unknown: FloatArray, centre: FloatArray) -> Similarity:
-    """Of (ω, t, s) or (ω, t): about `centre`."""
+    """The similarity about `centre` that unknowns (ω, t, s), or (ω, t) without scale, stand for."""
     from scipy.spatial.transform import Rotation
 
     rotation = Rotation.from_rotvec(unknown[:3]).as_matrix()
@@ -216,7 +216,7 @@ class Membrane:
         return cls(stiffness=bending + diags_array(resting))
 
     def factor(self, pulls: Sequence[Pull]) -> Factor:
-        """Of the system (3n, 3n) of the residual, axes of a point side by side.
+        """The factor of the system (3n, 3n) of the residual, axes of a point side by side.
 
         ``K = kron(stiffness + sum_l a_l s_l s_l^T, 1) + diag(w_i n_i n_i^T)`` of matches with normals n, and of anchors
         that pull by their spreads s.

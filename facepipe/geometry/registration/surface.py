@@ -30,7 +30,7 @@ class DeformableSurface:
     labels: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def points(self, coefficients: FloatArray, residual: FloatArray | float = 0.0) -> FloatArray:
-        """(n, 3)."""
+        """(n, 3) points of coefficients (k,) and a residual (n, 3)."""
         return np.asarray(self.base + np.tensordot(coefficients, self.modes, axes=1) + residual)
 
 
@@ -113,6 +113,6 @@ class Anchors:
             targets=np.concatenate([self.targets, other.targets]),
             names=self.names + other.names,
             sigmas=np.concatenate(
-                [one.sigmas if len(one.sigmas) else np.full(len(one), np.nan) for one in (self, other)]
+                [anchors.sigmas if len(anchors.sigmas) else np.full(len(anchors), np.nan) for anchors in (self, other)]
             ),
         )

@@ -18,7 +18,7 @@ from facepipe.geometry.registration.target import Matches, ScanTarget
 from facepipe.geometry.similarity import Similarity
 from facepipe.geometry.vectors import unit_vectors
 
-_FEWEST = 50  # matches
+_FEWEST_MATCHES = 50  # matches
 _ANCHOR_OUTLIER = 4.0  # mm, and four times the median: further off, an anchor is reported as an outlier
 _ANCHOR_BLUNDER = 25.0  # mm, and five times the median: further off from the start, it lies on another part of the face
 
@@ -84,7 +84,7 @@ class ViewState:
         """
         points, options, seen = self.points(points), self._options, surface.seen
         matches = self._matches(surface, points, demand.reach, roughly=demand.roughly)
-        fewest = min(_FEWEST, (len(seen) + 1) // 2)
+        fewest = min(_FEWEST_MATCHES, (len(seen) + 1) // 2)
         if np.count_nonzero(matches.kept) < fewest:
             what = f"{np.count_nonzero(matches.kept)} points of the face find a place on it"
             raise FitError(self._name, f"{what}, expected {fewest} or more: does it show this face?")
@@ -95,6 +95,7 @@ class ViewState:
         return Pull(
             seen=seen,
             matches=matches,
+            # by area: points of the head in the box stand for 6 mm^2 each at the lips, and for 17 at the jaw
             weights=matches.kept * demand.areas / sigmas**2 * huber_weights(apart, demand.huber),
             anchors=self._anchors,
             anchor_weights=trusted / self._anchors.variances(options.anchor_sigma_mm),

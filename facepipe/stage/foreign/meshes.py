@@ -19,7 +19,7 @@ from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints
 
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
-_LISTED = 3
+_PROPERTIES_LISTED = 3
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
@@ -48,7 +48,7 @@ def _has_faces(prim: Usd.Prim) -> bool:
 def _name_others(scene: Scene) -> None:
     lights = (UsdLux.BoundableLightBase, UsdLux.NonboundableLightBase)
     drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer, UsdGeom.Camera, *lights)
-    others = [prim for prim in scene.prims if any(prim.IsA(one) for one in drawn) and not prim.IsA(UsdGeom.Mesh)]
+    others = [prim for prim in scene.prims if any(prim.IsA(kind) for kind in drawn) and not prim.IsA(UsdGeom.Mesh)]
     for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
         scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
 
@@ -62,10 +62,10 @@ def note_custom(scene: Scene) -> None:
         for name in [*properties, *(f"customData {key}" for key in data)]:
             if not name.startswith(_KNOWN_PROPERTIES):
                 unknown.setdefault(name, []).append(prim)
-    for name, prims in sorted(unknown.items())[:_LISTED]:
+    for name, prims in sorted(unknown.items())[:_PROPERTIES_LISTED]:
         scene.warn(f"{name}, which no schema knows: left out", prims)
-    if len(unknown) > _LISTED:
-        scene.warn(f"{len(unknown) - _LISTED} more kinds of properties that no schema knows: left out")
+    if len(unknown) > _PROPERTIES_LISTED:
+        scene.warn(f"{len(unknown) - _PROPERTIES_LISTED} more kinds of properties that no schema knows: left out")
 
 
 def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
@@ -167,7 +167,7 @@ def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
     return queries
 
 
-_READ = {
+_INPUTS_READ = {
     "diffuseColor",
     "emissiveColor",
     "metallic",
@@ -193,7 +193,7 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
             if material:
                 bound[str(material.GetPath())] = material.GetPrim()
     names = dict(
-        zip(bound, distinct_names([*bound.values()], [str(one.GetName()) for one in bound.values()]), strict=True)
+        zip(bound, distinct_names([*bound.values()], [str(prim.GetName()) for prim in bound.values()]), strict=True)
     )
     images: Images = {}
     read = {path: _read(scene, prim, names[path], images) for path, prim in bound.items()}
@@ -220,15 +220,16 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
             if not attribute or not attribute.HasAuthoredValue():
                 raise
             scene.warn(f"{error}: left out")
+            # and read again, as several textures of a material may be missing, and each read names the first
             attribute.Block()
     if material is None:
         scene.warn("material without UsdPreviewSurface: left out", [prim])
         return None
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
-    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _READ)
+    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
     if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
         lost.append("the specular workflow")
-    if any(UsdShade.Shader(one).GetShaderId() == "UsdTransform2d" for one in Usd.PrimRange(prim)):
+    if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):
         lost.append("texture transforms")
     if lost:
         scene.warn(f"{', '.join(lost)} of the material: left out", [prim])

@@ -55,7 +55,7 @@ def read_foreign(
         mend_meshes(scene, meshes)
         note_custom(scene)
         parts = _parts(scene, meshes, prim)
-        files = sorted(Path(one.realPath) for one in scene.stage.GetUsedLayers() if one.realPath)
+        files = sorted(Path(layer.realPath) for layer in scene.stage.GetUsedLayers() if layer.realPath)
         return parts, files, scene.warnings
 
 
@@ -77,7 +77,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         old, new = next(iter(twins.items()))
         scene.warn(f"{len(twins)} shapes joined with those of other meshes, by their prims' names: {old} is {new}")
     read = joined_meshes(read, twins)
-    animations = {prim: joined_animation(one, twins) for prim, one in animations.items()}
+    animations = {prim: joined_animation(animation, twins) for prim, animation in animations.items()}
     return FaceParts(
         name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
         meters_per_unit=_meters_per_unit(scene),
@@ -119,7 +119,7 @@ def _animations(
     animations: dict[Usd.Prim, Animation] = {}
     every = dict.fromkeys([*scene.prims, *([] if source is None else [source])])
     prims = [prim for prim in every if prim.IsA(UsdSkel.Animation)]
-    names = distinct_names(prims, [str(one.GetName()) for one in prims])
+    names = distinct_names(prims, [str(animation.GetName()) for animation in prims])
     for prim, name in zip(prims, names, strict=True):
         animation = _sound(scene, "animation", read_animation, prim, name)
         if animation is None:
@@ -163,10 +163,10 @@ def _sliders(scene: Scene) -> tuple[Slider, ...]:
     sliders: dict[str, Slider] = {}
     for prim in _prims(scene):
         of_prim = _sound(scene, "sliders", read_sliders, prim) or ()
-        twice = sorted({one.name for one in of_prim} & {*sliders})
+        twice = sorted({slider.name for slider in of_prim} & {*sliders})
         if twice:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
-        sliders = {one.name: one for one in of_prim} | sliders
+        sliders = {slider.name: slider for slider in of_prim} | sliders
     return with_mutual_mirrors([sliders[name] for name in sorted(sliders)])
 
 

@@ -101,7 +101,7 @@ def parents_first(joints: list[str]) -> list[int]:
     for i, joint in enumerate(joints):
         parts = joint.split("/")
         above = [place.get("/".join(parts[:depth])) for depth in range(1, len(parts))]
-        order.update(dict.fromkeys([one for one in above if one is not None]))
+        order.update(dict.fromkeys([ancestor for ancestor in above if ancestor is not None]))
         order[i] = None
     return list(order)
 
@@ -118,8 +118,9 @@ def _both_transforms(scene: Scene, skeleton: UsdSkel.Skeleton, joints: list[str]
     world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
     if len(rest) != count:
         scene.warn(f"{len(rest)} rest transforms of {count} joints: taken from bind transforms", [prim])
+        # rest_j = inverse(bind_parent) bind_j; binds are in the world, so above a root is the place of the prim
         above = [bind[parent] if parent >= 0 else world for parent in parents]
-        rest = np.array([_solved(one, own) for one, own in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
+        rest = np.array([_solved(parent, own) for parent, own in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
     if len(bind) != count:
         scene.warn(f"{len(bind)} bind transforms of {count} joints: taken from rest transforms", [prim])
         bind = np.empty((count, 4, 4))

@@ -11,8 +11,8 @@ from pxr import Usd, UsdSkel
 
 from facepipe.parts import Animation, Mesh
 
-_NUMBER = re.compile(r"[._]?[0-9]+")
-_SAME = 1e-6  # weights nearer than this are one
+_TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
+_SAME_WEIGHT = 1e-6  # weights nearer than this are one
 
 
 def twin_shapes(meshes: Sequence[Usd.Prim]) -> dict[str, str]:
@@ -40,7 +40,7 @@ def _tokens(mesh: Usd.Prim) -> dict[str, str]:
 
 def _numbered(token: str, prim: str) -> bool:
     own = _identifier(token)
-    return own.startswith(prim) and _NUMBER.fullmatch(own.removeprefix(prim)) is not None
+    return own.startswith(prim) and _TWIN_NUMBER.fullmatch(own.removeprefix(prim)) is not None
 
 
 def _identifier(name: str) -> str:
@@ -57,7 +57,7 @@ def alike_in(twins: Mapping[str, str], animations: Iterable[Animation]) -> dict[
         column = {name: weights[:, i] for i, name in enumerate(animation.shapes)}
         zeros = np.zeros(len(weights))
         for name, base in twins.items():
-            if np.abs(column.get(name, zeros) - column.get(base, zeros)).max(initial=0.0) > _SAME:
+            if np.abs(column.get(name, zeros) - column.get(base, zeros)).max(initial=0.0) > _SAME_WEIGHT:
                 apart.add(name)
     return {name: base for name, base in twins.items() if name not in apart}
 
