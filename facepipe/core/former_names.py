@@ -36,7 +36,7 @@ _MOVED = {
 
 
 class FormerNames(MetaPathFinder, Loader):
-    """Finds modules by the names that they had; asked after all others."""
+    """Finds modules by the names that they had."""
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """A module in its stead; None for names that no module had."""
@@ -73,6 +73,6 @@ class FormerNames(MetaPathFinder, Loader):
 
 
 def install() -> None:
-    """Once, after what Python itself finds."""
+    """Once, before what Python itself finds: folders that a checkout's old bytecode keeps alive would be packages."""
     if not any(isinstance(finder, FormerNames) for finder in sys.meta_path):
-        sys.meta_path.append(FormerNames())
+        sys.meta_path.insert(0, FormerNames())
