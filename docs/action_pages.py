@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import importlib
 import inspect
-import sys
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import facepipe
-from facepipe.actions import find_action, function_name, summaries
-from facepipe.core.reports import Report
+from facepipe.actions import find_action, function_name, manifest, summaries
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, FileAction
 
@@ -24,8 +21,8 @@ PAGE = Path(__file__).resolve().parent / "actions.md"
 INTRO = """# Actions: sources, options, files
 
 Sources and options of `facepipe VERB` and of the Python function `facepipe.verb`. `python docs/action_pages.py` makes
-this page from the declarations of the actions (`facepipe/verbs/**/*_action.py`); `facepipe VERB --help` has
-examples.
+this page from what actions declare; `facepipe VERB --help` has examples, and editors have the signatures
+(`facepipe/__init__.pyi`).
 
 - An action that makes a face writes `-o OUT` (`out`): a stage with a recipe, over one of its sources, or an export of
   it. It takes `--force` (`overwrite`), `--flatten` (`flatten`: a standalone file), `--json` (the report, which the
@@ -70,29 +67,10 @@ def section(verb: str) -> str:
 
 def _report_fields(kind: type[Action[Any]]) -> list[str]:
     """Names of what its report has in JSON, `warnings` last."""
-    names = [field.name for field in dataclasses.fields(_report(kind)) if field.metadata.get("said", True)]
+    module, _, name = manifest()["actions"][kind.verb]["report"].partition(":")
+    report = getattr(importlib.import_module(module), name)
+    names = [field.name for field in dataclasses.fields(report) if field.metadata.get("said", True)]
     return sorted(names, key=lambda name: name == "warnings")
-
-
-def _report(kind: type[Action[Any]]) -> type[Report]:
-    """The class of its report: what it, or the nearest class that it is made of, gives its base as the parameter."""
-    for owner in kind.__mro__:
-        for base in vars(owner).get("__orig_bases__", ()):
-            for given in typing.get_args(base):
-                found = _imported(owner, given.__forward_arg__) if isinstance(given, typing.ForwardRef) else given
-                if isinstance(found, type) and issubclass(found, Report):
-                    return found
-    raise SystemExit(f"{kind.verb}: no report")
-
-
-def _imported(owner: type, name: str) -> Any:
-    """What a name means in the module of a class, where it may be imported for type checkers alone."""
-    module = sys.modules[owner.__module__]
-    if hasattr(module, name):
-        return getattr(module, name)
-    imports = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.ImportFrom)]
-    (source,) = {node.module for node in imports if any(alias.name == name for alias in node.names)}
-    return getattr(importlib.import_module(str(source)), name)
 
 
 def _call(verb: str) -> str:

@@ -8,7 +8,7 @@ Every action of the command line is a function here: `facepipe blend` is `facepi
 `facepipe.fit_bones`, with its sources and options as arguments.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
@@ -16,9 +16,7 @@ from facepipe.core import __version__ as __version__
 from facepipe.core import former_names
 from facepipe.core.loading import lazy
 
-former_names.install()
-
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # of which `lazy` knows; type checkers read __init__.pyi, which is made of it and of the actions
     from facepipe.api import read, sample
     from facepipe.checks import validate
     from facepipe.cooking.cooking import cook
@@ -27,10 +25,8 @@ if TYPE_CHECKING:
     from facepipe.farm.batch import batch
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
-
-    def __getattr__(name: str) -> Any: ...  # a function for each action
-
 else:
+    former_names.install()
     __getattr__, __dir__ = lazy(__name__, "facepipe.api")
 
 __all__ = [

@@ -1,5 +1,6 @@
-"""Actions by their verbs: those in files called ``<verb>_action.py``, and those of plug-ins.
+"""Actions by their verbs: those that the manifest (actions.json) lists, and those of plug-ins.
 
+The manifest is made of what our actions declare: `python schemas/generate.py`.
 A plug-in has entry points in the group ``facepipe.processors``: a verb -> the class that is declared with
 `facepipe.kinds.action`. Its commands, recipes and Python functions are as those of facepipe itself; the verbs of
 facepipe's own commands and groups are taken. A verb of two words is a command of a group: ``studio lift``.
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
+import json
 import re
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -24,29 +25,34 @@ GROUP = "facepipe.processors"
 # flags that commands have, and arguments of functions, beside those of fields
 _TAKEN = {"edit", "flatten", "force", "help", "json", "out", "output", "overwrite", "quiet", "replace", "root"}
 _TAKEN |= {"loudness", "trust-models", "verbose"}
-_DECLARED = re.compile(r'^@action\(\s*"([^"]+)",\s*"([^"]+)"', re.MULTILINE)
+_MANIFEST = Path(__file__).with_name("actions.json")
 
 
 @functools.cache
-def _own() -> dict[str, tuple[str, str]]:
-    """Verb -> module and summary of each action in this package; nothing of them is imported."""
-    root, actions = Path(__file__).parent, {}
-    for file in sorted(root.rglob("*_action.py")):
-        module = ".".join(("facepipe", *file.relative_to(root).with_suffix("").parts))
-        for verb, summary in _DECLARED.findall(file.read_text(encoding="utf-8")):
-            actions[verb] = (module, summary)
-    return actions
+def manifest() -> dict[str, Any]:
+    """What is known of our actions before one is imported.
+
+    ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``groups``: first word of
+    verbs of two words -> text of --help.
+    """
+    found: dict[str, Any] = json.loads(_MANIFEST.read_text(encoding="utf-8"))
+    return found
+
+
+def _own() -> dict[str, dict[str, Any]]:
+    own: dict[str, dict[str, Any]] = manifest()["actions"]
+    return own
 
 
 def _others() -> dict[str, EntryPoint]:
     """Verb -> entry point of each action of a plug-in."""
-    taken = {*_own(), *_own_groups()}
+    taken = {*_own(), *manifest()["groups"]}
     return {entry.name: entry for entry in entry_points(group=GROUP) if entry.name not in taken}
 
 
 def summaries(group: str = "") -> dict[str, str]:
     """Verb -> what it does, for all actions, or those of a group; for a plug-in that can't be used, the reason."""
-    own = {verb: summary for verb, (_, summary) in _own().items() if verb.startswith(group)}
+    own = {verb: one["summary"] for verb, one in _own().items() if verb.startswith(group)}
     others = {verb: _summary(entry) for verb, entry in _others().items() if verb.startswith(group)}
     return dict(sorted({**others, **own}.items()))
 
@@ -58,15 +64,10 @@ def _summary(entry: EntryPoint) -> str:
         return f"({error})"
 
 
-def _own_groups() -> dict[str, str]:
-    return {verb.split()[0]: module.rpartition(".")[0] for verb, (module, _) in _own().items() if " " in verb}
-
-
 def groups() -> dict[str, str]:
-    """First word of verbs of two words -> their text of --help: in this package the docstring of theirs."""
-    own = {name: importlib.import_module(one).__doc__ or name for name, one in _own_groups().items()}
+    """First word of verbs of two words -> their text of --help."""
     others = {verb.split()[0]: "Actions of plug-ins." for verb in _others() if " " in verb}
-    return dict(sorted({**others, **own}.items()))
+    return dict(sorted({**others, **manifest()["groups"]}.items()))
 
 
 def function_name(verb: str) -> str:
@@ -85,9 +86,8 @@ def find_action(verb: str) -> type[Action[Any]] | None:
     :raises InputError: it is that of a plug-in that can't be loaded, or that has no action of the verb
     """
     if verb in _own():
-        module = importlib.import_module(_own()[verb][0])
-        kinds = (var for var in vars(module).values() if isinstance(var, type) and issubclass(var, Action))
-        return next(kind for kind in kinds if getattr(kind, "verb", None) == verb)
+        kind: type[Action[Any]] = EntryPoint(verb, _own()[verb]["class"], GROUP).load()
+        return kind
     entry = _others().get(verb)
     return None if entry is None else _of_others(entry)
 
@@ -126,8 +126,8 @@ def cookable(verb: str) -> type[StageAction[Any]] | None:
 
 def cookables() -> tuple[str, ...]:
     """The verbs whose faces can be made again; those of plug-ins that can't be used are left out."""
-    verbs = []
-    for verb in sorted({*_own(), *_others()}):
+    verbs = [verb for verb, one in _own().items() if one["has_recipe"]]
+    for verb in _others():
         with contextlib.suppress(InputError):
             verbs += [verb] if cookable(verb) else []
-    return tuple(verbs)
+    return tuple(sorted(verbs))

@@ -71,7 +71,7 @@ def given(name: str) -> Callable[..., Report] | None:
         kind: Any = None if verb is None else find_action(verb)
     except InputError as error:
         raise AttributeError(f"facepipe.{name}: {error}") from None
-    return None if kind is None else _function(kind)
+    return None if kind is None else function_of(kind)
 
 
 def names() -> tuple[str, ...]:
@@ -82,7 +82,8 @@ def names() -> tuple[str, ...]:
 
 
 @functools.cache
-def _function(kind: type[Action[Any]]) -> Callable[..., Report]:
+def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
+    """The function of an action, with its signature and docstring."""
     from facepipe.actions import function_name
     from facepipe.kinds import FolderAction, InPlaceAction, Inspector, unwatched
 
@@ -168,9 +169,10 @@ def _value(field: Field, value: Any) -> Any:
         value = (value,)  # one of several
     if field.value is not None and isinstance(value, Mapping):
         return field.value.load(value, field.name)
-    if field.role == "option" or field.split is not None:
-        return tuple(value) if isinstance(value, list) else value
-    return tuple(map(Path, value)) if field.several else Path(value)
+    if field.role == "option":
+        return tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+    path = os.fspath if field.split is not None else Path  # a word that names a file stays one
+    return tuple(map(path, value)) if field.several else path(value)
 
 
 def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[str, tuple[Any, str]]) -> str:

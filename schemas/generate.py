@@ -1,6 +1,7 @@
-"""Makes generatedSchema.usda and plugInfo.json from schema.usda: `python schemas/generate.py [--check]`.
+"""Makes all that is generated: `python schemas/generate.py [--check]`.
 
-With --check nothing is written: the exit code says whether the committed files are up to date.
+generatedSchema.usda and plugInfo.json are made of schema.usda; `manifest` beside this file has the rest. With --check
+nothing is written: the exit code says whether the committed files are up to date.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+import manifest
 
 FOLDER = Path(__file__).parent / "facepipe_schemas"
 FILES = ("generatedSchema.usda", "plugInfo.json")
@@ -55,14 +58,16 @@ def _codeless(text: str) -> dict[str, object]:
 def main() -> int:
     """Write the files, or compare them."""
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder)
-        generate(out)
-        if "--check" in sys.argv[1:]:
-            stale = [name for name in FILES if (out / name).read_text() != (FOLDER / name).read_text()]
-            print(f"out of date: {', '.join(stale)}" if stale else "schemas are up to date")
-            return bool(stale)
-        for name in FILES:
-            (FOLDER / name).write_text((out / name).read_text())
+        generate(Path(folder))
+        made = {FOLDER / name: Path(folder, name).read_text(encoding="utf-8") for name in FILES}
+    made |= manifest.made()
+    stale = [file for file, text in made.items() if not file.exists() or file.read_text(encoding="utf-8") != text]
+    if "--check" in sys.argv[1:]:
+        names = ", ".join(file.name for file in stale)
+        print(f"out of date: {names}; `python schemas/generate.py` makes them" if stale else "all is up to date")
+        return bool(stale)
+    for file in stale:
+        file.write_text(made[file], encoding="utf-8", newline="\n")
     return 0
 
 

@@ -63,10 +63,12 @@ class Options:
 def build(path: Path, options: Options) -> ExportReport:
     """Write the extension.
 
-    :raises InputError: libraries that can't be had, or a file that can't be written
+    :raises InputError: libraries that can't be had, a file that can't be written, or no source to put into it
     """
     source = Path(__file__).parent
     files = {one.name: one.read_bytes() for one in sorted(source.glob("*.py"))}
+    if not files:  # Blender has a Python of its own, which may not run this one's bytecode
+        raise InputError("facepipe", "is here as bytecode alone, expected its source, which the add-on is made of")
     with tempfile.TemporaryDirectory() as folder:
         wheels = Path(folder)
         _download(wheels, options)

@@ -14,14 +14,20 @@ No module of a package may be called as a name that it gives: once imported, it 
 
 from __future__ import annotations
 
-import ast
+import builtins
 import functools
 import importlib
 import importlib.util
-import inspect
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
+
+
+class Home(NamedTuple):
+    """Where a name is that a package gives: the module, and its name there."""
+
+    module: str
+    name: str
 
 
 def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -31,14 +37,14 @@ def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable
     """
 
     @functools.cache
-    def homes() -> dict[str, tuple[str, str]]:
-        return _homes(package)
+    def homes() -> dict[str, Home]:
+        return homes_of(package)
 
     def load(name: str) -> Any:
         value = None
         if not name.startswith("__") and name in homes():
-            module, original = homes()[name]
-            value = getattr(importlib.import_module(module), original)
+            home = homes()[name]
+            value = getattr(importlib.import_module(home.module), home.name)
         elif others and not name.startswith("_") and not importlib.util.find_spec(f"{package}.{name}"):
             value = importlib.import_module(others).given(name)
         if value is None:
@@ -53,9 +59,23 @@ def lazy(package: str, others: str = "") -> tuple[Callable[[str], Any], Callable
     return load, names
 
 
-def _homes(package: str) -> dict[str, tuple[str, str]]:
-    """Name -> module that it is in, and its name there, as the source of the package says."""
-    source = ast.parse(inspect.getsource(sys.modules[package]))
-    checked = [part for part in source.body if isinstance(part, ast.If)]
-    imports = [line for part in checked for line in part.body if isinstance(line, ast.ImportFrom)]
-    return {alias.asname or alias.name: (str(line.module), alias.name) for line in imports for alias in line.names}
+def homes_of(package: str) -> dict[str, Home]:
+    """Where the names are that the `__init__` of an imported package imports, those for type checkers too.
+
+    Its code runs again, with an import that loads nothing and gives a `Home` for each name. One is true, and so is that
+    of ``TYPE_CHECKING``: the imports below it are made, and `lazy` is not called. Source is not needed, bytecode does.
+    """
+    loader: Any = sys.modules[package].__loader__
+    noted: dict[str, Any] = {"__builtins__": {**vars(builtins), "__import__": lambda name, *_: _Unloaded(name)}}
+    exec(loader.get_code(package), noted)
+    return {name: home for name, home in noted.items() if isinstance(home, Home)}
+
+
+class _Unloaded:
+    """Stands for a module."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Home:
+        return Home(self._name, name)

@@ -7,12 +7,14 @@ import pickle
 import pkgutil
 import re
 import shutil
+from collections import UserList
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import content, exit_code
+from faces import tiny_face
 from small_head import make
 
 import facepipe
@@ -114,6 +116,15 @@ def test_a_file_alone_is_a_list_of_one(folder: Path) -> None:
         facepipe.blend(sources, out=name)
     assert Path("one.usda").read_bytes() == Path("list.usda").read_bytes()
     assert facepipe.cook("one.usda").nodes == facepipe.cook(["one.usda"]).nodes
+
+
+def test_words_that_name_files_may_be_paths_and_lists_any_sequence(folder: Path) -> None:
+    save_parts(tiny_face(), folder / "rig.usda")
+    save_parts(tiny_face(1), folder / "smile.usda")
+    given = {"text.usda": "smile.usda", "path.usda": Path("smile.usda"), "list.usda": UserList([Path("smile.usda")])}
+    for out, targets in given.items():
+        facepipe.fit_bones("rig.usda", targets=targets, mask=UserList(["mouth"]), max_iterations=1, out=out)
+    assert len({(folder / out).read_bytes() for out in given}) == 1
 
 
 def test_a_result_from_a_file_that_is_imported_is_cooked_again(folder: Path) -> None:

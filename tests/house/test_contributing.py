@@ -20,6 +20,7 @@ PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ACTION, TEST = "facepipe/verbs/scale_shapes_action.py", "tests/processors/test_scale_shapes.py"
 HOUSE = ("test_action_page.py", "test_action_schemas.py", "test_readme.py")
 FILES = ("README.md", "pyproject.toml", "tests/conftest.py", *(f"tests/house/{name}" for name in HOUSE))
+FILES += tuple(f"schemas/{name}" for name in ("generate.py", "manifest.py"))
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "docs").glob("*.*"))
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "tests" / "support").glob("*.py"))
 
@@ -40,7 +41,7 @@ def test_what_it_names_is_there() -> None:
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the house with the files of the page, and the reference made anew."""
+    """A copy of the house with the files of the page, and all that is made of declarations; the check asks for it."""
     root = tmp_path_factory.mktemp("house")
     shutil.copytree(REPOSITORY / "facepipe", root / "facepipe", ignore=shutil.ignore_patterns("__pycache__"))
     for name in FILES:
@@ -52,6 +53,10 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert not (REPOSITORY / name).exists()
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, encoding="utf-8")
+    shutil.copytree(REPOSITORY / "schemas" / "facepipe_schemas", root / "schemas" / "facepipe_schemas")
+    check = fresh_process.python(root, root, "schemas/generate.py", "--check")
+    assert (check.returncode, "out of date: actions.json, __init__.pyi" in check.stdout) == (1, True), check
+    python(root, "schemas/generate.py")
     python(root, "docs/action_pages.py")
     return root
 

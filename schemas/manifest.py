@@ -1,0 +1,189 @@
+"""The manifest of actions, and the types of the public API: what `schemas/generate.py` makes of what actions declare.
+
+``actions.json`` has what `facepipe.actions` finds verbs by, before any is imported. ``__init__.pyi`` has the functions
+of `facepipe` for editors and type checkers, which can't see what `facepipe.api` makes of the same declarations at run
+time.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import json
+import sys
+import textwrap
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import facepipe
+from facepipe.api import function_of
+from facepipe.core.loading import homes_of
+from facepipe.core.reports import Report
+from facepipe.declare import Field, fields_of
+from facepipe.kinds import Action, StageAction
+
+FOLDER = Path(__file__).resolve().parents[1] / "facepipe"
+ENDING = "_action.py"  # of the files that declare actions
+_PATH = "str | os.PathLike[str]"
+
+
+def made() -> dict[Path, str]:
+    """File -> its text."""
+    kinds = actions()
+    return {FOLDER / "actions.json": manifest(kinds), FOLDER / "__init__.pyi": stub(kinds)}
+
+
+def actions() -> dict[str, type[Action[Any]]]:
+    """Verb -> action, of all files of this checkout that declare some.
+
+    :raises SystemExit: a file that declares none, or a verb that is declared twice
+    """
+    found: dict[str, type[Action[Any]]] = {}
+    for file in sorted(FOLDER.rglob(f"*{ENDING}")):
+        name = ".".join(("facepipe", *file.relative_to(FOLDER).with_suffix("").parts))
+        module = importlib.import_module(name)
+        kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and "verb" in vars(kind)]
+        own = [kind for kind in kinds if issubclass(kind, Action) and kind.__module__ == name]
+        for kind in own:
+            if found.setdefault(kind.verb, kind) is not kind:
+                raise SystemExit(f"{file}: declares '{kind.verb}' as {found[kind.verb].__module__} does")
+        if not own:
+            raise SystemExit(f"{file}: declares no action, expected one of a file *{ENDING}")
+    return dict(sorted(found.items()))
+
+
+def manifest(kinds: Mapping[str, type[Action[Any]]]) -> str:
+    """actions.json: what `facepipe.actions.manifest` gives."""
+    entries = {
+        verb: {
+            "class": _address(kind),
+            "has_recipe": issubclass(kind, StageAction),
+            "report": _address(report_of(kind)),
+            "summary": kind.summary,
+        }
+        for verb, kind in kinds.items()
+    }
+    packages = {verb.split()[0]: kind.__module__.rpartition(".")[0] for verb, kind in kinds.items() if " " in verb}
+    groups = {name: importlib.import_module(package).__doc__ or name for name, package in packages.items()}
+    found = {"actions": entries, "groups": groups}
+    return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _address(kind: type) -> str:
+    """Of a class, as entry points have it."""
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def report_of(kind: type[Action[Any]]) -> type[Report]:
+    """The class of its report: what it, or the nearest class that it is made of, gives its base as the parameter."""
+    for owner in kind.__mro__:
+        for base in vars(owner).get("__orig_bases__", ()):
+            for given in typing.get_args(base):
+                found = _imported(owner, given.__forward_arg__) if isinstance(given, typing.ForwardRef) else given
+                if isinstance(found, type) and issubclass(found, Report):
+                    return found
+    raise SystemExit(f"{kind.verb}: no report")
+
+
+def _imported(owner: type, name: str) -> Any:
+    """What a name means in the module of a class for type checkers, which may be all that it is imported for."""
+    module = sys.modules[owner.__module__]
+    imports = [node for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.ImportFrom)]
+    for line in imports:
+        for alias in line.names:
+            if name == (alias.asname or alias.name):
+                return getattr(importlib.import_module(str(line.module)), alias.name)
+    return getattr(module, name)
+
+
+def stub(kinds: Mapping[str, type[Action[Any]]]) -> str:
+    """__init__.pyi: what the package gives by name, and a function for each other action."""
+    homes = homes_of("facepipe")
+    given = ["__version__", *facepipe.__all__]
+    functions = [kind for verb, kind in kinds.items() if function_of(kind).__name__ not in given]
+    named: dict[str, type] = {}
+    for one in (found for kind in functions for found in _classes(kind)):
+        if one.__name__ in given or named.setdefault(one.__name__, one) is not one:
+            raise SystemExit(f"{_address(one)}: another class of its name is in the public API, expected another name")
+    imports = [f"from {homes[name].module} import {homes[name].name} as {name}" for name in given]
+    imports += [f"from {one.__module__} import {name}" for name, one in named.items()]
+    head = ["import os", "from collections.abc import Mapping, Sequence", "from typing import Any, Literal", ""]
+    listed = ["__all__ = [", *(f'    "{name}",' for name in facepipe.__all__), "]"]
+    parts = ["# Made by `python schemas/generate.py` of what actions declare.", _quoted(facepipe.__doc__ or "")]
+    return "\n".join([*parts, "", *head, *sorted(imports), "", *listed, "", *map(_function, functions)])
+
+
+def _classes(kind: type[Action[Any]]) -> Iterator[type]:
+    """What its function's signature names: its report, and values that JSON holds in a way of their own."""
+    yield report_of(kind)
+    for field in fields_of(kind):
+        if field.value is not None:
+            yield from (_imported(_owner(kind, field), name) for name in _names(kind, field))
+
+
+def _owner(kind: type, field: Field) -> type:
+    """The class that declares a field."""
+    return next(one for one in kind.__mro__ if field.name in vars(one).get("__annotations__", {}))
+
+
+def _names(kind: type, field: Field) -> list[str]:
+    """The classes that its annotation has."""
+    written = ast.parse(_owner(kind, field).__annotations__[field.name])
+    return [node.id for node in ast.walk(written) if isinstance(node, ast.Name)]
+
+
+def _function(kind: type[Action[Any]]) -> str:
+    function, fields = function_of(kind), {field.name: field for field in fields_of(kind)}
+    lines, alone = [f"def {function.__name__}("], True
+    for one in inspect.signature(function).parameters.values():
+        if alone and one.kind is one.KEYWORD_ONLY:
+            lines.append("    *,")
+            alone = False
+        asked = one.default is one.empty
+        said = _type(kind, fields[one.name]) if one.name in fields else _own_type(one)
+        lines.append(f"    {one.name}: {said}{'' if asked else f' = {_literal(one.default)}'},")
+    doc = textwrap.indent(_quoted(function.__doc__ or ""), "    ")
+    return "\n".join([*lines, f") -> {report_of(kind).__name__}:", doc, ""])
+
+
+def _own_type(one: inspect.Parameter) -> str:
+    """Of a parameter that is no field: whether something is done, or the file to write."""
+    return "bool" if isinstance(one.default, bool) else f"{_PATH} | None" if one.default is None else _PATH
+
+
+def _type(kind: type[Action[Any]], field: Field) -> str:
+    """What the function takes for a field."""
+    if field.value is not None:
+        parts = [*_names(kind, field), "Mapping[str, Any]", *([_PATH] if field.is_read else [])]
+    else:
+        parts = [_part(one, field) for one in field.kinds if one is not types.NoneType]
+    return " | ".join([*parts, *(["None"] if types.NoneType in field.kinds else [])])
+
+
+def _part(one: Any, field: Field) -> str:
+    arguments = typing.get_args(one)
+    if typing.get_origin(one) is tuple:
+        item = _part(arguments[0], field)
+        return f"{item} | Sequence[{item}]" if item == _PATH else f"Sequence[{item}]"
+    if typing.get_origin(one) is Mapping:
+        return f"Mapping[str, {_part(arguments[1], field)}]"
+    if field.choices:
+        return f"Literal[{', '.join(map(_literal, field.choices))}]"
+    if one is Path or (field.split is not None and field.split("head.usda")[0]):
+        return _PATH
+    return str(one.__name__)
+
+
+def _quoted(text: str) -> str:
+    """A docstring."""
+    text = text.strip().replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
+    return f'"""{text}\n"""' if "\n" in text else f'"""{text}"""'
+
+
+def _literal(value: object) -> str:
+    """As the house writes it, with double quotes."""
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
