@@ -47,8 +47,13 @@ def _bald(parts: FaceParts) -> FaceParts:
 
 def with_cards(parts: FaceParts, *names: str) -> FaceParts:
     """The average head with some of its brows, lashes and hair again."""
-    cards = (mesh for mesh in heads.make(0, textures=16).meshes if mesh.name in names)
+    cards = (mesh for mesh in _average().meshes if mesh.name in names)
     return replace(parts, meshes=(*parts.meshes, *(replace(mesh, blendshapes=()) for mesh in cards)))
+
+
+@cache
+def _average() -> FaceParts:
+    return heads.make(0, textures=16)
 
 
 def _open(mesh: Mesh) -> Iterator[Blendshape]:

@@ -187,7 +187,7 @@ def on_lids_and_brows(parts: FaceParts) -> np.ndarray:
 
 
 def test_lids_and_brows_look_as_in_the_photo_however_dark_and_of_what_hue(tmp_path: Path) -> None:
-    parts = small_person(LIGHT_SKIN)
+    parts = person(LIGHT_SKIN)  # paint is finer than the small one's triangles
     spots, before = on_lids_and_brows(parts), next(skin(parts))
     texture = picture("painted.png", (np.where(spots[..., None], PAINT, before) * 255).astype(np.uint8))
     face = next(one for one in parts.materials if one.name == SKIN[0])
