@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import feature_graphs
 import numpy as np
 import pytest
