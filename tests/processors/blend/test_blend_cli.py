@@ -26,8 +26,6 @@ from facepipe.processors.blend.quality import _deviation
 from facepipe.processors.blend.weights import weights_to_json
 from facepipe.stage import save_parts
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 # --- blending
 
 

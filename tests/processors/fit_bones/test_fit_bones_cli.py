@@ -20,8 +20,6 @@ from facepipe.performing import recipe_to
 from facepipe.processors.fit_bones import FitBones, FitBonesToTargets, read_limits, read_targets
 from facepipe.rig import build
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -37,8 +37,6 @@ from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 
 @pytest.fixture
 def files(fit_files: Files) -> Files:
