@@ -108,14 +108,3 @@ def folder(drawer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture(scope="module")
-def few_lamps() -> Iterator[None]:
-    """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
-    from facepipe.learn.photo import lighting, shadows
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "_RINGS", ())
-        patch.setattr(shadows, "DIRECTIONS", 12)
-        yield

@@ -34,7 +34,7 @@ from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.photo_options import PhotoFitOptions
 from facepipe.rig import slide
 
-pytestmark = [pytest.mark.needs_torch, pytest.mark.usefixtures("few_lamps")]
+pytestmark = pytest.mark.needs_torch
 
 TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity", "hue")
 ALONE = dict.fromkeys(TERMS, 0.0)
