@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from narrow_face import NARROW
 from recovery_looks import camera_of, random_backdrop, random_pose, random_studio
 from recovery_targets import head_without_neck, posed, random_expression

@@ -8,37 +8,32 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import positive
-from contacts import Subject
+from contacts import (
+    COMBINED,
+    PARTLY,
+    SINGLE,
+    Eyes,
+    Subject,
+    blink,
+    draw_combinations,
+    expressions,
+    eye_sheets,
+    mouth_sheet,
+    person,
+    worst,
+)
 
-from facepipe.geometry.contacts import Contact, Sheet
-from facepipe.importers.ict import shape_name
-from facepipe.importers.ict_topology import EXPRESSIONS
-from facepipe.rig.conventions import ARKIT_SHAPES
+from facepipe.geometry.contacts import Contact
 
-SINGLE = (4, 0.3)  # cells and mm that a shape alone may have
-COMBINED = (20, 0.5)  # and that a combination may have
-SHAPES = (5, 9)  # of a combination, by a weight from 0 to 1 each
-PRESSED = dict.fromkeys(("mouthPressLeft", "mouthPressRight"), 1.0)  # lips without the gap that they have at rest
-BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
-PARTLY = (0.25, 0.5, 0.75)
-
-Weights = Mapping[str, float]
 People = Callable[[int], Subject]
-
-
-@dataclass(frozen=True)
-class Eyes:
-    """A blink of a person."""
-
-    shown: float  # share of what the open eyes show, in the view where it is the largest
-    through: Contact  # the worst of the partly closed lids
 
 
 @dataclass(frozen=True)
@@ -86,52 +81,8 @@ def measure(people: People, count: int, combinations: int) -> Result:
         combined += [mouth.before_skin(subject.points(weights)) for weights in drawn]
         eyes[seed] = blink(subject, eye_sheets(average))
         print(f"{seed} of {count}", end="\r", file=sys.stderr)
-    worst = {name: _worst(found) for name, found in single.items()}
+    worst = {name: worst(found) for name, found in single.items()}
     return Result({name: one for name, one in worst.items() if one.cells}, combined, eyes)
-
-
-def expressions(subject: Subject) -> tuple[str, ...]:
-    """Shapes of expressions, by the names of ARKit or of its halves: a head may have others for who it is."""
-    known = ARKIT_SHAPES | {shape_name(name, True) for name in EXPRESSIONS}
-    return tuple(name for name in subject.shapes if name in known)
-
-
-def mouth_sheet(average: Subject) -> Sheet:
-    """Teeth behind closed lips."""
-    return Sheet.of(average.triangles("Head"), average.triangles("Teeth"), [average.points(PRESSED)])
-
-
-def eye_sheets(average: Subject) -> tuple[Sheet, ...]:
-    """The eyeballs behind closed lids: the rims that rest on them are between lids then, and do not count."""
-    poses = [average.points(dict.fromkeys(BLINKS, 1.0))]
-    head = average.triangles("Head")
-    return tuple(Sheet.of(head, average.triangles(f"Eyeball{side}"), poses) for side in ("Left", "Right"))
-
-
-def blink(subject: Subject, sheets: tuple[Sheet, ...]) -> Eyes:
-    """How lids go over the eyeballs of a person."""
-    closed = subject.points(dict.fromkeys(BLINKS, 1.0))
-    shown = max(float((sheet.shown(closed) / sheet.shown(subject.neutral)).max()) for sheet in sheets)
-    poses = [subject.points(dict.fromkeys(BLINKS, weight)) for weight in PARTLY]
-    found = [sheet.through(points) for sheet in sheets for points in poses]
-    return Eyes(shown, _worst(found))
-
-
-def draw_combinations(shapes: tuple[str, ...], count: int) -> Iterator[Weights]:
-    """The same for the same arguments."""
-    draws = np.random.Generator(np.random.PCG64(0))
-    for _ in range(count):
-        chosen = draws.choice(len(shapes), draws.integers(SHAPES[0], SHAPES[1] + 1), replace=False)
-        yield {shapes[number]: float(draws.uniform()) for number in chosen}
-
-
-def person(seed: int) -> Subject:
-    """A person of the head in the box, with its shapes of expressions; 0 is the average head."""
-    from facepipe.heads.assembly import make_head
-    from facepipe.heads.asset import asset
-    from facepipe.heads.people import draw
-
-    return Subject(make_head(draw(seed).identity), tuple(asset().shapes))
 
 
 def raw_person(source: Path, seed: int) -> Subject:
@@ -156,11 +107,6 @@ def table(result: Result) -> str:
         f"nothing through lids at {', '.join(map(str, PARTLY))}: {clean} of {count}",
     ]
     return "\n".join(lines)
-
-
-def _worst(found: Iterable[Contact]) -> Contact:
-    cells, depths = zip(*((one.cells, one.depth) for one in found), strict=True)
-    return Contact(max(cells), max(depths))
 
 
 def _above(contact: Contact, bound: tuple[int, float]) -> bool:

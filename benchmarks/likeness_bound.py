@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import positive
 from children import ChildError, run_child
 from geometry_people import person, portraits

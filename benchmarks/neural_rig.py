@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import add_common
 from neural_rig_teacher import HEAD, Teacher, person, teacher
 from tables import aligned

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import add_common
 from neural_rig_teacher import HEAD, Teacher, teacher
 from onnx_timing import median, start

@@ -34,6 +34,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from arguments import positive
 from tables import aligned
 

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 import torch
 from arguments import positive
 from call_times import measured

@@ -3,9 +3,9 @@
 usage: python benchmarks/photo_recovery.py [--faces 50] [--seed 0] [--size 256] [--noise 1] [--iterations N]
        [--no-networks] [--modes ...] [--processes 2] [--json out.json]
 
-Each person is photographed neutral and with an expression (`recovery_targets.py`); each photo is fitted with the L1
-terms that draw sliders and expressions to their defaults, and without. A fit is given the image and the landmarks with
-noise, and nothing else. Columns, means over the faces:
+Each person is photographed neutral and with an expression (`tests/support/recovery_targets.py`); each photo is fitted
+with the L1 terms that draw sliders and expressions to their defaults, and without. A fit is given the image and the
+landmarks with noise, and nothing else. Columns, means over the faces:
 
   landmarks   px    68 landmarks of the fitted face under the fitted camera, from where they are; contour points found
                     on the mesh by the benchmark, not by the fit

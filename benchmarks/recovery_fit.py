@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+import support_modules  # noqa: F401  (finds the modules of tests/support)
 from recovery_measures import Recovery, recovery
 from recovery_targets import RecoveryTarget, sample, target
 

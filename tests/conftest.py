@@ -17,7 +17,6 @@ from hypothesis import HealthCheck, settings
 from small_sources import made
 from threadpoolctl import threadpool_limits
 
-from facepipe.pictures import PictureOptions
 from facepipe.stage import save_parts
 
 threadpool_limits(limits=1)  # tests run side by side, one on each core, and so do the programs that they start:
@@ -106,23 +105,3 @@ def folder(drawer: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture(scope="module")
-def one_sample_a_pixel() -> Iterator[None]:
-    """Pictures that are drawn on the way are rough, and quick: antialiasing has tests of its own."""
-    defaults = PictureOptions.__init__.__kwdefaults__
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(defaults, "samples", 1)
-        yield
-
-
-@pytest.fixture(scope="module")
-def few_lamps() -> Iterator[None]:
-    """Light is looked for in few directions: what is found in all of them is tested by test_photo_light and _key."""
-    from facepipe.photo.descent import lighting, shadows
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "_RINGS", ())
-        patch.setattr(shadows, "DIRECTIONS", 12)
-        yield

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from contacts import Subject
-from head_contacts import blink, eye_sheets, mouth_sheet
+from contacts import Subject, blink, eye_sheets, mouth_sheet
 from import_data import shared
 from solids import ball
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from head_contacts import BLINKS, PARTLY, blink, eye_sheets, person
+from contacts import BLINKS, PARTLY, blink, eye_sheets, person
 from scipy.spatial import cKDTree
 
 from facepipe.geometry.polygons import point_normals, point_triangles

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from head_contacts import COMBINED, SINGLE, draw_combinations, expressions, mouth_sheet, person
+from contacts import COMBINED, SINGLE, draw_combinations, expressions, mouth_sheet, person
 
 
 @pytest.mark.parametrize(("seed", "ending"), [(0, ""), *((seed, "er") for seed in (2, 14, 18, 23, 24))])

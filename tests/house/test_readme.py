@@ -95,7 +95,6 @@ def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_sample_a_pixel")
 def test_the_demo_makes_everything(tmp_path: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(demo_command, "_TEXTURES", 64)

@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import feature_graphs
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.light import shade
 from facepipe.rig import slide
 
-pytestmark = [pytest.mark.needs_torch, pytest.mark.usefixtures("few_lamps")]
+pytestmark = pytest.mark.needs_torch
 
 TERMS = ("landmarks", "color", "content", "identity", "attributes", "sparsity", "expression_sparsity", "hue")
 ALONE = dict.fromkeys(TERMS, 0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import scan_domes
 
 from facepipe.geometry.polygons import point_normals
@@ -14,8 +13,6 @@ from facepipe.parts import Material
 from facepipe.scanning.rebuild_pictures import FitPicture, fit_sheet
 from facepipe.scans import no_triangles
 from facepipe.verbs.whole_faces import whole_parts, whole_points
-
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
 
 HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
 SIZE = 64

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+import small_head
 from PIL import Image
 
 from facepipe import heads
@@ -22,20 +24,36 @@ SKY, GROUND = np.array([0.5, 0.5, 0.55]), np.array([0.25, 0.25, 0.22])
 LAMP, LAMP_COLOR = (0.5, 0.4, 0.75), (0.7, 0.68, 0.6)
 BACKGROUND = (1.0, 0.0, 1.0)
 SKIN = ("M_Face", "M_BackHead")
+CARDS = ("Brows", "Lashes", "Hair")
 
 
+@cache
 def person(seed: int, textures: int = 256) -> FaceParts:
     """A head with one shape, without sliders, and without brows, lashes and hair, which a skin's texture lacks."""
-    parts = heads.make(seed, textures=textures)
-    bald = (mesh for mesh in parts.meshes if mesh.name not in ("Brows", "Lashes", "Hair"))
+    return _bald(heads.make(seed, textures=textures))
+
+
+@cache
+def small_person(seed: int, textures: int = 256) -> FaceParts:
+    """The same in an eighth of the points, on which no cards lie."""
+    return _bald(small_head.make(seed, textures=textures))
+
+
+def _bald(parts: FaceParts) -> FaceParts:
+    bald = (mesh for mesh in parts.meshes if mesh.name not in CARDS)
     meshes = tuple(replace(mesh, blendshapes=tuple(_open(mesh))) for mesh in bald)
     return replace(parts, meshes=meshes, sliders=(), animations=(), played=None)
 
 
 def with_cards(parts: FaceParts, *names: str) -> FaceParts:
     """The average head with some of its brows, lashes and hair again."""
-    cards = (mesh for mesh in heads.make(0, textures=16).meshes if mesh.name in names)
+    cards = (mesh for mesh in _average().meshes if mesh.name in names)
     return replace(parts, meshes=(*parts.meshes, *(replace(mesh, blendshapes=()) for mesh in cards)))
+
+
+@cache
+def _average() -> FaceParts:
+    return heads.make(0, textures=16)
 
 
 def _open(mesh: Mesh) -> Iterator[Blendshape]:

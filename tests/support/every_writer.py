@@ -30,8 +30,6 @@ from small_head import make
 from turning_clip import portrait, write_video
 
 from facepipe.cli import main
-from facepipe.photo.descent import lighting, shadows
-from facepipe.pictures import PictureOptions
 from facepipe.scanning.database import save_database
 from facepipe.stage import save_parts
 
@@ -108,8 +106,6 @@ def work(seed: int) -> None:
     """Write all of it."""
     started.watch()
     _list_in_any_order(random.Random(seed))
-    PictureOptions.__init__.__kwdefaults__["samples"] = 1
-    lighting._RINGS, shadows.DIRECTIONS = (), 12
     write_own_wheel(Path())
     for name, put, lines in (("heads", _put_heads, HEADS), ("domes", _put_domes, DOMES)):
         Path(name).mkdir()

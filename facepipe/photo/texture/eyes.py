@@ -141,8 +141,8 @@ def recolored(texture: SkinTexture, factor: FloatArray) -> bytes:
 
     name = texture.source.texture.name
     picture = open_image(texture.source.texture.image(), f"texture {name}").convert("RGB")
-    linear = from_srgb(np.asarray(picture, np.float32) / np.float32(255)) * factor
+    linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
+    levels = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
     stream = BytesIO()
-    levels = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)
-    Image.fromarray(levels).save(stream, format="PNG", compress_level=6)
+    Image.fromarray(levels[np.asarray(picture), np.arange(3)]).save(stream, format="PNG", compress_level=6)
     return stream.getvalue()

@@ -13,6 +13,7 @@ from facepipe.core.reading import file_beside
 from facepipe.kinds import StageAction, Watch
 
 if TYPE_CHECKING:
+    from facepipe.scanning.photos import PhotoScan
     from facepipe.scanning.rebuild.action_reports import Judged
     from facepipe.scans import Scan, ScanLandmarks
     from facepipe.stage import Face
@@ -70,6 +71,15 @@ def scan_input(source: Path, landmarks: Path | None, watch: Watch) -> ScanInput:
         return ScanInput(scan=scan, landmarks=found, warnings=warnings)
     with named(source), bars(watch) as step:
         made = ScanPhotos()(source, step)
+    return input_of_photos(made, landmarks)
+
+
+def input_of_photos(made: PhotoScan, landmarks: Path | None) -> ScanInput:
+    """The scan that photos gave, and what is known of it.
+
+    :param landmarks: their file; None: they come from the photos, or are found on the scan
+    :raises FacepipeError: a file that can't be used, or no landmarks found
+    """
     found, warnings = landmarks_of(landmarks, made.scan, made.landmarks)
     report = made.report.to_dict()
     return ScanInput(scan=made.scan, landmarks=found, warnings=(*made.report.warnings, *warnings), photos=report)

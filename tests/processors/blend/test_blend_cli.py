@@ -26,8 +26,6 @@ from facepipe.verbs.blend.lids import LidContact
 from facepipe.verbs.blend.quality import _deviation
 from facepipe.verbs.blend.weights import weights_to_json
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 # --- blending
 
 

@@ -20,8 +20,6 @@ from facepipe.performing import recipe_to
 from facepipe.rig import build
 from facepipe.verbs.fit_bones import FitBones, FitBonesToTargets, read_limits, read_targets
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

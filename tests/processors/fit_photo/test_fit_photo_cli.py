@@ -31,7 +31,7 @@ from facepipe.photo.fit import FitPhoto, read_landmarks, read_photo
 from facepipe.rig.conventions import ARKIT_SHAPES
 from facepipe.stage import save_parts
 
-pytestmark = [pytest.mark.needs_torch, pytest.mark.usefixtures("one_sample_a_pixel", "few_lamps")]
+pytestmark = pytest.mark.needs_torch
 
 ONE = ("front.png", "head.usdc", "--landmarks", "front.json")
 TWO = ("front.png", "--landmarks", "front.json", "side.png", "--landmarks", "side.json", "head.usdc")  # in turn

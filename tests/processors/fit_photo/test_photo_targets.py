@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
-from photo_recovery import judged
 from recovery_landmarks import CONTOUR, FaceLandmarks, pixels
 from recovery_looks import DIAGONAL_MM, Pose, camera_of, pose_axes
 from recovery_measures import (
@@ -295,14 +293,3 @@ def test_the_truth_as_unknowns_of_a_fit_shows_the_same_points(smiling: list[Reco
     assert {name: weight for name, weight in shown.items() if weight} == pytest.approx(target.expressions)
     seen = space.camera(torch.as_tensor(state.poses[0])).project(torch.as_tensor(target.points))[:, :2]
     assert seen.numpy() == pytest.approx(pixels(target.camera, target.points), abs=1e-6)
-
-
-def test_aims_that_are_missed_are_said_to_be() -> None:
-    good = {"landmark_px": 1.2, "slider": 0.05, "geometry_mm": 0.7, "active": 20.0}
-    plain = {**good, "landmark_px": 1.19, "active": 40.0}
-    summary = {"neutral": good, "neutral, no sparsity": plain, "expression": {**good, "slider": 0.07}}
-    missed = [line for line in judged(summary) if line.endswith("missed")]
-    assert missed == ["slider error with expressions / neutral: 1.400, aim 1.3: missed"]
-    assert len(judged(summary)) == 9
-    worse = {**summary, "neutral": {**good, "landmark_px": 1.6, "active": 30.0}}
-    assert sum(line.endswith("missed") for line in judged(worse)) == 4

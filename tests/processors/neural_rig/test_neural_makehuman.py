@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import benchmark_modules  # noqa: F401
 import numpy as np
 import pytest
 from facepipe_onnx import Deformer, Options, export_parts, validate

@@ -7,12 +7,10 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import benchmark_modules  # noqa: F401  (finds the modules of benchmarks/)
 import numpy as np
 import pytest
 from command_line import Capsys, done, failed, run
-from contacts import Subject
-from head_contacts import BLINKS, blink, eye_sheets, person
+from contacts import BLINKS, Subject, blink, eye_sheets, person
 from import_data import shared
 from node import validate
 

@@ -32,8 +32,6 @@ from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest
 from facepipe.verbs.whole_faces import Topology, WholeFace, whole_points
 
-pytestmark = pytest.mark.usefixtures("one_sample_a_pixel")
-
 
 @pytest.fixture
 def files(fit_files: Files) -> Files:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import photo_booth
@@ -13,11 +12,10 @@ from command_line import Capsys, failed, run
 from node import validate
 from scan_actors import Actor
 
-from facepipe.kinds import unwatched
 from facepipe.performing import recipe_to
-from facepipe.scanning.photos import Cameras, PhotoScan, ScanPhotos, ScanPhotosReport
+from facepipe.scanning.photos import Cameras, PhotoScan, ScanPhotosReport
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.scanning.rebuild.scan_input import scan_input
+from facepipe.scanning.rebuild.scan_input import input_of_photos
 from facepipe.scans import Scan, ScanLandmarks
 
 
@@ -47,8 +45,7 @@ def test_landmarks_are_those_of_the_photos(tmp_path: Path) -> None:
     (tmp_path / "photos.landmarks.json").write_text("of another scan")
     (tmp_path / "photos").mkdir()
     action = FitNeutralAction(scan=tmp_path / "photos")
-    with mock.patch.object(ScanPhotos, "__call__", return_value=made):
-        given = scan_input(action.scan, action.landmarks, unwatched)
+    given = input_of_photos(made, action.landmarks)
     assert given.landmarks is made.landmarks
     assert given.photos["photos_used"] == ["a.png"]
     assert given.warnings == ("of the photos",)
