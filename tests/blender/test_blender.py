@@ -27,7 +27,7 @@ from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import save_parts
 from facepipe.stage.differences import same
 
-pytestmark = [pytest.mark.slow, needs_blender]
+pytestmark = [pytest.mark.gate, pytest.mark.slow, needs_blender]
 
 NEAR = 1e-6  # of the head height; of weights 1e-6 itself
 

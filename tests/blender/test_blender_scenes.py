@@ -12,7 +12,7 @@ from pxr import Usd
 from facepipe.checks import validate
 from facepipe.hosting.host_face import Face, faces_on
 
-pytestmark = [pytest.mark.slow, needs_blender]
+pytestmark = [pytest.mark.gate, pytest.mark.slow, needs_blender]
 
 Scenes = tuple[Path, dict[str, np.ndarray], str]
 

@@ -90,6 +90,7 @@ def killed_again_and_again(show: Path, program: list[str]) -> None:
     assert content(show) == expected
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_made_up_tasks(show: Path) -> None:
     for number in range(40):

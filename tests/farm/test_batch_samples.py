@@ -33,6 +33,7 @@ out = "{name}.glb"
 """
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_the_nightly_build_is_done_and_then_kept(tmp_path: Path) -> None:
     shutil.copy(REPOSITORY / "samples/nightly.toml", tmp_path)

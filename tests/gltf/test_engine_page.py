@@ -56,6 +56,7 @@ def turned(face: Face) -> np.ndarray:
     return found
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["three", "babylon"])
 def test_modules_run_as_they_stand(engine: str, made: Path, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return cases(request.param, tmp_path_factory.mktemp(request.param))
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", RUNNERS)
 def test_matrix(engine: str, made: dict[str, Case], tmp_path: Path) -> None:

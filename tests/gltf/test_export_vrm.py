@@ -211,7 +211,7 @@ def test_shapes_look_where_a_face_has_no_eye_joints(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["sample", "ict", "makehuman"])
+@pytest.mark.parametrize("kind", [pytest.param("sample", marks=pytest.mark.gate), "ict", "makehuman"])
 def test_three_vrm_moves_whole_faces_as_their_rigs_do(kind: str, tmp_path: Path) -> None:
     parts, joint = face(kind)
     presets = PRESETS if kind != "makehuman" else ()

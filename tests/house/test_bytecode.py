@@ -72,6 +72,7 @@ def test_an_add_on_is_not_made_of_what_blender_cannot_run(bytecode: Path, tmp_pa
     assert [*tmp_path.iterdir()] == []
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_faces_are_made_blended_and_exported(bytecode: Path, tmp_path: Path) -> None:
     """By children of a batch too, which are started by the names of their modules."""

@@ -68,6 +68,7 @@ def python(root: Path, *words: object) -> str:
     return done.stdout
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_its_tests_pass_and_those_of_the_house(house: Path) -> None:
     assert python(house, "-c", "import facepipe; print(facepipe.__file__)").startswith(str(house))

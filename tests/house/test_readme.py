@@ -72,12 +72,15 @@ def test_the_tour_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "result"), [("from_scan", "anna.glb"), ("from_glb", "game.glb")])
+@pytest.mark.parametrize(
+    ("name", "result"), [("from_scan", "anna.glb"), pytest.param("from_glb", "game.glb", marks=pytest.mark.gate)]
+)
 def test_the_tutorials_run(tmp_path: Path, name: str, result: str) -> None:
     assert result in run_lines(tmp_path / "project", (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8"))
 
 
 @pytest.mark.needs_torch
+@pytest.mark.gate
 @pytest.mark.slow
 def test_the_photo_fit_of_the_tour_runs(tmp_path: Path) -> None:
     """Its lines as they stand, on a real photo, with landmarks by the project's own network."""

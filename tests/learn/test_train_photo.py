@@ -350,6 +350,7 @@ def test_lenses_of_random_people_are_those_of_portraits(subject: Subject, portra
     assert ((people.expressions >= 0) & (people.expressions <= 1)).all()
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_a_fit_begins_at_the_guess_where_that_is_better(
     network_file: Path, subject: Subject, portraits: Portraits
@@ -374,6 +375,7 @@ def test_a_fit_begins_at_the_guess_where_that_is_better(
     assert worst["total"] < 1.5 * default["total"]
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_the_fit_command_takes_the_network(
     network_file: Path, face: Path, portraits: Portraits, tmp_path: Path, capsys: pytest.CaptureFixture[str]

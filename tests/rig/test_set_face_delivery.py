@@ -29,7 +29,7 @@ from facepipe.rig import SetFace, coefficient_matrices, rest_coefficients, set_f
 from facepipe.rig.set_person import random_poses
 from facepipe.stage import Face, save_parts
 
-pytestmark = [pytest.mark.needs_torch, pytest.mark.slow]
+pytestmark = [pytest.mark.needs_torch, pytest.mark.gate, pytest.mark.slow]
 assert torch  # fits of photos need it
 
 TOLERANCE = 1e-5  # of the head height

@@ -30,7 +30,6 @@ NEEDS = {
     "needs_mediapipe": Need(("mediapipe",), ""),
 }
 MISSING = {name: need for name, need in NEEDS.items() if not need.is_met}
-_SLOW = re.compile(r"mark\.slow\b")
 
 
 class LeftOut(pytest.Module):
@@ -43,7 +42,7 @@ class LeftOut(pytest.Module):
             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
                 item = _Unread.from_parent(self, name=node.name)
                 marks = " ".join(map(ast.unparse, node.decorator_list)) + _marks_of(text)
-                for mark in (*NEEDS, "slow"):
+                for mark in (*NEEDS, "slow", "gate"):
                     if re.search(rf"mark\.{mark}\b", marks):
                         item.add_marker(mark)
                 yield item

@@ -25,7 +25,7 @@ def test_every_command_that_writes_is_killed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="forks, and sees which files are open by /proc")
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", [pytest.param(0, marks=pytest.mark.gate), *range(1, PARTS)])
 def test_a_kill_leaves_old_or_new_and_nothing_after_another_run(part: int) -> None:
     """At some random steps and moments; `python tests/support/kills.py --random 200` takes all, and long."""
     names = [name for name in LINES if name not in LONG]

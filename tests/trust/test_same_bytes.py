@@ -35,6 +35,7 @@ OTHERS = {
 
 
 @pytest.mark.needs_torch
+@pytest.mark.gate
 @pytest.mark.slow
 def test_every_command_writes_the_same_bytes(tmp_path: Path) -> None:
     for name in ("ict_facekit/ict_facekit.npz", "makehuman/makehuman_head.npz"):

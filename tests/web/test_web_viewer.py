@@ -15,7 +15,7 @@ from slider_faces import random_values, sample_with_sliders
 
 from facepipe.stage import save_parts
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.gate, pytest.mark.slow]
 
 TOLERANCE = 1e-5  # of the head height
 CANVAS = "#view > canvas"

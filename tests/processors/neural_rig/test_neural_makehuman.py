@@ -26,7 +26,7 @@ from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
 
 __all__ = ["torch", "writing", "written"]
 
-pytestmark = [pytest.mark.needs_torch, pytest.mark.slow]
+pytestmark = [pytest.mark.needs_torch, pytest.mark.gate, pytest.mark.slow]
 
 QUICK = TrainNeuralRigOptions(shapes=24, width=32, steps=200)
 

@@ -177,6 +177,7 @@ def test_limits_follow_what_the_other_scans_show() -> None:
     assert left_out(check(0.1, coverage=0.2), check(0.1)) == ["a"]
 
 
+@pytest.mark.gate
 @pytest.mark.slow
 def test_a_fresh_actor_with_one_wrong_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Another person's smile among eight scans: no shape of a real head is worse than the template's.
