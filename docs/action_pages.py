@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import facepipe
-from facepipe.actions import find_action, function_name, manifest, summaries
+from facepipe.actions import find_action, function_name, summaries
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, FileAction
+from facepipe.registry import manifest
 
 PAGE = Path(__file__).resolve().parent / "actions.md"
 INTRO = """# Actions: sources, options, files

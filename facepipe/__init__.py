@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import facepipe_schemas as facepipe_schemas  # registers them: before USD is in use, where the host hasn't used it yet
 
+from facepipe import former_names
 from facepipe.core import __version__ as __version__
-from facepipe.core import former_names
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:  # of which `lazy` knows; type checkers read __init__.pyi, which is made of it and of the actions
@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # of which `lazy` knows; type checkers read __init__.pyi, whi
     from facepipe.cooking.cooking import cook
     from facepipe.core.errors import ExportError, FacepipeError, FitError, InputError, SchemaError, TopologyError
     from facepipe.exporting import export
-    from facepipe.farm.batch import batch
     from facepipe.stage.face import Face
     from facepipe.stage.face import open_face as open
 else:

@@ -9,34 +9,19 @@ facepipe's own commands and groups are taken. A verb of two words is a command o
 from __future__ import annotations
 
 import contextlib
-import functools
-import json
 import re
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.declare import fields_of
 from facepipe.kinds import Action, FileAction, InPlaceAction, StageAction
-from facepipe.registry import loaded
+from facepipe.registry import loaded, manifest
 
 GROUP = "facepipe.processors"
 # flags that commands have, and arguments of functions, beside those of fields
 _TAKEN = {"edit", "flatten", "force", "help", "json", "out", "output", "overwrite", "quiet", "replace", "root"}
 _TAKEN |= {"loudness", "trust-models", "verbose"}
-_MANIFEST = Path(__file__).with_name("actions.json")
-
-
-@functools.cache
-def manifest() -> dict[str, Any]:
-    """What is known of our actions before one is imported.
-
-    ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``groups``: first word of
-    verbs of two words -> text of --help.
-    """
-    found: dict[str, Any] = json.loads(_MANIFEST.read_text(encoding="utf-8"))
-    return found
 
 
 def _own() -> dict[str, dict[str, Any]]:

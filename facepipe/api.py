@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -58,14 +59,19 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, o
     return open_face(out)
 
 
-def given(name: str) -> Callable[..., Report] | None:
-    """The function of an action, `fit_bones` that of `facepipe fit-bones`; None where there is no such action.
+def given(name: str) -> Callable[..., Any] | None:
+    """A function of a wing, or that of an action, `fit_bones` of `facepipe fit-bones`; None where there is none.
 
     :raises AttributeError: it is that of a plug-in that can't be used
     """
     from facepipe.actions import find_action, verb_of
     from facepipe.core.errors import InputError
+    from facepipe.registry import manifest
 
+    if name in manifest()["functions"]:
+        module, _, function = manifest()["functions"][name].partition(":")
+        found: Callable[..., Any] = getattr(importlib.import_module(module), function)
+        return found
     verb = verb_of(name)
     try:
         kind: Any = None if verb is None else find_action(verb)
@@ -75,10 +81,11 @@ def given(name: str) -> Callable[..., Report] | None:
 
 
 def names() -> tuple[str, ...]:
-    """The functions of all actions."""
+    """The functions of all actions, and those that wings have beside."""
     from facepipe.actions import function_name, summaries
+    from facepipe.registry import manifest
 
-    return tuple(map(function_name, summaries()))
+    return (*manifest()["functions"], *map(function_name, summaries()))
 
 
 @functools.cache

@@ -13,14 +13,12 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reports import ExportReport
 from facepipe.kinds import Watch, unwatched
-from facepipe.neural.options import AttachOptions
 from facepipe.parts import HeldFace, HeldLevels
-from facepipe.registry import exporter, outputs
+from facepipe.registry import exporter, neural_rigs, outputs
 from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
     from facepipe.importers.rename_table import Rename, Renamed
-    from facepipe.neural import AttachedNeuralRig
     from facepipe.parts import HasParts
     from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage import Face
@@ -53,7 +51,7 @@ class _Made:
 
     face: HasParts
     distilled: DistilReport | None = None
-    attached: AttachedNeuralRig | None = None
+    attached: Any = None  # of a neural rig, as `facepipe.registry.NeuralRigs` has it
     renamed: Renamed | None = None
 
 
@@ -117,13 +115,14 @@ def _opened(path: Path) -> Face:
 
 def _options(
     kind: Any, options: Mapping[str, Any], *, neural: bool, distil: bool, lod: int
-) -> tuple[Any, AttachOptions, DistilOptions | None]:
+) -> tuple[Any, Any, DistilOptions | None]:
     """The options of the format, an instance of `kind`, of a neural rig, and of learned sliders.
 
     :raises InputError: options that are unknown, out of range, or don't go together
     """
     known = {field.name for field in dataclasses.fields(kind)}
-    attach = {field.name for field in dataclasses.fields(AttachOptions)}
+    kind_of_rig = neural_rigs().Options
+    attach = {field.name for field in dataclasses.fields(kind_of_rig)}
     learned = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
     for name in options:
         if name not in known | attach | learned:
@@ -141,7 +140,7 @@ def _options(
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
     if neural and hasattr(form, "sliders") and not form.encoder:
         form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
-    attached = AttachOptions(**{name: value for name, value in options.items() if name in attach})
+    attached = kind_of_rig(**{name: value for name, value in options.items() if name in attach})
     distilled = {name.removeprefix(DISTIL): value for name, value in options.items() if name in learned}
     return form, attached, DistilOptions(**distilled) if distil else None
 
@@ -152,7 +151,7 @@ def _naming(given: str) -> Rename:
     return rename_of(given)
 
 
-def _made(face: Face, form: Any, rig: Path | None, attach: AttachOptions, learned: DistilOptions | None) -> _Made:
+def _made(face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None) -> _Made:
     """The face with learned sliders, or the neural rig, if asked for.
 
     :raises InputError: as `DistilSliders`, or a damaged rig or one without an encoder
@@ -167,9 +166,7 @@ def _made(face: Face, form: Any, rig: Path | None, attach: AttachOptions, learne
         return _Made(face=face)
     if getattr(form, "encoder", False):
         return _Made(face=_encoded(face, rig))
-    from facepipe.neural import AttachNeuralRig, load_neural_rig
-
-    attached = AttachNeuralRig(options=attach)(face.parts(), load_neural_rig(rig), face.where)
+    attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
     return _Made(face=HeldFace(attached.parts), attached=attached)
 
 
@@ -184,10 +181,9 @@ def _renamed(made: _Made, face: Face, form: Any, naming: Rename) -> _Made:
 
 
 def _encoded(face: Face, rig: Path) -> _EncodedFace:
-    from facepipe.neural import load_encoder
     from facepipe.verbs.whole_faces import Topology
 
-    encoder = load_encoder(rig)
+    encoder = neural_rigs().encoder(rig)
     encoder.check(Topology.of(face.parts()).digest, face.where)
     return _EncodedFace(face.parts(), encoder)
 

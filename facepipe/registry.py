@@ -1,4 +1,6 @@
-"""Plug-ins, found through entry points: exporters by file suffix, importers by kind, hosts by name.
+"""What is found by name: plug-ins through entry points, wings through the manifest (actions.json).
+
+Plug-ins are exporters by file suffix, importers by kind, hosts by name.
 
 `Exporter` and `Importer` are what modules must have that ``facepipe.exporters`` and ``facepipe.importers`` name. A
 host (``facepipe.hosts``) is a module that brings faces into another program; its command documents what it calls there.
@@ -6,6 +8,9 @@ host (``facepipe.hosts``) is a module that brings faces into another program; it
 
 from __future__ import annotations
 
+import functools
+import importlib
+import json
 from collections.abc import Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -16,9 +21,11 @@ from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
     from facepipe.core.reports import ExportReport, Finding
-    from facepipe.parts import HasParts
+    from facepipe.parts import FaceParts, HasParts
+    from facepipe.rig.neural_encoder import NeuralEncoder
     from facepipe.stage.imported import Imported
 
+_MANIFEST = Path(__file__).with_name("actions.json")
 EXPORTERS, IMPORTERS, HOSTS = "facepipe.exporters", "facepipe.importers", "facepipe.hosts"
 
 
@@ -46,6 +53,40 @@ class Exporter(Protocol):
         """
 
 
+class NeuralRigs(Protocol):
+    """What the wing of neural rigs does for exports and checks."""
+
+    Options: type[Any]  # of a rig on a face: a frozen dataclass
+
+    def load(self, path: Path) -> Any:
+        """The rig in a file, with the `topology` that it was learned on.
+
+        :raises InputError: no neural rig
+        """
+
+    def attached(self, face: FaceParts, path: Path, options: Any, where: str) -> Any:
+        """The `parts` of the face with the rig of a file, `dropped_mm` and `clips_mm` of it, and `warnings`.
+
+        :raises FacepipeError: a damaged rig, or one that was learned on other meshes, joints or skin
+        """
+
+    def encoder(self, path: Path) -> NeuralEncoder:
+        """The encoder in the file of a rig.
+
+        :raises InputError: a damaged rig, or one without an encoder
+        """
+
+
+class Databases(Protocol):
+    """What the wing of scans does for others."""
+
+    def load(self, path: Path) -> Any:
+        """The faces in a file (.fpdb).
+
+        :raises InputError: no database
+        """
+
+
 class Importer(Protocol):
     """Reads one kind of files or folders as faces.
 
@@ -62,6 +103,30 @@ class Importer(Protocol):
         :param options: an instance of `Options`
         :raises FacepipeError: a source or option that can't be used
         """
+
+
+@functools.cache
+def manifest() -> dict[str, Any]:
+    """What is known of the wings and the actions before one is imported; `python schemas/generate.py` makes it.
+
+    ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``doors``: name -> module.
+    ``former``: name that a module had -> where it is.
+    ``functions``: public function -> where it is. ``groups``: first word of verbs of two words -> text of --help.
+    """
+    found: dict[str, Any] = json.loads(_MANIFEST.read_text(encoding="utf-8"))
+    return found
+
+
+def neural_rigs() -> NeuralRigs:
+    """The door of that wing."""
+    door: NeuralRigs = importlib.import_module(manifest()["doors"]["neural rigs"])
+    return door
+
+
+def databases() -> Databases:
+    """The door of that wing."""
+    door: Databases = importlib.import_module(manifest()["doors"]["databases"])
+    return door
 
 
 def suffixes() -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from typing import Any
 
 import facepipe
 from facepipe.api import function_of
-from facepipe.core.loading import homes_of
+from facepipe.core.loading import Home, homes_of
 from facepipe.core.reports import Report
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, StageAction
@@ -56,8 +56,18 @@ def actions() -> dict[str, type[Action[Any]]]:
     return dict(sorted(found.items()))
 
 
+def doors() -> list[Any]:
+    """The modules by which the core and other wings reach a wing."""
+    return [importlib.import_module(f"facepipe.{file.parent.name}.door") for file in sorted(FOLDER.glob("*/door.py"))]
+
+
+def functions() -> dict[str, str]:
+    """Public function of a wing that is no action's -> where it is."""
+    return {name: place for door in doors() for name, place in getattr(door, "FUNCTIONS", {}).items()}
+
+
 def manifest(kinds: Mapping[str, type[Action[Any]]]) -> str:
-    """actions.json: what `facepipe.actions.manifest` gives."""
+    """actions.json: what `facepipe.registry.manifest` gives."""
     entries = {
         verb: {
             "class": _address(kind),
@@ -69,7 +79,9 @@ def manifest(kinds: Mapping[str, type[Action[Any]]]) -> str:
     }
     packages = {verb.split()[0]: kind.__module__.rpartition(".")[0] for verb, kind in kinds.items() if " " in verb}
     groups = {name: importlib.import_module(package).__doc__ or name for name, package in packages.items()}
-    found = {"actions": entries, "groups": groups}
+    named = {door.NAME: door.__name__ for door in doors()}
+    former = {name: places for door in doors() for name, places in getattr(door, "FORMER", {}).items()}
+    found = {"actions": entries, "doors": named, "former": former, "functions": functions(), "groups": groups}
     return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
@@ -104,17 +116,18 @@ def stub(kinds: Mapping[str, type[Action[Any]]]) -> str:
     """__init__.pyi: what the package gives by name, and a function for each other action."""
     homes = homes_of("facepipe")
     given = ["__version__", *facepipe.__all__]
-    functions = [kind for verb, kind in kinds.items() if function_of(kind).__name__ not in given]
+    others = [kind for kind in kinds.values() if function_of(kind).__name__ not in given]
     named: dict[str, type] = {}
-    for one in (found for kind in functions for found in _classes(kind)):
+    for one in (found for kind in others for found in _classes(kind)):
         if one.__name__ in given or named.setdefault(one.__name__, one) is not one:
             raise SystemExit(f"{_address(one)}: another class of its name is in the public API, expected another name")
+    homes |= {name: Home(*place.split(":")) for name, place in functions().items()}
     imports = [f"from {homes[name].module} import {homes[name].name} as {name}" for name in given]
     imports += [f"from {one.__module__} import {name}" for name, one in named.items()]
     head = ["import os", "from collections.abc import Mapping, Sequence", "from typing import Any, Literal", ""]
     listed = ["__all__ = [", *(f'    "{name}",' for name in facepipe.__all__), "]"]
     parts = ["# Made by `python schemas/generate.py` of what actions declare.", _quoted(facepipe.__doc__ or "")]
-    return "\n".join([*parts, "", *head, *sorted(imports), "", *listed, "", *map(_function, functions)])
+    return "\n".join([*parts, "", *head, *sorted(imports), "", *listed, "", *map(_function, others)])
 
 
 def _classes(kind: type[Action[Any]]) -> Iterator[type]:

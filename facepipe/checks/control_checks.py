@@ -13,8 +13,8 @@ from facepipe.checks.views import FaceView, Problem, array, at, unlisted, value,
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reading import digest
-from facepipe.neural import load_neural_rig
 from facepipe.parts import FaceParts
+from facepipe.registry import neural_rigs
 from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import curve_fault
 from facepipe.stage import Face
@@ -194,7 +194,7 @@ def neural_rig_file(face: FaceView) -> Iterator[Problem]:
         yield at(where, link.refusal or f"@{link.file}@ can't be found, expected a neural rig (.fpnr)")
         return
     try:
-        rig = load_neural_rig(link.path)
+        rig = neural_rigs().load(link.path)
     except FacepipeError as error:
         yield at(_link_path(face, tokens.NEURAL_RIG_FILE), str(error))
         return

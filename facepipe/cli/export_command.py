@@ -29,7 +29,6 @@ from facepipe import registry
 from facepipe.cli.parser import Parser, add_options, add_output, add_rename, output_of
 from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
-from facepipe.neural.options import AttachOptions
 from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add_rename(parser, words)
     rig = "neural rig (.fpnr) whose controls are the sliders of FACE; a .onnx is the graph of its controls"
     parser.add_argument("--neural", type=Path, metavar="RIG", help=rig)
-    add_options(parser, AttachOptions, "options of --neural", sparse=True)
+    add_options(parser, registry.neural_rigs().Options, "options of --neural", sparse=True)
     learned = "a small learned network in place of curves and of a larger network; the report says how far off it is"
     group = parser.add_argument_group("options of .onnx --sliders (needs torch: pip install 'facepipe[train]')")
     group.add_argument("--distil", action="store_true", help=learned)
@@ -65,7 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
     names = [
-        field.name for kind in (registry.exporter(out).Options, AttachOptions) for field in dataclasses.fields(kind)
+        field.name
+        for kind in (registry.exporter(out).Options, registry.neural_rigs().Options)
+        for field in dataclasses.fields(kind)
     ]
     names += [f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)]
     report = export(

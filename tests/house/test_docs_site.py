@@ -17,7 +17,7 @@ from pages import blocks
 from places import REPOSITORY
 
 import facepipe
-from facepipe.api import names
+from facepipe.actions import function_name, summaries
 
 DOCS = REPOSITORY / "docs"
 SITE = (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8")
@@ -34,7 +34,7 @@ def test_every_public_name_has_an_entry(package: ModuleType) -> None:
 
 def test_every_action_has_a_section_with_its_function() -> None:
     text = (DOCS / "actions.md").read_text(encoding="utf-8")
-    assert {*names()} == {*re.findall(r"In Python: `facepipe\.(\w+)\(", text)}
+    assert {*map(function_name, summaries())} == {*re.findall(r"In Python: `facepipe\.(\w+)\(", text)}
 
 
 @pytest.mark.parametrize("entry", sorted(ENTRIES))

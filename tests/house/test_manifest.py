@@ -16,8 +16,9 @@ from mypy import api as mypy
 from places import REPOSITORY
 
 import facepipe
-from facepipe.actions import cookable, cookables, find_action, manifest
+from facepipe.actions import cookable, cookables, find_action
 from facepipe.api import names
+from facepipe.registry import manifest
 from facepipe.stage import save_parts
 
 STUB = REPOSITORY / "facepipe" / "__init__.pyi"

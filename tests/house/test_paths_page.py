@@ -187,7 +187,7 @@ def test_what_a_file_says_passes_the_check_that_the_page_has(field: Any) -> None
 # the rest of what opens, lists or looks at files, and by what right
 OPENED = {
     "it comes with facepipe, or is the machine's": """
-        facepipe.actions:manifest facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
+        facepipe.registry:manifest facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
         facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.controls:bone_sliders
         facepipe.heads.controls:identity_sliders facepipe.heads.surfaces:picture_of
         facepipe.networks.masks:own_network facepipe.rig.conventions:_tables

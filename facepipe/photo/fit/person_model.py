@@ -19,8 +19,8 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.boxed_qp import BoxedQuadratic
 from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
+from facepipe.registry import databases
 from facepipe.rig import Rig, build, slide
-from facepipe.scanning.database import load_database
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
@@ -186,7 +186,7 @@ def person_model(parts: FaceParts, where: str, database: Path | None = None) -> 
     :raises InputError: a database that can't be read, or a face without landmarks
     """
     if database is not None:
-        faces = load_database(database)
+        faces = databases().load(database)
         base = faces.topology.parts(faces.identity.mean)
         modes = faces.identity.components * faces.identity.deviations[:, None, None]
         return _on(parts, where, base, modes, built_in=False)

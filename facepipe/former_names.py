@@ -6,33 +6,30 @@ import importlib
 import importlib.util
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
 
-# what docs and samples imported: a name, or the start of one -> where it is, the most likely place first
+# what docs and samples imported: a name, or the start of one -> where it is; what went to a wing, its door says
 _MOVED = {
     "facepipe.core.trust": ("facepipe.core.policy.paths",),
     "facepipe.learn": (),
-    "facepipe.learn.features": ("facepipe.photo.features",),
     "facepipe.learn.features.crops": ("facepipe.networks.crops",),
-    "facepipe.learn.photo": ("facepipe.photo.descent",),
-    "facepipe.learn.photo.amortised": ("facepipe.photo.amortised",),
-    "facepipe.photo_options": ("facepipe.photo.options",),
     "facepipe.processors": ("facepipe.verbs",),
-    "facepipe.processors.clean_scan": ("facepipe.scanning.clean_scan",),
-    "facepipe.processors.database": ("facepipe.scanning.database", "facepipe.verbs.whole_faces"),
-    "facepipe.processors.neural_rig": ("facepipe.neural",),
-    "facepipe.processors.photo_fit": ("facepipe.photo.fit", "facepipe.networks.masks"),
-    "facepipe.processors.photo_texture": ("facepipe.photo.texture",),
-    "facepipe.processors.rebuild": ("facepipe.scanning.rebuild", "facepipe.verbs.author_neutral"),
-    "facepipe.processors.rebuild.author_neutral": ("facepipe.verbs.author_neutral",),
-    "facepipe.processors.scan_landmarks": ("facepipe.scanning.landmarks",),
-    "facepipe.processors.scan_photos": ("facepipe.scanning.photos",),
-    "facepipe.processors.scan_texture": ("facepipe.scanning.texture",),
 }
+_STARTS = ("facepipe.core.trust", "facepipe.learn", "facepipe.processors", "facepipe.photo_options")
+
+
+def _moved(name: str) -> tuple[str, Sequence[str]]:
+    """The start of a name that has moved, and where to, the most likely place first; an empty start for others."""
+    from facepipe.registry import manifest
+
+    moved: Mapping[str, Sequence[str]] = {**manifest()["former"], **_MOVED}
+    while name and name not in moved:
+        name = name.rpartition(".")[0]
+    return name, moved.get(name, ())
 
 
 class FormerNames(MetaPathFinder, Loader):
@@ -40,10 +37,7 @@ class FormerNames(MetaPathFinder, Loader):
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         """A module in its stead; None for names that no module had."""
-        start = name
-        while start not in _MOVED and "." in start:
-            start = start.rpartition(".")[0]
-        return ModuleSpec(name, self, is_package=True) if start in _MOVED else None
+        return ModuleSpec(name, self, is_package=True) if name.startswith(_STARTS) and _moved(name)[0] else None
 
     def create_module(self, spec: ModuleSpec) -> None:
         """An ordinary one."""
@@ -53,10 +47,9 @@ class FormerNames(MetaPathFinder, Loader):
 
         :raises ModuleNotFoundError: there is none of that name there
         """
-        name = start = module.__name__
-        while start not in _MOVED:
-            start = start.rpartition(".")[0]
-        homes = [home + name.removeprefix(start) for home in _MOVED[start]]
+        name = module.__name__
+        start, places = _moved(name)
+        homes = [place + name.removeprefix(start) for place in places]
         if homes and importlib.util.find_spec(homes[0]) is None:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
