@@ -86,6 +86,7 @@ WINGS = {
 }
 COMMENTED = (  # the rooms whose long functions say why
     *("facepipe.geometry", "facepipe.rig", "facepipe.stage", "facepipe.verbs", "facepipe.processors"),
+    *("facepipe.photo", "facepipe.scanning", "facepipe.neural"),  # whose verbs stood among the others
     *("facepipe_gltf", "facepipe_onnx", "facepipe_blender", "facepipe_web"),
 )
 LONG, LONGEST = 20, 60  # lines of a function that says why, and of any

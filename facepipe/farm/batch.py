@@ -53,11 +53,9 @@ def batch(
     """
     options = options or RunOptions()
     check_ranges(options)
-    if processes is not None and processes < 1:
-        raise InputError("--processes", f"is {processes}, expected at least 1")
     most = _MOST_ON_HOSTS if cluster else _MOST_A_CORE * (os.cpu_count() or 1)
-    if processes is not None and processes > most:
-        raise InputError("--processes", f"is {processes}, expected at most {most}")
+    if processes is not None and not 1 <= processes <= most:
+        raise InputError("--processes", f"is {processes}, expected 1 to {most}")
     for named in (one for one in (state, options.cache, options.local) if one is not None):
         check_written(Path(named))
     if not isinstance(plan, Plan):
