@@ -26,14 +26,17 @@ def drawn(seed: int) -> np.ndarray:
     return asset().points + np.tensordot(weights.astype(np.float32), asset().modes, axes=1)
 
 
-@pytest.mark.parametrize("seed", [3, 6, 14])
+@pytest.mark.parametrize("seed", [3, pytest.param(6, marks=pytest.mark.slow), pytest.param(14, marks=pytest.mark.slow)])
 def test_a_blink_hides_the_eyeballs_which_never_come_through_lids(seed: int) -> None:
     found = blink(person(seed), eye_sheets(person(0)))
     assert found.shown <= 0.01
     assert found.through.cells == 0
 
 
-@pytest.mark.parametrize("slider", ["eyeOpening", "eyeSize", "childlike"])
+@pytest.mark.parametrize(
+    "slider",
+    ["eyeOpening", pytest.param("eyeSize", marks=pytest.mark.slow), pytest.param("childlike", marks=pytest.mark.slow)],
+)
 def test_a_blink_hides_eyes_that_a_slider_opens(slider: str) -> None:
     face, sheets = Face.from_parts(make(3)), eye_sheets(person(0))
     opened, closed = (

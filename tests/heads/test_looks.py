@@ -48,7 +48,9 @@ def _seam(head: FaceParts) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.array([places[tile][point] for point in shared]) for tile in (0, 1))  # type: ignore[return-value]
 
 
-@pytest.mark.parametrize("tone", [1.0, 5.5, 10.0])
+@pytest.mark.parametrize(
+    "tone", [1.0, pytest.param(5.5, marks=pytest.mark.slow), pytest.param(10.0, marks=pytest.mark.slow)]
+)
 def test_the_two_tiles_have_one_colour_where_they_meet(head: FaceParts, tone: float) -> None:
     look, size = Look(tone=tone, style="bald"), 1024
     seams = _seam(head)

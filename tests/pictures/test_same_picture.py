@@ -43,6 +43,9 @@ def digest(threads: str, seed: str) -> str:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize(("threads", "seed"), [("1", "1"), ("2", "0"), ("4", "7")])
+@pytest.mark.parametrize(
+    ("threads", "seed"),
+    [("4", "7"), pytest.param("1", "1", marks=pytest.mark.slow), pytest.param("2", "0", marks=pytest.mark.slow)],
+)
 def test_threads_and_hash_seeds_change_nothing(one_thread: str, threads: str, seed: str) -> None:
     assert digest(threads, seed) == one_thread

@@ -15,9 +15,11 @@ if sys.platform != "linux":
 from bombs import GROUPS
 
 MOST = 500 * 10**6  # bytes of the whole process
+QUICK = "repeated"  # the others take longer or say less
+MARKS = (pytest.mark.gate, pytest.mark.slow)
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", [one if one == QUICK else pytest.param(one, marks=MARKS) for one in GROUPS])
 def test_bombs_are_refused_within_bounds(group: str) -> None:
     program = SUPPORT / "bombs.py"
     done = subprocess.run([sys.executable, program, group], capture_output=True, text=True, check=False, timeout=600)

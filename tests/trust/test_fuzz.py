@@ -8,12 +8,14 @@ import pytest
 from fuzz_formats import FORMATS
 from fuzzing import fuzz
 
-QUICK = ("usda", "usdc", "usdz", "recipes", "photos", "ledgers", "project files")  # the rest is slow
+QUICK = "ledgers"
+GATE = ("usda", "usdc", "usdz", "recipes", "photos", "project files")  # the rest is slow
+MARKS = (pytest.mark.gate, pytest.mark.slow)
 SLOW = 60  # cases
 PASSED_OVER = ("caches", "remains")  # what is damaged there
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", [QUICK, *(pytest.param(name, marks=MARKS) for name in GATE)])
 def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path) -> None:
     check(name, 1, 20, tmp_path)
 

@@ -12,7 +12,7 @@ from places import SUPPORT
 
 from facepipe.cli import commands_of
 
-PARTS = 4
+PARTS = 12
 
 
 def test_every_command_that_writes_is_killed() -> None:

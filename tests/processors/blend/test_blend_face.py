@@ -209,7 +209,7 @@ def test_usdskel_deforms_the_result_as_the_rig_does(kind: str) -> None:
     assert np.linalg.norm(bake_all(face, local) - expected, axis=2).max() <= 1e-5 * face.head_height
 
 
-@kinds("sample", pytest.param("ict", marks=pytest.mark.slow), "makehuman")
+@kinds(pytest.param("sample", marks=pytest.mark.slow), pytest.param("ict", marks=pytest.mark.slow), "makehuman")
 def test_the_result_is_an_override_layer_that_validates_and_exports(kind: str, tmp_path: Path) -> None:
     """No finding on the stage, the GLB and the ONNX, and none of the Khronos validator."""
     for number in range(2):

@@ -88,7 +88,7 @@ def check_distances(stated: Mapping[str, float], values: np.ndarray, tolerance: 
     assert stated["max_mm"] == pytest.approx(flat[-1], abs=tolerance)
 
 
-@pytest.mark.parametrize("kind", ["sample", "makehuman"])
+@pytest.mark.parametrize("kind", [pytest.param("sample", marks=pytest.mark.slow), "makehuman"])
 def test_bones_and_residual_meet_the_threshold_in_usdskel(kind: str, tmp_path: Path, capsys: Capsys) -> None:
     """The file as it is, posed by UsdSkel alone, whose scales are half precision."""
     rig = saved({"sample": sample, "makehuman": makehuman}[kind](), tmp_path / "rig.usdc")
@@ -168,7 +168,9 @@ def glb_points(glb: gltf_reader.Gltf, face: Face, name: str, time: float) -> np.
     return np.concatenate([found[mesh.name] for mesh in face.meshes]) / face.meters_per_unit
 
 
-@pytest.mark.parametrize("residual", [(), ("--residual",)], ids=["bones", "residual"])
+@pytest.mark.parametrize(
+    "residual", [pytest.param((), marks=pytest.mark.slow, id="bones"), pytest.param(("--residual",), id="residual")]
+)
 def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path, capsys: Capsys) -> None:
     """A pose and a clip, read back by a decoder of its own."""
     parts = sample()
@@ -191,7 +193,9 @@ def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path
                 assert fit.off(points[None], name)[frame if len(times) > 1 else 0][used].max() <= THRESHOLD
 
 
-@pytest.mark.parametrize("residual", [(), ("--residual",)], ids=["bones", "residual"])
+@pytest.mark.parametrize(
+    "residual", [pytest.param((), marks=pytest.mark.slow, id="bones"), pytest.param(("--residual",), id="residual")]
+)
 def test_the_deformer_takes_the_same_coefficients(residual: tuple[str, ...], tmp_path: Path, capsys: Capsys) -> None:
     """`facepipe eval` of the exported fit, coefficients word by word."""
     rig = saved(sample(), tmp_path / "rig.usdc")

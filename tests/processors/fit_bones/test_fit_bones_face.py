@@ -216,7 +216,9 @@ def test_clips_are_fitted_frame_after_frame(kind: str) -> None:
 MAKEHUMAN_TARGETS = ("nose/nose-hump-incr", "mouth/mouth-scale-horiz-incr", "chin/chin-width-incr")
 
 
-@pytest.mark.parametrize("name", MAKEHUMAN_TARGETS)
+@pytest.mark.parametrize(
+    "name", [MAKEHUMAN_TARGETS[0], *(pytest.param(one, marks=pytest.mark.slow) for one in MAKEHUMAN_TARGETS[1:])]
+)
 def test_the_residual_brings_shapes_that_bones_miss_within_the_threshold(name: str, tmp_path: Path) -> None:
     face = facepipe.open(saved(head(), tmp_path / "rig.usdc"))
     file = saved(head(((name, 1.0),)), tmp_path / "shape.usdc")

@@ -68,7 +68,6 @@ def test_recipes_know_when_a_photo_changes(tmp_path: Path) -> None:
 
 @pytest.mark.needs_scan
 @pytest.mark.needs_torch
-@pytest.mark.gate
 @pytest.mark.slow
 def test_photos_become_a_textured_head_by_one_command(tmp_path: Path, capsys: Capsys) -> None:
     cameras = photo_booth.ring((-31, -18, -6, 6, 18, 31), [0], width=480, height=576)
