@@ -53,12 +53,12 @@ def limits(count: int, joints: np.ndarray, reach: float = 0.11) -> tuple[np.ndar
     return lower, upper
 
 
-def jacobian(tree: Tree, coefficients: np.ndarray) -> np.ndarray:
-    """(3 n, 9 m) dense derivatives of all points, from the tree's generators."""
+def jacobian(tree: Tree, coefficients: np.ndarray, joints: np.ndarray | None = None) -> np.ndarray:
+    """(3 n, 9 m) dense derivatives of all points by m joints, or all, from the tree's generators."""
     pose, skin = tree.pose(coefficients), SkinnedPoints(tree.rig)
     generators = tree.generators(pose)
     columns = []
-    for joint in range(len(tree.rig.joints)):
+    for joint in range(len(tree.rig.joints)) if joints is None else joints:
         below = tree.below[joint][:, None, None]
         for channel in range(9):
             moved = below * (generators[joint, channel] @ pose.skinning)
