@@ -51,6 +51,17 @@ def test_continuous_integration_begins_with_the_commands_of_readme() -> None:
     )
 
 
+def test_everything_runs_each_night_and_leaves_out_no_slow_test() -> None:
+    night = WORKFLOW.partition("\n  full:\n")[2]
+    assert "schedule:\n    - cron:" in WORKFLOW
+    assert "if: github.event_name == 'schedule'" in night
+    assert night.rstrip().endswith("- run: .ci/full")
+    script = (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8")
+    chosen = re.findall(r'-m "([^"]*(?:slow|gate)[^"]*)"', script)
+    assert chosen == ["(needs_torch or needs_scan) and not slow or gate", "slow and not gate"]
+    assert '"slow and not gate" --nothing-left-out' in script
+
+
 def test_licences_of_all_that_ships_are_in_the_wheel() -> None:
     texts = {file for pattern in PROJECT["license-files"] for file in REPOSITORY.glob(pattern)}
     names = re.compile(r"LICEN[SC]E|licences")
