@@ -21,6 +21,7 @@ _MATT = 0.4  # roughness from which something see-through is a loose cover, no c
 _CUT = 0.02  # opacity in a texture below which nothing is there
 _STRANDS = 0.25  # of the highlights of a flat card: the hairs on it are round
 _THROUGH = 0.35  # share of the light that hairs pass on to those below them
+_FARTHEST_UV = np.float32(1e6)
 _STRETCH = 4.0  # at most, of the longer way of a pixel's texels against the average
 _PLAIN = Material(name="", diffuse_color=CLAY)
 _NUMBERS = {  # and their values without a texture
@@ -203,7 +204,8 @@ class _Layout:
 
 
 def _layout(scene: Scene, camera: Camera, uv_set: str) -> _Layout:
-    corners = scene.uv_corners(uv_set)
+    # a damaged file's UVs can be beyond what float32 multiplies; at a million it holds no part of a texture any more
+    corners = np.clip(scene.uv_corners(uv_set), -_FARTHEST_UV, _FARTHEST_UV)
     (u1, v1), (u2, v2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     area = u1 * v2 - u2 * v1
     first, second, third = (camera.to_camera(scene.points)[each].astype(np.float32) for each in scene.triangles.T)

@@ -13,6 +13,7 @@ from typing import Any
 import facepipe_gltf
 import facepipe_onnx
 import pytest
+from needs import TORCH_ROOMS
 from pages import blocks
 from places import REPOSITORY
 
@@ -54,7 +55,7 @@ def test_what_a_page_names_is_there(page: Path) -> None:
     ] == []
     for line in ast.walk(ast.parse("".join(blocks(text, "python")))):
         if isinstance(line, ast.ImportFrom) and str(line.module).startswith("facepipe"):
-            if "facepipe.photo.renderer" in str(line.module) and importlib.util.find_spec("torch") is None:
+            if str(line.module).startswith(TORCH_ROOMS) and importlib.util.find_spec("torch") is None:
                 continue
             module = importlib.import_module(str(line.module))
             assert [name.name for name in line.names if not hasattr(module, name.name)] == []

@@ -70,7 +70,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("beside", ["facepipe.rig.turn (51) -> facepipe.rig.pose (17)"]),
         ("used-once", ["facepipe.rig.pose: _moved", "facepipe.rig.pose: _once"]),
         ("longest", ["facepipe.neural.train: train (61)"]),
-        ("uncommented", ["facepipe.rig.turn: turned (22)"]),
+        ("uncommented", ["facepipe.neural.train: train (61)", "facepipe.rig.turn: turned (22)"]),
     ],
 )
 def test_a_list_has_what_a_row_counts(checkout: Path, name: str, expected: list[str]) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import grimp
 import pytest
 from command_line import exit_code
+from needs import TORCH_ROOMS
 
 import facepipe
 import facepipe.stage
@@ -119,7 +120,7 @@ def packages() -> list[str]:
             for walk_package in pkgutil.walk_packages(
                 root.__path__, f"{name}.", onerror=lambda _: None
             )  # without torch
-            if walk_package.ispkg and not walk_package.name.startswith("facepipe.photo.renderer")
+            if walk_package.ispkg and not walk_package.name.startswith(TORCH_ROOMS)
         ),
     ]
 

@@ -305,6 +305,16 @@ def test_textures_lie_where_the_uvs_put_them() -> None:
         drawn(replace(parts, materials=(replace(parts.materials[0], diffuse_color=broken),)))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("far", [1e9, 3e38])
+def test_uvs_beyond_all_textures_are_drawn_quietly(far: float) -> None:
+    uv = UvSet(values=far * np.array([(0, 0), (1, 0), (1, 1), (0, 1)]))
+    texture = TextureInput(texture=Texture(name="a.png", data=png_of(np.full((4, 4, 3), 200, np.uint8))))
+    material = Material(name="painted", diffuse_color=texture, normal=texture, roughness=1.0)
+    wall = square("Wall", 0.0, uv_sets=(uv,), material="painted")
+    assert drawn(FaceParts(meshes=(wall,), materials=(material,)))[32, 32].min() > 60
+
+
 def test_alpha_test_cuts_by_the_texture() -> None:
     texels = np.zeros((8, 8, 4), np.uint8)
     texels[:, 4:, 3] = 255
