@@ -14,7 +14,7 @@ from torch import fx, nn
 from torch.fx.experimental.optimization import fuse
 from torch.nn import functional
 
-from facepipe.graph_writer import GraphWriter
+from facepipe.rig.torch.graph_writer import GraphWriter
 
 
 def to_onnx(network: nn.Module, metadata: Mapping[str, object]) -> bytes:

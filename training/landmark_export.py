@@ -12,8 +12,8 @@ from landmark_network import COUNT, SIZE, DenseNetwork, LandmarkNetwork, MaskNet
 from onnx import TensorProto
 from torch import nn
 
-from facepipe.graph_writer import GraphWriter
 from facepipe.onnx_graph import Array
+from facepipe.rig.torch.graph_writer import GraphWriter
 
 _LARGE = 1000  # numbers
 

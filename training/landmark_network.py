@@ -15,7 +15,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from facepipe.graph_writer import Block
+from facepipe.rig.torch.graph_writer import Block
 
 SIZE = 96  # pixels a side of the input
 CELLS = 24  # a side of a heatmap

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
 from facepipe.networks.crops import sample_crop
 from facepipe.networks.files import DenseLandmarkSession
+from facepipe.rig.torch import torch
 
 COUNT, PUPILS = 68, 2
 # Crops that landmarks are the mean of, each as it is and mirrored: turn in radians, scale.

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy.ndimage import maximum_filter
-from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
@@ -17,6 +15,7 @@ from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, qua
 from facepipe.networks.crops import sample_crop
 from facepipe.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks
 from facepipe.networks.files import DenseLandmarkSession, LandmarkSession, own_dense_session, own_landmark_session
+from facepipe.rig.torch import torch
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes
 _MOST_PIXELS = 700  # of the shorter side of the photo as it is searched
@@ -158,7 +157,7 @@ def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:
 def _resized(photo: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     """(1, 3, h, w) of a photo (h, w, 3), averaged where it shrinks."""
     pixels = photo.permute(2, 0, 1)[None]
-    return functional.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
+    return torch.nn.functional.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
 
 
 def _candidates(network: LandmarkSession, photo: torch.Tensor) -> FloatArray:
@@ -183,7 +182,7 @@ def _peaks(network: LandmarkSession, photo: torch.Tensor, side: float) -> tuple[
     height, width = (max(round(length * size / side), 1) for length in photo.shape[:2])
     margin = size // 3
     below, right = (-(-max(length + 2 * margin, size) // cell) * cell - length - margin for length in (height, width))
-    level = functional.pad(_resized(photo, (height, width)), [margin, right, margin, below], mode="replicate")
+    level = torch.nn.functional.pad(_resized(photo, (height, width)), [margin, right, margin, below], mode="replicate")
     pixels = level[0].numpy()
     found = network.presence_map(pixels)
     peak = (found > np.log(_PEAK / (1 - _PEAK))) & (found == maximum_filter(found, 3))

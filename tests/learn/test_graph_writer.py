@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from with_torch import torch
 
-from facepipe.graph_writer import Block, GraphWriter
+from facepipe.rig.torch.graph_writer import Block, GraphWriter
 
 pytestmark = pytest.mark.needs_torch
 

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from facepipe.geometry.face_crops import TEMPLATE
-from facepipe.graph_writer import Block
 from facepipe.photo.descent.pose import NUMBERS
+from facepipe.rig.torch.graph_writer import Block
 from facepipe.rig.torch.one_thread import short_floats
 
 SIZE = 128  # pixels a side of the crop

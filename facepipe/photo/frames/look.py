@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.ndimage import gaussian_laplace
 
 from facepipe.core.arrays import FloatArray
@@ -16,6 +15,7 @@ from facepipe.heads.asset import asset
 from facepipe.networks import FoundFace
 from facepipe.networks.crops import sample_crop
 from facepipe.photo.fit import check_face
+from facepipe.rig.torch import torch
 
 _SIZE = 192  # pixels a side of the crop that sharpness is measured in, of which brows to chin are 0.6
 _FACE = slice(round(0.18 * _SIZE), round(0.82 * _SIZE))

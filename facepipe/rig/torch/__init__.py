@@ -10,3 +10,5 @@ from facepipe.core.errors import InputError
 
 if find_spec("torch") is None:
     raise InputError("facepipe.rig.torch", "torch is not installed, expected: pip install 'facepipe[train]'")
+
+import torch as torch  # other rooms take it from here, which says what to install
