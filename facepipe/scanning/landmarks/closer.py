@@ -19,10 +19,9 @@ _JAW, _COUNT = 17, 68
 
 def look_closer(look: Look, frame: FaceFrame, seen: Seen, angles: Sequence[tuple[float, float]], draw: Draw) -> Seen:
     """Landmarks by views at `angles`; those of the jaw, which are no truer from near, stay as they were `seen`."""
-    import torch
-
     from facepipe.networks.dense_landmarks import dense_landmarks
     from facepipe.networks.files import own_dense_session
+    from facepipe.rig.torch import torch
 
     views = [frame.view(yaw, pitch, _PIXELS, _MARGIN) for yaw, pitch in angles]
     origins, directions, errors = [], [], []

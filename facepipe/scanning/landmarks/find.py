@@ -91,6 +91,7 @@ class FindScanLandmarks:
         :raises FitError: no face on it
         :raises InputError: no surface, or no torch
         """
+        import facepipe.rig.torch  # noqa: F401  (asked for before the work, not in the middle of it)
         from facepipe.networks.files import own_landmark_session
 
         network = own_landmark_session()

@@ -264,12 +264,11 @@ def _crop_matrix(middle: FloatArray, side: float, turn: float, size: int) -> Flo
 
 def _cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArray:
     """(k, 3, size, size) float32 crops of a picture (h, w, 3) by matrices (k, 2, 3), bilinear; outside, its border."""
-    import torch
-    from torch.nn import functional
+    from facepipe.rig.torch import torch
 
     image = torch.as_tensor(np.asarray(picture, np.float32)).permute(2, 0, 1)[None]
     scales = np.linalg.norm(matrices[:, :, 0], axis=1)
-    half = functional.avg_pool2d(image, 2)
+    half = torch.nn.functional.avg_pool2d(image, 2)
     crops = np.empty((len(matrices), 3, size, size), np.float32)
     for source, chosen in ((image, scales <= _COARSE), (half, scales > _COARSE)):
         if chosen.any():
@@ -295,10 +294,9 @@ def _places(matrices: FloatArray, size: int, shape: tuple[int, ...]) -> FloatArr
 
 
 def _sampled_crops(image: object, places: FloatArray) -> FloatArray:
-    import torch
-    from torch.nn import functional
+    from facepipe.rig.torch import torch
 
     count, size = places.shape[:2]
     grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
-    found = functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    found = torch.nn.functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
     return np.asarray(found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy())

@@ -22,6 +22,7 @@ from photographed_face import EXPRESSION, FAST, SIZE, SOON, contents, fit_json, 
 from PIL import Image
 from small_head import make
 from with_torch import torch
+from without_torch import HINT, without_torch
 
 import facepipe
 from facepipe.core.atomic import replacing_folder
@@ -446,26 +447,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(studio: Path, capsys: pytest.C
 
 
 def test_without_torch_the_hint_is_one_line(studio: Path) -> None:
-    """In a Python that finds no torch."""
-    code = (
-        "import sys\n"
-        "class Without:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'torch':\n"
-        "            raise ModuleNotFoundError(name)\n"
-        "import importlib.util as util\n"
-        "find = util.find_spec\n"
-        "util.find_spec = lambda name, package=None: None if name == 'torch' else find(name, package)\n"
-        "sys.meta_path.insert(0, Without())\n"
-        "from facepipe.cli import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    line = [sys.executable, "-c", code, "fit-photo", *ONE, "-o", "out.usda"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert (
-        done.stderr == "facepipe: facepipe.rig.torch: torch is not installed, expected: pip install 'facepipe[train]'\n"
-    )
+    assert without_torch("fit-photo", *ONE, "-o", "out.usda") == (2, HINT)
     assert not (studio / "out.usda").exists()
 
 
