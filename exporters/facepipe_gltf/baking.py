@@ -86,6 +86,7 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     normals, corner_normals = _normals(mesh, corners, points, placement)
     sculpts = sculpts_of(mesh, shapes)
     if options.with_target_normals and sculpts:
+        # sculpts are still in mesh space: corners reversed for a mirrored placement would turn their normals inwards
         authored = corners.points[:, ::-1] if placement.mirrored else corners.points
         sculpts = _with_normals(sculpts, mesh.points, authored)
     return Baked(
@@ -133,6 +134,7 @@ def _normals(
     """
     if mesh.normals is not None and corners.normals is None:
         authored = placement.normals(mesh.normals)
+        # glTF asks for unit normals: a zero one is an error to the validator
         empty = ~authored.any(axis=1)
         if empty.any():
             authored[empty] = point_normals(points, corners.points)[empty]

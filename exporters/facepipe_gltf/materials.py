@@ -104,6 +104,7 @@ class MaterialWriter:
         same = isinstance(diffuse, TextureInput) and diffuse.channels == "rgb" and opacity.channels == "a"
         if same and isinstance(diffuse, TextureInput) and diffuse.texture == opacity.texture:
             return self.textures.whole(diffuse.texture), diffuse
+        # glTF has no opacity texture, only the alpha of the base colour: one image, so one set of UVs for both
         if isinstance(diffuse, TextureInput) and not _same_reading(diffuse, opacity):
             self.textures.warn(f"{material.name}: opacity texture left out, its UVs are not those of the diffuse one")
             return self.textures.whole(diffuse.texture), diffuse
@@ -120,6 +121,7 @@ class MaterialWriter:
         if len(inputs) == 2 and not _same_reading(*inputs):
             self.textures.warn(f"{material.name}: metallic texture left out, its UVs are not those of roughness")
             inputs, metallic, pbr["metallicFactor"] = inputs[1:], 0.0, 0.0
+        # glTF fixes the channels of its one image: roughness in green, metallic in blue
         if _is_packed(metallic, "b") and _is_packed(roughness, "g") and len({one.texture for one in inputs}) == 1:
             image = self.textures.whole(inputs[0].texture)
         else:
@@ -128,6 +130,7 @@ class MaterialWriter:
         if image is not None:
             pbr["metallicRoughnessTexture"] = self.textures.info(image, inputs[0], uv_names)
             return
+        # UsdPreviewSurface's defaults: glTF's own, 1 and 1, would make rough metal of skin
         if isinstance(metallic, TextureInput):
             pbr["metallicFactor"] = 0.0
         if isinstance(roughness, TextureInput):

@@ -41,6 +41,7 @@ def _tangents(points: FloatArray, normals: FloatArray, uvs: FloatArray, triangle
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     sign = np.where(_orientation(np.asarray(uvs, dtype=np.float64)[triangles]) == 1, 1.0, -1.0)
+    # (e1 dv2 - e2 dv1) / det, of which only det's sign counts once normalised: no division by a UV sliver's area
     along_u = (e1 * d2[:, 1:] - e2 * d1[:, 1:]) * sign[:, None]
     flat = np.asarray(triangles.ravel(), dtype=np.int64)
     per_corner = _project(np.repeat(along_u, 3, axis=0), normals[flat]) * _angles(corners).reshape(-1, 1)

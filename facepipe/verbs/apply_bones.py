@@ -69,6 +69,7 @@ class ApplyBones:
         changed = replace(
             parts,
             animations=(*parts.animations, *added),
+            # a pose is the person, which exports deliver as the rest state; a clip is a layer on top of it
             person=parts.person if content.times is not None else added[0].name,
             recipe=recipe or parts.recipe,
         )

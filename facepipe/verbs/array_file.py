@@ -93,6 +93,7 @@ def read_arrays(path: Path, kind: str) -> Content:
         raise InputError(path, f"has no format, expected {kind}")
     if metadata["format"] != kind:
         raise InputError(path, f"is of format '{metadata['format'][:60]}', expected {kind}")
+    # a digest finds damage, not malice (whoever forges a file forges it too): all after it still distrusts the header
     _check_sum(path, data, metadata.get("sha256"))
     try:
         content = json.loads(metadata["content"])
@@ -139,9 +140,11 @@ def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str
         place, where = places[name], f"{path} -> {name}"
         shape = place["shape"]
         first, last = place["data_offsets"]
+        # not isinstance: JSON's true is an int to Python; two negative sizes have a positive product
         if not all(type(size) is int and size >= 0 for size in shape):
             raise ValueError
         dtype = np.dtype(_TYPES[place["dtype"]])
+        # each array starts where the last one ended: none overlap, and no bytes hide between them
         if first != end or last - first != math.prod(shape) * dtype.itemsize:
             raise InputError(where, "bytes that don't fit its shape, expected arrays one after another")
         end = last

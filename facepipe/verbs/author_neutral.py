@@ -83,6 +83,7 @@ class AuthorNeutral:
             back = np.linalg.inv(to)
             local = _unless_same(transformed(points_by_mesh[number], back), mesh.points)
             new = {name: (one[number], mesh.name in still.get(name, ())) for name, one in deltas.items()}
+            # deltas are differences of points: the translation cancels, so the linear part alone takes them back
             shapes = _mesh_shapes(mesh, local, new, back[:3, :3])
             meshes.append(replace(mesh, points=local, normals=_normals(mesh, local), blendshapes=shapes))
             skeleton_space.append(transformed(local, space))

@@ -57,6 +57,7 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
         raise reference.error(f"{value.place} is {kind.text()[:20]}, expected {' or '.join(types)}")
     dtype = _dtype(value.require("componentType"))
     count = value.require("count").integer(1)
+    # an accessor without bufferView is zeros: its count asks for memory that no byte of the file stands for
     if count > _MAX_COUNT:
         raise value.error(f"count {count}, expected at most {_MAX_COUNT}")
     components = _COMPONENTS[kind.text()]
@@ -193,6 +194,7 @@ def _sparse(
     indices = _packed(document, at, entries, 1, index_dtype)[:, 0].astype(np.int64)
     if indices[-1] >= count or indices.max() >= count:
         raise at.error(f"index {int(indices.max())} of {count} elements")
+    # glTF asks for it: an index twice would give an element two values
     if np.any(np.diff(indices) <= 0):
         raise at.error("indices are not strictly ascending")
     return indices, _packed(document, sparse.require("values"), entries, components, dtype)

@@ -206,6 +206,7 @@ def _chunks(data: bytes, trail: str) -> tuple[bytes, bytes | None]:
             raise InputError(trail, f"chunk at byte {offset} of {size} bytes ends beyond the file's {length}")
         if not chunks and kind != _JSON_CHUNK:
             raise InputError(trail, "the first chunk is not JSON")
+        # chunks of other kinds belong to extensions: the specification has readers ignore them
         if kind in (_JSON_CHUNK, _BINARY_CHUNK):
             if kind in chunks:
                 raise InputError(trail, f"a second {'JSON' if kind == _JSON_CHUNK else 'BIN'} chunk at byte {offset}")

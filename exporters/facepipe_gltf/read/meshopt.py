@@ -39,6 +39,7 @@ def decode(data: bytes, count: int, size: int, mode: str, filtered: str = "NONE"
         if size not in (2, 4) or (mode == "TRIANGLES" and count % 3):
             raise ValueError(f"{count} indices of {size} bytes, expected triangles of 2 or 4")
         indices = np.array((_triangles if mode == "TRIANGLES" else _indices)(data, count), np.int64)
+        # indices are coded as differences and may run out of range: astype would wrap them without a word
         if count and (indices.min() < 0 or indices.max() >= 1 << 8 * size):
             raise ValueError(f"an index beyond {size} bytes")
         return indices.astype(f"<u{size}").tobytes()

@@ -87,6 +87,7 @@ class AnimateFace:
             raise InputError(face.where, _another_face(performance, parts))
         by_sliders = driven(parts, targets.sliders, len(performance.values), done)
         weights = {**by_sliders.weights, **targets.weights}
+        # sum_k b_k delta_k is linear: what sliders and the performance give one shape adds, neither replaces the other
         weights |= {
             one: by_sliders.weights[one] + targets.weights[one] for one in by_sliders.weights.keys() & targets.weights
         }
@@ -158,6 +159,7 @@ def _turned(
         joint = joint_of(where, parts.skeleton, part, wanted[part])
         angles = angles_of(performance, part)
         why = "left out" if wanted[part] else "no such joint"
+        # an eye that shapes or sliders turn already would turn twice by its joint as well
         if joint is not None and wanted[part] is None and part != "Head":
             by = turned_by_shapes(parts.meshes, joint, part.removesuffix("Eye"), targets.weights)
             by = by or turned_by_sliders(parts.sliders, parts.skeleton.joints[joint], targets.sliders)

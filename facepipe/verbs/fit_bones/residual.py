@@ -44,6 +44,8 @@ def corrective(
     matrices = rig.skinning_matrices(rig.local_transforms(coefficients))
     posed = rig.skin(rig.points, matrices)
     blended = (rig.influences @ matrices[:, :3, :3].reshape(-1, 9)).reshape(-1, 3, 3)
+    # det grows with the cube of the norm: their ratio says how flat a matrix is, whatever the scale of its joints;
+    # the inverse of a flat one would throw its point far off
     sizes = np.linalg.norm(blended, axis=(1, 2)) ** 3
     kept = corrected & (np.abs(np.linalg.det(blended)) > _FLAT * sizes)
     rows = np.flatnonzero(kept)
@@ -55,6 +57,7 @@ def corrective(
         inside = slice(*np.searchsorted(rows, [start, stop]))
         linear = np.asarray(space, np.float64)[:3, :3]
         offsets = np.linalg.solve(linear, moved[inside].T).T.astype(np.float32)
+        # the offsets as rounded to float32: the points returned are those that the file gives
         bound[rows[inside]] += offsets.astype(np.float64) @ linear.T
         indices = (rows[inside] - start).astype(np.int32)
         shapes.append(Blendshape(name=name, point_indices=indices, offsets=offsets) if len(indices) else None)

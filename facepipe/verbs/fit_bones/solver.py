@@ -124,6 +124,7 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
             tried = state.moved(step)
             expected = -float(state.gradient @ step) - 0.5 * float(step @ (model.hessian @ step))
             if tried.better_than(state) and expected > 0:
+                # Nielsen: gain over the model's gain; 1 cuts the damping to a third, 1/2 keeps it, less raises it
                 ratio = (state.objective - tried.objective) / expected
                 return tried, max(model.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST)
             hopeless = expected <= _ROUNDING * state.objective

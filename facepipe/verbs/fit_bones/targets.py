@@ -198,6 +198,7 @@ def _cached(parts: FaceParts, cache: PointCache, path: Path) -> _FilePoints:
 def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _FilePoints:
     """An animation of the face of a stage; of a stage without a face, one that moves the face itself."""
     animations = read_loose_animations(path)
+    # reversed: of two with one name the first stays
     named = {animation.name: animation for animation in reversed(animations)}
     if name not in named:
         raise InputError(path, unknown(name, [animation.name for animation in animations], "animation"))

@@ -57,6 +57,7 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
     objective, memory = _Objective(shared, targets, start), _Memory(shared.inverse)
     states = objective.at(np.arange(len(targets)), np.tile(shared.variables.reduced(start), (len(targets), 1)))
     ends, taken, slopes = states.x.copy(), np.zeros(len(targets), dtype=np.int64), np.zeros(len(targets))
+    # the objective 1/2 sum_i w_i d_i^2 where every d_i is that part of the threshold
     enough = 0.5 * np.square(_ENOUGH * threshold) * float(shared.weights.sum())
     for step in range(steps + 1):
         slope = objective.slope(states)
