@@ -48,6 +48,7 @@ def ridge(motion: Motion, tolerance: float, most: int) -> Straight:
     best, least = np.zeros_like(sizes), np.inf
     for penalty in _PENALTIES * sizes[0] ** 2:
         kept = sizes**2 / (sizes**2 + penalty)
+        # |(I - A) y|^2 / trace(I - A)^2, with A = U diag(kept) U^T: one decomposition serves every penalty
         off = np.sum(activations**2) - np.sum((1.0 - (1.0 - kept[:, None]) ** 2) * along**2)
         score = off / (len(left) - kept.sum()) ** 2 if len(left) > kept.sum() else np.inf
         if score < least:

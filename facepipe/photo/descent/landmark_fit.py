@@ -67,6 +67,7 @@ def levenberg_marquardt(
     here = model(x)
     damping, growth = 1e-3, 2.0
     for number in range(steps):
+        # what moves no landmark has a diagonal of 0, which no damping would lift: the model would stay singular
         diagonal = np.maximum(np.diag(here.hessian), 1e-9 * max(float(np.diag(here.hessian).max()), 1e-30))
         damped = BoxedQuadratic(here.hessian + np.diag(damping * diagonal))
         d = damped.minimise(here.gradient, lower - x, upper - x)
@@ -269,6 +270,7 @@ class LandmarkFit:
         hessian = np.diag(State(shares=pull, expressions=0 * state.expressions, poses=0 * state.poses).vector())
         last = np.flatnonzero(self._pose_numbers(state)).reshape(-1, NUMBERS)[:, 5:]
         for pair in last:
+            # log focal length is the sum of both numbers: its Hessian is a full block of rank 1, no diagonal
             hessian[np.ix_(pair, pair)] += 1 / priors.focal_sigma**2
         return cost + 0.5 * float(focal @ focal), gradient, hessian
 

@@ -30,6 +30,8 @@ def similarity(network: Extractor, photo: FloatArray, render: FloatArray, landma
     matrix = network.crop_matrix(landmarks)
     reduced = matrix * (render.shape[1] / photo.shape[1])
     cover = np.clip(render[..., 3:], 0, 1)
+    # sRGB is not linear: of colour on black it would change the tone of outlines; cut with coverage, since the cut
+    # averages pixels
     color = to_srgb(np.clip(render[..., :3] / np.maximum(cover, 1e-6), 0, 1))
     with torch.no_grad():
         shown, share = (_cut(pixels, reduced, network.size) for pixels in (color * cover, cover))

@@ -62,6 +62,7 @@ def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str,
         steps = [np.where(np.arange(len(found)) == i, _STEP, 0.0) for i in range(len(found))]
         slopes = [(residuals(found + step) - residuals(found - step)) / (2 * _STEP) for step in steps]
         change = np.linalg.lstsq(np.stack(slopes, axis=1), -residuals(found), rcond=None)[0]
+        # a step inside the range: beyond its end the central difference would halve the slope
         found = np.clip(found + change, lower + _STEP, upper - _STEP)
     return dict(zip(names, found.tolist(), strict=True))
 

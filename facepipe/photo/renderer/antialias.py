@@ -62,6 +62,7 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
         corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
         width = raster.width
         here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
+        # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
         across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
         keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
         return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])

@@ -120,6 +120,7 @@ def confirmed(
     for other, one in enumerate(cameras):
         if other != number:
             gaps[other] = _gaps(points, one, maps[other])
+    # depth over focal length is a pixel's width there: one tolerance in pixels serves near and far points
     width = agreement * camera.to_camera(points)[:, 2] / camera.focal[0]
     near = np.abs(gaps) <= width
     kept = near.sum(axis=0) >= support

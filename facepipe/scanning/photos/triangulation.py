@@ -91,6 +91,7 @@ def triangulate(
     best: tuple[int, float] = (0, 0.0)
     chosen = None
     for pair in itertools.combinations(range(len(cameras)), 2):
+        # a place's error along its rays is that across them over the sine of their angle: 19 times at 3 degrees
         if rays[pair[0]] @ rays[pair[1]] > _WIDE:
             continue
         error = _errors(cameras, pixels, nearest_to_lines(eyes[list(pair)], rays[list(pair)]))
@@ -151,6 +152,7 @@ def place_landmarks(
         reach = (
             _TOLERANCE * size * float(np.median([_pixel_width(camera, points[known]) for camera in cameras.values()]))
         )
+        # by the same tolerance as the photos' agreement: farther off, the nearest point is another place of the face
         distance, near = cKDTree(scan.points).query(points[known])
         points[known] = np.where((distance <= reach)[:, None], scan.points[near], points[known])
     return points
