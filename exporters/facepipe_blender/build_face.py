@@ -52,6 +52,7 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     if own_units:
         place = _between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
     home = _home(before, face)
+    # place = moved home: only what was moved in Blender changes the face, not where the import had put it
     moved = _snapped(place, home, size) @ np.linalg.inv(home)
     if not np.array_equal(moved, np.eye(4)):
         parts = parts.placed(moved)

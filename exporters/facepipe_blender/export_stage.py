@@ -33,6 +33,7 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     if not faces:
         return warnings
     faces = tuple(sorted(faces, key=lambda one: active not in (one.armature, *one.meshes)))
+    # on a copy: an error halfway leaves Blender's stage as it was
     work = Sdf.Layer.CreateAnonymous(".usda")
     work.TransferContent(stage.GetRootLayer())
     there = {obj: prim.GetPath() for obj in objects if (prim := view.prim(obj)) is not None}

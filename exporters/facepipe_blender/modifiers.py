@@ -77,6 +77,7 @@ def _applied(obj: Any, after: contextlib.ExitStack) -> Any:
         block.value = 1.0
         points = _points(_evaluated(work).data)
         block.value = 0.0
+        # a modifier may make other points of each key (decimate, weld): these are no offsets
         if len(points) != 3 * len(mesh.vertices):
             return None
         added = made.shape_key_add(name=block.name, from_mix=False)

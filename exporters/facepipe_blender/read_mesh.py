@@ -108,6 +108,7 @@ def _shapes(obj: Any, warnings: list[str]) -> tuple[FloatArray, tuple[Blendshape
         if shape not in dense:
             warnings.append(f"{obj.name}: shape key '{name}' left out, there is no shape key '{shape}'")
             continue
+        # Blender adds keys up: an inbetween's key holds inbetween - weight * shape
         between.setdefault(shape, {})[inbetween] = (weight, dense[name] + weight * dense[shape])
     own = [name for name, (_, weight, _) in names.items() if weight is None]
     return places[basis.name], tuple(sculpted(name, dense[name], between.get(name, {})) for name in own)

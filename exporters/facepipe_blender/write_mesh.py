@@ -63,6 +63,7 @@ def _write_shapes(obj: Any, mesh: Mesh) -> None:
         block.relative_key = basis
         offsets = np.asarray(shape.offsets, dtype=np.float64)
         if inbetween is not None:
+            # Blender adds keys up, and the shape itself is on by the weight there: the key holds the rest alone
             offsets = np.asarray(inbetween.offsets, dtype=np.float64) - inbetween.weight * offsets
         moved = points.copy()
         moved[shape.point_indices] += offsets

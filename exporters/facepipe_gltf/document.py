@@ -191,6 +191,7 @@ class _Writer:
         shapes: Sequence[str],
     ) -> Document:
         textures = self.materials.textures
+        # before the buffers are finished: the record puts a view of its own into them
         extras = None if self.record is None else {"facepipe": written(self.record, self.buffers)}
         views, binary = self.buffers.finish()
         asset = {"version": "2.0", "generator": f"facepipe {__version__}"}
@@ -214,6 +215,7 @@ class _Writer:
         }
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
         document: Json = {"asset": asset, "scene": 0, "scenes": [scene_entry]}
+        # the schema knows no empty lists: one item or more, or no key
         document |= {key: value for key, value in lists.items() if value}
         if extras is not None:
             document["extras"] = extras

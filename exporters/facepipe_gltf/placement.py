@@ -122,6 +122,7 @@ def place(mesh: Mesh, skeleton: Skeleton, space: Space, skinned: bool) -> Placem
         return Placement((space.skeleton @ bind)[None])
     joints, weights = merge(mesh.skin)
     weights = weights / weights.sum(axis=1, keepdims=True)
+    # x' = sum_j w_j rest_j bind_j^-1 G x: kept as a matrix a point, by which normals and offsets turn too
     blended = np.zeros((len(joints), 4, 4))
     for column in range(joints.shape[1]):
         blended += to_rest[joints[:, column]] * weights[:, column, None, None]

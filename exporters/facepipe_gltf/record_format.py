@@ -89,6 +89,7 @@ def unpacked(data: bytes, inflated: int, where: str) -> Record:
     """
     inflater = zlib.decompressobj()
     try:
+        # one byte past the stated size tells that it is wrong: unbounded, a small block may inflate to all memory
         block = inflater.decompress(data, inflated + 1)
         (length,) = struct.unpack_from("<I", block)
         fields = json.loads(block[4 : 4 + length])

@@ -124,6 +124,7 @@ def _permuted_joints(worlds: FloatArray, inverse_binds: FloatArray) -> npt.NDArr
     at_rest = worlds @ inverse_binds
     reach = max(float(np.ptp(worlds[:, :3, 3], axis=0).max()), float(np.abs(inverse_binds[:, :3, 3]).max()), 1e-9)
     weight = np.ones((4, 4))
+    # translations as shares of the rig's size: one tolerance then holds for them and for rotations, in any unit
     weight[:3, 3] = 1 / reach
 
     def close(one: FloatArray, other: FloatArray) -> npt.NDArray[np.bool_]:

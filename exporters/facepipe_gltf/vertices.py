@@ -37,6 +37,7 @@ def corners_of(mesh: Mesh, mirrored: bool) -> Corners:
         corners = np.ascontiguousarray(corners[:, ::-1])
     points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
     a, b, c = points.T
+    # by points, not by area: a flat triangle of three points may open in a shape
     solid = (a != b) & (b != c) & (c != a)
     if not solid.all():
         faces, corners, points = faces[solid], corners[solid], points[solid]

@@ -46,6 +46,7 @@ def activation_nodes(nodes: Nodes, rig: Rig, weights: str = "weights", name: str
             return nodes.add("Gather", weights, nodes.indices(shapes), axis=1, name=name)
         return nodes.concat([weights], 1, name)
     curves = [target.curve.hinges() for target in rig.targets]
+    # as a set: curves of neighbouring inbetweens bend at the same weight, and share its relu
     bends = sorted(
         {(target.shape, at) for target, curve in zip(rig.targets, curves, strict=True) for at, _ in curve[2]}
     )
@@ -116,6 +117,7 @@ def skinning_nodes(nodes: Nodes, rig: Rig, ends: Ends | None, centre: FloatArray
     else:
         own = np.tile(rig.parent_world @ shift, (batch, 1, 1, 1))
         matrices.append(nodes.constant("skeleton_world", own))
+    # the last row of an affine matrix is 0 0 0 1: nothing to multiply by
     rows = nodes.slice(nodes.concat(matrices, 1), 2, 0, 3)
     count = len(rig.joints) + 1
     return nodes.reshape(nodes.add("Transpose", rows, perm=[0, 3, 2, 1]), batch, 12, count)

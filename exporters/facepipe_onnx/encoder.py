@@ -36,6 +36,7 @@ def _build(encoder: NeuralEncoder, name: str = "face") -> Any:
     count, tokens = len(encoder.chosen), len(encoder.places)
     chosen = nodes.gather("points", 1, encoder.chosen)
     offsets = nodes.add("Sub", chosen, nodes.constant("rest", encoder.rest))
+    # tanh((x / s) W + b) = tanh(x (W / s) + b): the scale costs no operator
     hidden = _affine(nodes, offsets, "point", encoder.point / encoder.scale, encoder.point_bias)
     features = _affine(nodes, nodes.add("Tanh", hidden), "feature", encoder.feature, encoder.feature_bias)
     rows = nodes.reshape(features, tokens, len(encoder.token))

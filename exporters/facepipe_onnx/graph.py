@@ -64,6 +64,7 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     else:
         rigid(nodes, rig, options.batch)
     if worlds and options.joint_matrices:
+        # made by depth, one product a level; callers count joints as the stage does
         nodes.add(
             "Gather", worlds, nodes.indices(np.argsort(tree_order(rig.parents)[0])), axis=1, name="joint_matrices"
         )
@@ -142,6 +143,7 @@ def _homogeneous(
         return nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
     morphs = partition(moved, parts.size, OFFSET_BYTES)
     blocks = morph_nodes(nodes, rig, neutral, morphs, batch, activations)
+    # morphs are blocked by which shapes move points, the skin by which joints: their orders differ
     blocks = _reorder(nodes, blocks, morphs.position[parts.order])
     rows = nodes.reshape(blocks, batch, len(order), 3)
     planes = nodes.add("Transpose", rows, perm=[0, 2, 1])

@@ -33,6 +33,7 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
         linear, fixed = _factor_columns(place, axis)
         factor = nodes.add("Gemm", waves, nodes.constant(f"turns_{axis}", linear), nodes.constant("fixed_turns", fixed))
         product = nodes.add("Mul", product, factor)
+    # the 1 at the end of a matrix depends on nothing: it is the bias of the product
     corner = nodes.constant("corner", np.eye(16)[15])
     matrices = nodes.add("Gemm", product, nodes.constant("entries", entries), corner)
     return nodes.add("MatMul", nodes.constant("rest", rest), nodes.reshape(matrices, batch, count, 4, 4))

@@ -169,6 +169,7 @@ def _points(model: Any, rig: Rig, vectors: FloatArray) -> Iterator[FloatArray]:
     names = [name for name in ("coefficients", "morph_weights") if name in given]
     for vector in vectors:
         inputs["sliders"][:] = vector
+        # what follows is in float64: the difference is then that of the models, not of sums made here
         outputs = dict(zip(names, session.run(names, inputs), strict=True))
         points, local = rig.points, rig.rest
         if "morph_weights" in outputs:

@@ -136,6 +136,7 @@ def _merge(patterns: Mask, weight: FloatArray | IntArray) -> IntArray:
         fill[gone], fill[:, gone], least[gone] = np.inf, np.inf, np.inf
         row = _fill(union, width, weight, alive, keep)
         fill[keep], fill[:, keep] = row, row
+        # only rows that the merge concerns: all pairs anew each time would be cubic in the patterns
         stale = np.flatnonzero(alive & (np.isin(nearest, (keep, gone)) | (row < least)))
         nearest[stale], least[stale] = fill[stale].argmin(axis=1), fill[stale].min(axis=1)
     return labels

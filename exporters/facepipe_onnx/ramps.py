@@ -53,6 +53,7 @@ def ramps_of(rig: Rig, sliders: Sequence[Slider], whole: Collection[str] = ()) -
         for column, gain, curve in _entries(rig, slider):
             values = _values(slider, curve)
             amounts = [gain * response(curve, value, slider.default) for value in values]
+            # curve(x) = its first value + sum of rises * clip((x - start) / (end - start), 0, 1)
             base[column] += amounts[0]
             for piece, (low, high) in zip(itertools.pairwise(values), itertools.pairwise(amounts), strict=True):
                 if high != low:

@@ -146,6 +146,7 @@ def _mesh_shapes(
     for name in dict.fromkeys([*before, *deltas]):
         old = before.get(name)
         if name not in deltas and old is not None:
+            # normal offsets are from the normals of the old points: on new ones they lead elsewhere
             shapes.append(old if points is mesh.points else _kept_shape(old, points, triangles))
             continue
         delta, held = deltas[name]

@@ -50,6 +50,7 @@ def write_payload(path: str | os.PathLike[str], content: PayloadContent, rig: Ri
         encoded = encode(content)
     except InputError as error:
         raise error.under(target) from None
+    # read back, not estimated: the report has what readers of these very bytes get
     read_back = decode(encoded.data, rig.joints, target)
     largest = max(
         float(np.linalg.norm(rig.evaluate(coefficients=one) - rig.evaluate(coefficients=other), axis=1).max())

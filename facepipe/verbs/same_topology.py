@@ -194,6 +194,7 @@ def _check_triangles(where: str, other: Mesh, mesh: Mesh, used: IntArray, name: 
     ):
         if count != expected:
             raise TopologyError(where, f"{count:,} {what}, expected {expected:,} as in {name}")
+    # by edges of the faces: these are in any triangulation, whichever diagonals a tool chose
     keys = np.unique(_edges(other.face_vertex_counts, other.face_vertex_indices, len(used)))
     edges = _edges(counts, np.searchsorted(used, mesh.face_vertex_indices), len(used))
     missing = np.flatnonzero(~np.isin(edges, keys))

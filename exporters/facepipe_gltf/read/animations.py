@@ -68,6 +68,7 @@ def read_animations(
         if channels:
             read.append((value, channels))
     keys = [channel.sampler.times for _, channels in read for channel in channels]
+    # of the keys of all animations: a stage has one timeCodesPerSecond
     rate = fps or frame_rate(np.concatenate(keys) if keys else np.zeros(0))
     names = handles([given_name(value) or "" for value, _ in read], "Animation")
     animations = [
@@ -108,6 +109,7 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         if not moves_joint and not (path == "weights" and index in shapes):
             left_out += 1
             continue
+        # glTF 2.0 forbids two channels of one target: which one wins would depend on the reader
         if (index, path) in channels:
             raise channel.error(f"a second channel for {path} of nodes[{index}]")
         reference = channel.require("sampler")
@@ -134,6 +136,7 @@ def _animation(
     moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _PATHS})
     weights = [channel for channel in channels if channel.path == "weights"]
     width = 24 * len(moved) + 2 * sum(len(shapes[channel.node]) for channel in weights)
+    # before sampling: a few keys far apart ask for more frames than memory holds
     document.budget.spend(8 * len(times) * width, value.error)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
@@ -196,6 +199,7 @@ def _joint_motion(
             channel = by_target.get((node, path))
             constant = np.tile(rest, (len(times), 1))
             parts.append(constant if channel is None else channel.at(times))
+        # nodes between two joints are none on the stage: what they do goes into the lower joint's track
         tracks.append(_under(document, value, joints.above[joint], parts))
     return [np.stack(parts, axis=1) for parts in zip(*tracks, strict=True)]
 

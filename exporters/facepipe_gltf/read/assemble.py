@@ -32,6 +32,7 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not 1e-30 < determinant < 1e30:
         return replace(mesh, skin=replace(mesh.skin, geom_bind_transform=matrix))
+    # det(A)^(1/3) A^-T is the rotation of a scaled rotation: normal offsets are not normalised, and keep their length
     turn: FloatArray = np.linalg.inv(matrix[:3, :3]).T * np.cbrt(determinant)
 
     def offset(values: FloatArray) -> FloatArray:

@@ -74,6 +74,7 @@ class _Textures:
         document = self._document
         texture = document.entry("textures", reference.require("index"))
         source = texture.get("source")
+        # KHR_texture_basisu and EXT_texture_webp name their image elsewhere, and need no source
         if source is None:
             document.warn(texture, "has no PNG or JPEG image: left out")
             return None
@@ -144,6 +145,7 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         label=label if label != name else None,
         diffuse_color=_color(textures, surface.get("baseColorTexture"), base),
         emissive_color=_emission(textures, value),
+        # one picture holds both: by glTF roughness is its green channel, metallic its blue one
         metallic=_scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal),
         roughness=_scalar(textures, surface.get("metallicRoughnessTexture"), "g", rough),
         opacity=opacity,

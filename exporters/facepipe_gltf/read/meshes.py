@@ -93,6 +93,7 @@ def build_mesh(
     corners, kept = _faces(document, geometry, welded)
     points = welded.points[corners].ravel()
     shown = _materials(document, geometry, materials, recorded)
+    # of triangles that are kept: a material of left out ones alone would make a subset without faces
     bound = [shown[number] for number in np.unique(geometry.materials[kept]).tolist()]
     return Mesh(
         name="mesh",
@@ -127,6 +128,7 @@ def _numbered(geometry: Geometry) -> Weld:
 def _weld(document: Document, geometry: Geometry, weld: bool) -> Weld:
     vertices = geometry.vertices
     numbers = vertices.point_numbers
+    # by number before value: points that lie on each other, as those of closed lips do, are two
     if numbers is not None and weld:
         welded = welds.by_number(geometry, numbers)
         if welded is not None:
@@ -196,6 +198,7 @@ def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -
     if joints is None or weights is None:
         raise AssertionError("a skinned mesh has joints and weights")
     joints, weights = joints[weld.vertices], weights[weld.vertices]
+    # the joint of a weight of 0 means nothing: files have there what is out of range
     joints = np.where(weights > 0.0, joints, 0)
     if joints.max() >= len(slots):
         raise geometry.value.error(f"joint {int(joints.max())} of a skin with {len(slots)}")

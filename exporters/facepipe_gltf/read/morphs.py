@@ -48,6 +48,7 @@ def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Ro
         shapes.setdefault(original, shape)
         by_number[number] = Role(shape, label=original if original != shape else None)
     inbetweens: dict[str, Names] = {}
+    # after all shapes: an inbetween may stand before the shape that it is of
     for number, (original, weight) in folded.items():
         stem = originals[number].removeprefix(f"{original}_")
         inbetween_names = inbetweens.setdefault(original, Names())
@@ -78,6 +79,7 @@ def _blendshape(
         if target.normals is not None and geometry.vertices.normals is not None
     }
     every = [*moved.values(), *turned.values()]
+    # a shape and its inbetweens share one list of pointIndices in USD: the union of what all move
     points = np.unique(np.concatenate([deltas.indices for deltas in every]))
     main = next(role for role in moved if not role.inbetween)
     return Blendshape(

@@ -38,6 +38,7 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     parents = _parents(values, children)
     roots = [node for node, parent in enumerate(parents) if parent < 0]
     order = _depth_first(roots, children)
+    # a cycle has no root: no walk from one comes there
     if len(order) < len(values):
         lost = sorted(set(range(len(values))) - set(order))[0]
         raise values[lost].error("is its own ancestor, expected a tree")
@@ -46,6 +47,7 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     for node in order:
         if parents[node] >= 0:
             worlds[node] = worlds[parents[node]] @ locals_[node]
+    # finite local matrices are not enough: products of large scales overflow
     finite = np.isfinite(worlds).all(axis=(1, 2))
     if not finite.all():
         raise values[int(np.argmin(finite))].error("its world transform is not finite")

@@ -78,6 +78,7 @@ def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
     """The vertices of all primitives as one; what only some primitives have is completed or left out."""
     if len(read) == 1:
         return read[0]
+    # weights are those of the mesh: glTF 2.0 wants as many targets in each of its primitives
     if len({len(one.targets) for one in read}) > 1:
         raise value.error("its primitives have different numbers of morph targets, expected the same")
     starts = np.cumsum([0, *(len(one.positions) for one in read[:-1])])

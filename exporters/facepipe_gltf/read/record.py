@@ -99,6 +99,7 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
         if np.shape(record.loose_positions) != (len(record.loose_points), 3):
             raise _misfit(f"places of the points of {husk.name} that no face uses are not three numbers each")
         points[record.loose_points] = record.loose_positions
+    # to glTF space and back in float32 loses last digits: the record has the steps by which each number misses
     if record.steps is not None:
         if np.shape(record.steps) != points.shape:
             raise _misfit(f"{len(points)} points of {husk.name}, expected {len(record.steps)}")
@@ -250,6 +251,7 @@ def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directi
         at = normals[read_shape.point_indices] if normals is not None else np.zeros((len(read_shape.point_indices), 3))
         if len(shape.inbetweens) != len(read_shape.inbetweens):
             raise _misfit(f"{len(read_shape.inbetweens)} inbetweens of {shape.name}, expected {len(shape.inbetweens)}")
+        # the file has inbetweens by weight, the face in its own order
         by_weight = dict(zip(np.argsort([one.weight for one in shape.inbetweens]), read_shape.inbetweens, strict=True))
         result.append(
             replace(

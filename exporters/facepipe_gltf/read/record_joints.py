@@ -118,6 +118,7 @@ def _moved(
     values: dict[str, FloatArray | None] = {}
     if husk.coefficients is not None:
         rest = np.asarray(recorded.rest_transforms, np.float64)[joints]
+        # local = rest C; rounding of float32 nodes would make coefficients of joints that never moved
         values["coefficients"] = _at_rest_where_near(matrix_coefficients(np.linalg.inv(rest) @ local), rest)
     trs = decompose(local)
     for name, value in zip(("translations", "rotations", "scales"), trs[:3], strict=True):

@@ -59,6 +59,7 @@ def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sam
         raise output.error(f"{read.size} numbers for {len(times)} keys, expected {expected}")
     if not cubic:
         return Sampler(value, mode, times, read.reshape(len(times), width), None)
+    # a cubic key is three rows: in-tangent, value, out-tangent
     triples = read.reshape(len(times), 3, width)
     return Sampler(value, mode, times, triples[:, 1], (triples[:, 0], triples[:, 2]))
 

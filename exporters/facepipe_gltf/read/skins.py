@@ -164,12 +164,14 @@ def _bind(
     """The skin's geomBind; joints not bound so far join `binds`."""
     bound = np.array([slot in binds for slot in slots.tolist()])
     if bound.any():
+        # inverse_j = B_j^-1 G: where an earlier skin gave B_j, B_j inverse_j is the G of this one, the same for all j
         factors = np.array([binds[slot] for slot in slots[bound].tolist()]) @ inverses[bound]
         geom_bind = _snapped(factors[0])
         apart = _difference(factors, geom_bind)
         if apart > _SAME:
             document.warn(value, f"binds joints otherwise than an earlier skin (by {apart:.2g}): the earlier is kept")
     else:
+        # in a file at rest in bind pose world_j inverse_j is G; at another pose they differ, and G is taken as identity
         factors = worlds @ inverses
         geom_bind = _snapped(factors[0]) if _difference(factors, factors[0]) <= 10 * _SAME else identity()
         if abs(np.linalg.det(geom_bind[:3, :3])) < 1e-30:

@@ -127,6 +127,7 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
     names, worst = [], 0.0
     for name, sliders in sliders_by_shape.items():
         full = _points(parts, rig, {one: by_name[one].maximum for one in sliders}) - rest
+        # curves and turns of joints bend, an expression is straight: half way it is off by |half - full / 2|
         halfway = {one: (by_name[one].maximum + by_name[one].setting) / 2 for one in sliders}
         half = _points(parts, rig, halfway) - rest
         if np.abs(full).max() > still:

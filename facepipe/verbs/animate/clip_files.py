@@ -217,6 +217,7 @@ def _performance(
         return steady(str(path), np.arange(len(frames)) * 1.0, rate or FPS, names, values)
     seconds = np.array([_number(f"{one} -> {clock}", own.get(clock)) for one, own in zip(where, keyed, strict=True)])
     rate = rate or _rate_of(seconds)
+    # from the first: clocks of captures start anywhere
     return steady(str(path), (seconds - seconds[0]) * rate, rate, names, values)
 
 

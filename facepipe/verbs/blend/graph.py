@@ -56,6 +56,7 @@ def build_graph(sources: Sources, edge_weights: EdgeWeights, smoothing_mm: float
     bridges = part_bridges(mean, component, int(component[held]))
     names, masks, notes = region_masks(sources, mesh_edges, bridges, smoothing_mm / sources.mm_per_unit)
     uniform = (mesh_edges, np.ones(len(mesh_edges)))
+    # cotangents of the mean, not of the blend: M^T W M is then factored once for all weights
     pairs, weights = cotangent_weights(mean, triangles) if edge_weights == "cotangent" else uniform
     return Graph(
         edges=pairs,
@@ -207,6 +208,7 @@ def region_masks(
     full = _with_rest(masks)
     if smoothing > 0 and names:
         full = smooth_masks(full, sources.points.mean(axis=0), edges, smoothing)
+    # after the smoothing, so that followers have the masks that their leaders end with
     following = bare[bridges.followers]
     full[:, bridges.followers[following]] = full[:, bridges.leaders[following]]
     return names, full, notes

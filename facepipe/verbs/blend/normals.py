@@ -33,6 +33,7 @@ def blend_normals(
     for k, authored in enumerate(normals):
         if authored is not None:
             vectors = np.asarray(authored, dtype=np.float64)
+            # an authored normal of length 0 says nothing: by its share it would take the own surface's normal away
             share = np.where(np.linalg.norm(vectors, axis=1) > 0, weights[:, k], 0.0)
             blended += share[:, None] * (unit_vectors(vectors) - surfaces[k])
     flat = np.linalg.norm(blended, axis=1) <= _DEGENERATE

@@ -89,6 +89,7 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
     """The report of a solution, and the seam residual (n,): RMS deviation of the edges at each point, mm."""
     sources, graph, neutral = session.sources, session.graph, solution.neutral
     lengths = _lengths(edge_vectors(neutral.points, graph.edges) - neutral.wanted, sources.mm_per_unit)
+    # an edge across regions counts in one alone, of which its ends have most: sums over regions are those of all
     region = np.argmax(graph.masks[:, graph.edges[:, 0]] + graph.masks[:, graph.edges[:, 1]], axis=0)
     names = (*graph.regions, "default")
     normals = _triangle_mix(neutral.shares, sources.points, graph.triangles)

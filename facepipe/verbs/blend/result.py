@@ -162,6 +162,7 @@ def _shape(
         points, triangles = surface
         moved = points.copy()
         moved[indices] += offsets
+        # normals are no linear function of points: blended offsets of normals would not fit the blended surface
         return normal_offsets(points, moved, triangles, indices)
 
     inbetweens = tuple(

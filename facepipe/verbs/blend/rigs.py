@@ -164,6 +164,7 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     indices, blended = _sorted(*_merged(joints, shares), width)
     total = blended.sum(axis=1, keepdims=True)
     blended = blended / np.where(total > 0, total, 1.0)
+    # sum_k a_k w equals w only up to rounding: put back, the weights that all agree on keep every digit
     indices[agreed], blended[agreed] = (one[agreed] for one in _sorted(*merged[0], width))
     return replace(base, joint_indices=indices, joint_weights=blended)
 

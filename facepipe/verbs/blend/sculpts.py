@@ -64,6 +64,7 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
         transferred += [(shape, sources.names[k]) for k in lack]
         for weight, name in _weights(sources.parts, shape):
             offsets = _stacked(sources, shape, weight)
+            # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
             points = np.flatnonzero((np.linalg.norm(offsets, axis=2) * sources.mm_per_unit > threshold_mm).any(axis=0))
             if lack:
                 transfer.fill(offsets, points, lack)

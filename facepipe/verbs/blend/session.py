@@ -92,6 +92,7 @@ class BlendSession:
         wanted = mix(along_edges, self.edge_vectors)
         bridged = mix(along_bridges, self.bridge_vectors)
         points = self.system.solve(wanted, bridged, self.sources.points[0, graph.anchor])
+        # after the solve, which bends loose parts as it does skin: their blended shape is laid on what it made of them
         points[self.kept.points] = self.kept.fit(points, shares)
         joint_shares, joints = self._joints(points, shares)
         return Neutral(
@@ -167,6 +168,7 @@ class Expression:
             if prepared.held.pinned:
                 offsets[graph.anchor] = anchored
         else:
+            # the document's way (S605', S606'): solved freely, then cut off, which may leave a step where it ends
             everywhere = np.zeros((len(graph.edges), 3))
             everywhere[prepared.edges] = wanted
             offsets[points] = self._system.solve(everywhere, bridged, anchored)[points]

@@ -172,6 +172,7 @@ def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple
     if not missing or not faces:
         return source, ()
     skin = max(faces, key=lambda mesh: len(mesh.points))
+    # found in the base's bind space, authored in the source's, which may differ in unit and up axis
     back = np.linalg.inv(to_base)
     joints = np.array([source.skeleton.joints.index(joint) for joint in base.skeleton.joints] or [0], np.int32)
     worn = {}

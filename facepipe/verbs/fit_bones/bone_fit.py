@@ -182,6 +182,7 @@ class BoneFit:
         """One descent; `springs` (m, 9) are weights of each squared strain beside that of the mean square distance."""
         world = self.tree.parent_world
         if weights is self.weights:
+            # Q = sum w r r^T is of the weights alone, T = sum w r (target - rigid)^T of the target: Q is kept
             moments = self.skin.retargeted(self._moments, target, weights, world)
         else:
             moments = self.skin.moments(target, weights, world)

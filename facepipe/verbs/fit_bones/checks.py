@@ -96,6 +96,7 @@ def checked_limits(rig: Rig, lower: FloatArray | None, upper: FloatArray | None)
             raise InputError(rig.name, f"limits {limits.shape}, expected {shape} numbers")
         both.append(limits)
     low, high = both
+    # a scale of 0 makes the joint's matrix singular, one below mirrors: a descent without limit may go there
     low[:, 6:] = np.where(np.isneginf(low[:, 6:]), LEAST_SCALE, low[:, 6:])
     wrong = np.argwhere((low > high) | np.isposinf(low) | np.isneginf(high))
     if len(wrong):

@@ -160,6 +160,7 @@ def initial_coefficients(face: Face, word: str) -> FloatArray:
         raise InputError(f"initial {word}", f"no such animation{suggestion(word, known)}")
     if animation.coefficients is None:
         local, _ = face.sample(word)
+        # local = rest C: the coefficients are of C
         return matrix_coefficients(np.linalg.solve(face.rig().rest, local))
     coefficients = rest_coefficients(len(joints))
     for joint, row in zip(animation.joints, animation.coefficients[0], strict=True):

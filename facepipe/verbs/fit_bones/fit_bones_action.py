@@ -150,6 +150,7 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
         misses = {name: target.distances.max_mm for name, target in report.targets.items()}
         targets = dict(zip(misses, report.fitted, strict=True))
         order = sorted(misses, key=lambda name: -misses[name])
+        # at least the threshold: a good fit would show its rounding in the colours of large misses
         scale = (0.0, float(max(misses[order[0]], report.threshold_mm)))
         parts, images = face.parts(), []
         for name in order[:_PICTURES]:

@@ -103,6 +103,7 @@ class TargetFits:
 
         :raises InputError: limits or joints that a symmetric fit can't have
         """
+        # by the points known: factors depend on these weights, not on the target, so poses of one file share them
         key = b"" if known is None or known.all() else np.packbits(known).tobytes()
         if key not in self._fits:
             options, (lower, upper) = self._options, self._limits

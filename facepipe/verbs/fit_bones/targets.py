@@ -77,6 +77,7 @@ def read_targets(face: Face, words: Sequence[str], load: Loader | None = None) -
         raise InputError(f"target {twice[0]}", "given twice, expected it once")
     parts = face.parts()
     targets = [target for word in words for target in _read(face, parts, word, load)]
+    # each names an animation prim: words that differ may be one identifier
     names = unique_identifiers(target.name for target in targets)
     return tuple(
         target if target.name == name else replace(target, name=name)

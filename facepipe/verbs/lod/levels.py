@@ -93,6 +93,7 @@ class FullFace:
             posed = self._rig.evaluate({name: 1.0})
             moved = self._moves(posed)
             for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
+                # a shape adds the same at both places, so no level is posed for it; a joint's turn does not
                 off = self._off(placed, posed, posed + (at - self._rest))
                 shapes[number][name] = _distances(off[moved[placed.rows]])
                 skin[number][name] = _distances(off[(moved & self._skin)[placed.rows]])

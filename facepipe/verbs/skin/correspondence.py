@@ -106,6 +106,7 @@ def _turned(
     facing = np.einsum("kni,ki->kn", normals[allowed[near]], ours[rows]) > _FACING
     first = facing.argmax(axis=1)
     at = np.arange(len(rows))
+    # a multiple of nearly 0 would allow nothing at points that lie on the source: of 1 mm at least
     better = facing[at, first] & (away[at, first] <= _TURNED * np.maximum(part.distances[rows], 1.0))
     rows, first, at = rows[better], first[better], at[better]
     corners, shares, distances = part.corners.copy(), part.shares.copy(), part.distances.copy()
@@ -144,6 +145,7 @@ def matched_parts(
     loose = _pieces(target, target.loose[~np.isin(target.component[target.loose], target.component[done])])
     means = _mean_distances([target.points[points] for points in loose], warped, parts)
     for points, mean in zip(loose, means, strict=True):
+        # by piece before by point: a tooth whose points each take what is nearest would bend
         chosen = _rigid_part(target.points[points], mean, rigid)
         if chosen is None:
             rest.append(points)
@@ -236,6 +238,7 @@ def _follow(
         raw[nearer], distances[nearer] = other.interpolated(weights)[nearer], other.distances[nearer]
         corners[nearer] = other.corners[nearer, 0]
     local = target.part_triangles(points, even=True)
+    # the nearer a point, the surer its weights: what lies on the source is not blurred, what is far blends widely
     lengths = _BLEND * np.clip(distances / _TRUSTED, _SHARP, 1.0)
     result[points] = normalised(heat_weights(at, local, normalised(raw), lengths))
     _note(origin, target, points, source, corners)

@@ -51,6 +51,7 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
         weights, warnings = _weights(source, other.group, where)
         result, origin, away = _by_place(surface, other, warp, weights, pairs, smoothing)
     else:
+        # by number, without a search: after the warp the nearest place need not be a point's own
         result, warnings = _weights(twin, surface.group, where)
         origin = {name: (name,) for name in sorted(surface.mesh_names)}
         away = np.linalg.norm(warp.apply(_points_of(other, surface)) - surface.points, axis=1)[surface.inside]

@@ -122,10 +122,12 @@ def _joint_weights(
         what = f"{stranded} points of {len(inside)} that no joint may move"
         raise InputError(surface.where, f"{what}, expected a joint without radius, regions or beside a lip")
     nearest = np.where(allowed > 0, distances, np.inf).min(axis=1)
+    # heat takes weights in with 1 / distance^2: infinite at a point that a joint lies on
     floor = 1e-3 * float(np.median(nearest)) + 1e-9
     shares = _shares(np.maximum(distances, floor), allowed)
     local = surface.part_triangles(inside, even=True)
     spread = normalised(heat_weights(surface.points[inside], local, shares, np.maximum(nearest, floor), sharpness))
+    # heat also runs to where a joint may not be: that goes back to the shares, which keep to what is allowed
     kept = spread * allowed
     return np.asarray(kept + (1.0 - kept.sum(axis=1, keepdims=True)) * shares)
 

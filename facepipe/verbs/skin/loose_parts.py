@@ -115,6 +115,7 @@ def _upper(surface: Surface, points: IntArray, mouth: Slit) -> FloatArray:
         else:
             large |= inside
     if large.any():
+        # gums and the like span both jaws: a step from 0 to 1 would tear them where the mouth opens
         local = surface.part_triangles(points[large], even=True)
         lengths = np.full(int(large.sum()), _BLEND)
         spread = heat_weights(surface.points[points[large]], local, upper[large, None], lengths)

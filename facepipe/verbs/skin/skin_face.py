@@ -49,6 +49,7 @@ def _optimised(
     width = min(max(_CANDIDATES, 2 * options.influences), weights.shape[1])
     candidates = np.argsort(-weights, axis=1, kind="stable")[:, :width]
     start = np.take_along_axis(weights, candidates, axis=1)
+    # heat leaves traces of most joints nearly everywhere: these are no weight that a point has
     start = normalised(np.where(start >= _FAINT, start, 0.0))
     fitted = decompose(
         surface.points,

@@ -92,6 +92,7 @@ def surface_of(parts: FaceParts, where: str) -> Surface:
     start = 0
     for number, (mesh, space) in enumerate(zip(parts.meshes, mesh_spaces(parts), strict=True)):
         matrix = to_world @ space
+        # millimetres of the world: all lengths of skinning are, whatever unit and transform a mesh has
         points.append(transformed(mesh.points, matrix) * millimetres)
         counts, indices = mesh.face_vertex_counts, mesh.face_vertex_indices
         triangles.append(point_triangles(counts, indices) + start)
@@ -120,6 +121,7 @@ def _sewn(
     border: Any,
     mesh: IntArray,
 ) -> Surface:
+    # border points alone: closed lips touch inside a surface, and sewn they would share all weights
     group = welded_points(points, border, _SAME * float(np.ptp(points[triangles.ravel()], axis=0).max()))
     first = np.unique(group, return_index=True)[1]
     triangles, (pairs, *_) = group[triangles], distinct_edges(group[pairs])

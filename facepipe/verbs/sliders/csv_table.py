@@ -81,6 +81,7 @@ def _matrix(path: Path, header: Sequence[str], rows: Sequence[Row]) -> SliderTab
             bias += [Bias(target, ":" in target, gain, f"{where} -> {name}") for target, gain in gains.items()]
             continue
         where = f"{where} -> {name[:60]}"
+        # zeros of a matrix are no entries: each would author a channel that does nothing
         drives = [Drive(target=target, gain=gain, where=where) for target, gain in gains.items() if gain]
         rules.append(_rule(where, name, {key: row[key] for key in _SETTINGS if key in row}, drives))
     return SliderTable(rules=tuple(rules), bias=tuple(bias), where=str(path))

@@ -123,6 +123,7 @@ class Errors:
 
 def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: SliderNetwork, seed: int) -> Errors:
     """Errors of learned `sliders` with their `network` against those of a face, on vectors held out from training."""
+    # not the training's stream: vectors of that are learnt ones
     random = np.random.default_rng((seed, 1))
     columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
     errors: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
@@ -174,6 +175,7 @@ def _driven(rig: Rig, parts: FaceParts, bent: tuple[Slider, ...]) -> list[Any]:
         if joint not in rig.joints or channel not in CHANNELS:
             raise InputError("sliders", f"no joint '{joint}' with a channel '{channel}'")
         effect = float(effects[rig.joints.index(joint), CHANNELS.index(channel)])
+        # an effect of 0 would have no share in the error: the channel, authored all the same, would stay unlearnt
         least = mm if channel.startswith("t") else LEVER_MM
         driven.append(Driven(channel=(joint, channel), shape=None, mm=effect or least))
     return driven + [Driven(channel=None, shape=shape, mm=reach.get(shape) or LEVER_MM) for shape in sorted(shapes)]

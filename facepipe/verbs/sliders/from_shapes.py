@@ -177,6 +177,7 @@ class SlidersFromShapes(ShapeSliderOptions):
         lower, upper = self.limits.resolve(rig.joints, face.meters_per_unit, parts.bone_limits)
         fits = ShapeFits(rig, lower, upper, self, face.mm_per_unit)
         targets = {shape: rig.evaluate({shape: 1.0}) for shape in chosen}
+        # reach is a share of the motion: a shape without any has none
         still = tuple(
             shape for shape in chosen if np.abs(targets[shape] - fits.points).max() <= _LEAST / face.mm_per_unit
         )

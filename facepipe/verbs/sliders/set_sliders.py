@@ -80,6 +80,7 @@ class SetSliders:
         sliders = tuple(self._set(slider, values) for slider in parts.sliders)
         try:
             animation = pose(parts, sliders, self.name)
+            # for its check alone: sliders may drive shapes that the face lacks
             face.rig().weight_vector(dict(zip(animation.shapes, _weights(animation), strict=True)))
         except InputError as error:
             raise error.under(face.where) from None

@@ -217,6 +217,7 @@ def fit_poses(
     poses = dict(zip(middle, fits.middle([targets[shape] for shape in middle], done), strict=True))
     poses |= zip(sides, fits.side([targets[shape] for shape in sides], done), strict=True)
     for shape in sides:
+        # not a fit of its own: two descents end at poses that only nearly mirror each other
         poses[twins[shape]] = fits.mirrored(poses[shape])
         done()
     return poses

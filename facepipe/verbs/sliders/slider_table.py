@@ -92,6 +92,7 @@ class SliderRule:
         channels: Channels = {}
         for drive in self.channels:
             for joint, channel in channel_targets(drive.where, drive.target, joints):
+                # rotations are radians and scales factors on every stage: only translations are lengths
                 factor = unit if channel.startswith("t") else 1.0
                 channels[joint, channel] = (drive.gain * factor, drive.curve)
         driven: Shapes = {}
