@@ -33,6 +33,7 @@ def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
         yield obj
         return
     with contextlib.ExitStack() as after:
+        # Blender's own USD export may run beside the main thread, where no objects can be made
         made = _applied(obj, after) if threading.current_thread() is threading.main_thread() else None
         if made is None:
             names = _listed([modifier.name for modifier in modifiers if modifier.show_viewport])

@@ -146,6 +146,7 @@ def _skin(obj: Any, bones: Mapping[str, FloatArray], joints: Mapping[str, int], 
     indices = np.array([joints[name] for name in names], dtype=np.int32)[order]
     weights[total <= 0, 0], indices[total <= 0, 0] = 1.0, 0
     indices[weights <= 0] = 0
+    # vertex groups need not sum to 1: the Armature modifier divides by the sum, and so does this
     weights /= weights.sum(axis=1, keepdims=True)
     return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights.astype(np.float32))
 

@@ -120,6 +120,7 @@ class _Writer:
                 self.uncolored[mesh.name] = None
             tangent_uv = surface.tangent_uv if self.tangents else None
             chosen.append(Chosen(triangles, surface.index, tangent_uv, surface.colored))
+        # by all primitives or none: where one has no colours, those of its points are lost, and the record keeps all
         if all(one.colored for one in chosen):
             self.colored.add(mesh.name)
         primitives = writer.write(chosen)

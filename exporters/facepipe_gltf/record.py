@@ -77,6 +77,7 @@ def _husk(
     network = parts.slider_network
     if network is not None:
         network = kept_outputs(network, joints.__contains__, shapes.__contains__)
+    # a network can't run without one of its inputs: it goes whole
     if network is not None and not {slider.name for slider in sliders}.issuperset(network.sliders):
         network = None
     return replace(
@@ -109,6 +110,7 @@ def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
 
 def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
     mesh = baked.mesh
+    # a polygon comes back from its n - 2 triangles: where one is left out, they can't be told apart
     whole = _keeps_polygons(baked)
     normals = None if mesh.normals is None else PER_POINT if len(mesh.normals) == len(mesh.points) else NONE
     return replace(

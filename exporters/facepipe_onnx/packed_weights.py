@@ -144,6 +144,7 @@ def packed_error(packed: Any, whole: Any, rig: Rig, sliders: Sequence[Slider], m
     low, high, rest = (
         np.array([getattr(slider, key) for slider in sliders]) for key in ("minimum", "maximum", "default")
     )
+    # each slider alone shows the errors of its own rows, which in a mixture may cancel
     alone = np.repeat(rest[None], 2 * len(sliders), axis=0)
     alone[::2][np.diag_indices(len(sliders))], alone[1::2][np.diag_indices(len(sliders))] = low, high
     vectors = np.concatenate([alone, slider_samples(sliders, _VECTORS, seed=1)]).astype(np.float32)

@@ -67,6 +67,7 @@ def build(
     sliders, network = select_driven(rig, sliders, network, names)
     rig = select_shapes(rig, names)
     nodes, batch = PackedNodes(options.weights), options.batch
+    # a network's input needs its ramp even if the slider itself drives nothing
     ramps = ramps_of(rig, sliders, () if network is None else network.sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
     _sample(nodes, ramps, risen, sliders)
@@ -183,6 +184,7 @@ def _network_nodes(
     :param risen: [batch, k] of `ramp_nodes`
     :raises ExportError: a network of an unknown shape
     """
+    # x = lower + reach ramp, so W x + b = (W reach) ramp + (b + W lower): the ramp brings the clamp along
     inputs, weight, bias = _first_layer(network, sliders, ramps)
     layers = [(weight, bias), *zip(network.weights[1:], network.biases[1:], strict=True)]
     units = risen

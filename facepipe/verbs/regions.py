@@ -137,6 +137,7 @@ class SetRegions:
         )
         masks: dict[str, FloatArray] = {name: np.zeros(len(mesh.points)) for name in self.legend.regions}
         for (_, name), column in zip(self.legend.colors, shares.T, strict=True):
+            # added up: several colours of a legend may be one region
             masks[name] += column
         bare = ~covered
         if not covered.any():

@@ -232,6 +232,7 @@ def _shape_motion(
         values = channel.at(times)
         of_channel: dict[str, FloatArray] = {}
         for role, column in zip(shapes[channel.node], values.T, strict=True):
+            # w = sum_i weight_i activation_i(w), exact as activations are linear between the weights of sculpts
             of_channel[role.shape] = of_channel.get(role.shape, 0.0) + role.weight * column
         for shape, weights in of_channel.items():
             if shape in by_shape and np.abs(by_shape[shape] - weights).max() > _ALIKE:

@@ -59,6 +59,7 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     """
     values = document.entries("skins")
     listed = [_joint_nodes(document, value) for value in values]
+    # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     order = _parent_first(nodes, [node for skin in listed for node in skin])
     of_node = {node: joint for joint, node in enumerate(order)}
     joint_parents, above = _hierarchy(nodes, order, of_node)

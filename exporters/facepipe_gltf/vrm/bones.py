@@ -190,6 +190,7 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
     above = {joint: int(parent) for joint, parent in enumerate(parts.skeleton.parents) if parent >= 0}
     unfit = []
     while wrong := misplaced(bones, lambda joint: path_above(joint, above.get)):
+        # a bone found by name gives way; one that VRM requires or the user named never does
         drop = next((one for one in (wrong.expected, wrong.bone) if one and one not in REQUIRED), None)
         below = f"below the {wrong.found}" if wrong.found else "below no human bone"
         due = f"below the {wrong.expected or PARENTS[wrong.bone]}"

@@ -77,6 +77,7 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
     lost: list[str] = []
     for name, weights in presets.items():
         sculpted = named.get(name, ())
+        # a preset that was sculpted is whole: the table's mixture on top would move points twice
         made = {} if sculpted else {one: weight for shape, weight in weights.items() for one in arkit.get(shape, ())}
         if sculpted or made or not weights:
             preset[name] = _expression(dict.fromkeys(sculpted, 1.0) | made, targets)

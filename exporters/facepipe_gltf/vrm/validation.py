@@ -112,6 +112,7 @@ def _pose(document: RawDocument, vrm: Json) -> Iterator[Problem]:
         upper, hand = place.get(f"{side}UpperArm"), place.get(f"{side}Hand")
         if upper is not None and hand is not None:
             along = (hand - upper) / max(float(np.linalg.norm(hand - upper)), 1e-30)
+            # |x| is the cosine of the slope whose sine may be _LEVEL: arms may point up, down, fore or back alike
             if abs(along[0]) < np.sqrt(1 - _LEVEL**2):
                 yield f"{where}/{side}Hand", "arm not held out to the side, expected VRM's T-pose"
     feet = [place[bone][1] for bone in ("leftFoot", "rightFoot") if bone in place]

@@ -80,6 +80,7 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
         raise InputError(parts.name, f"{what}; expected joints of known names, or option stub_body, which adds them")
     shaped, slider_shapes = with_slider_shapes(parts)
     placed, figure, added = _standing(shaped, humanoid, bool(missing))
+    # without tangents, which readers compute: a VRM holds what every runtime reads
     document = write(replace(placed, animations=()), options.gltf, tangents=False)
     tree = NodeTree(document.json)
     bones = _human_nodes(parts, document, tree, humanoid, figure, added)

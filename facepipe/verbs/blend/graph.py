@@ -147,6 +147,7 @@ def find_anchor(sources: Sources, given: int | None, component: IntArray) -> tup
     """
     anchor, notes = _authored(sources), tuple[str, ...]()
     if anchor is None:
+        # even where a point is given: by this one alone can be told that the given one lies on a loose part
         anchor = _guessed(sources)
         if anchor is not None:
             notes = (f"no anchor authored, taken from the open border: {_name(sources, anchor)}",)

@@ -168,7 +168,7 @@ class Expression:
             if prepared.held.pinned:
                 offsets[graph.anchor] = anchored
         else:
-            # the document's way (S605', S606'): solved freely, then cut off, which may leave a step where it ends
+            # the document's way (S605', S606'): solved freely, then cut off, which may leave a step where motion ends
             everywhere = np.zeros((len(graph.edges), 3))
             everywhere[prepared.edges] = wanted
             offsets[points] = self._system.solve(everywhere, bridged, anchored)[points]

@@ -241,6 +241,7 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         for count in counts:
             rows.append(surface.level(count, skin_share, rows[-1]))
             bar.update()
+        # of all levels together: the full face is posed once a shape and joint, not once a level too
         errors = full.errors([(surface.points_of(row), surface.places(row)) for row in rows[1:]], bar.update)
     made = [surface.meshes(row) for row in rows[1:]]
     author_levels(face, made)

@@ -70,6 +70,7 @@ class AuthorSliders:
         names = {slider.name for slider in new}
         valued, unset = with_values(new, parts.sliders)
         others = () if self.drop else tuple(slider for slider in parts.sliders if slider.name not in names)
+        # over new and kept ones: a new slider may name a kept one as its mirror
         merged = _mutual((*others, *valued))
         self._check_mirrors(merged)
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
@@ -178,6 +179,7 @@ class AuthorNetwork:
         """
         parts, network = face.parts(), self.network
         try:
+            # both for their checks alone: damaged layers, and names that the face lacks
             slide(parts.sliders, parts.skeleton.joints, network=network)
             face.rig().weight_vector(dict.fromkeys(network.shapes, 0.0))
         except InputError as error:

@@ -81,6 +81,7 @@ class DistilSliders(DistilOptions):
         sliders, network, steps = distil(
             *face, width=self.width, activation=self.activation, seed=self.seed, steps=self.steps
         )
+        # of posed points: the loss of training weighs coefficients by what each moves alone
         errors = measure(rig, parts, sliders, network, self.seed)
         report = self._report(steps, network, errors, self._warnings(errors))
         figures = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
@@ -175,7 +176,7 @@ def _driven(rig: Rig, parts: FaceParts, bent: tuple[Slider, ...]) -> list[Any]:
         if joint not in rig.joints or channel not in CHANNELS:
             raise InputError("sliders", f"no joint '{joint}' with a channel '{channel}'")
         effect = float(effects[rig.joints.index(joint), CHANNELS.index(channel)])
-        # an effect of 0 would have no share in the error: the channel, authored all the same, would stay unlearnt
+        # not 0: the channel would have no share in the error, and learned gains are divided by it
         least = mm if channel.startswith("t") else LEVER_MM
         driven.append(Driven(channel=(joint, channel), shape=None, mm=effect or least))
     return driven + [Driven(channel=None, shape=shape, mm=reach.get(shape) or LEVER_MM) for shape in sorted(shapes)]

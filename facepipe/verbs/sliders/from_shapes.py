@@ -102,6 +102,7 @@ class SliderMaker:
 
     def _report(self, wanted: ShapeSlider, by: str, residuals: Mapping[str, Residual]) -> MadeSlider:
         poses = [self.poses[shape] for _, shape in wanted.ends]
+        # no tolerance: channels that were left out stand at rest to the bit
         moved = np.asarray(np.any([pose.gains != 0.0 for pose in poses], axis=0))
         ends = []
         for _, shape in wanted.ends:
