@@ -59,7 +59,7 @@ def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
     kept = np.unique(np.concatenate([wedges.points[triangles].ravel(), *marked]).astype(np.int64))
     place = np.full(len(mesh.points), -1)
     place[kept] = np.arange(len(kept))
-    # all corners of a wedge have the same UVs and normals: one of them speaks for it
+    # corners of a wedge share UVs, and normals but for less than a crease: one of them speaks for all
     corners = wedges.corners[triangles].ravel()
     return replace(
         mesh,

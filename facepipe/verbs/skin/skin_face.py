@@ -128,6 +128,7 @@ class SkinFace:
         if self.optimise:
             weights, fit = _optimised(parts, surface, made.weights, self.options, step)
         else:
+            # cut here alone: `optimise` cuts while it fits, to the joints that the shapes need
             weights = fewest(made.weights, self.options.influences)
         result = skinned(parts, surface, made.skeleton, weights)
         author_changes(face, replace(result, recipe=recipe or parts.recipe))
