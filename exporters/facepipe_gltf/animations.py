@@ -63,6 +63,7 @@ class AnimationWriter:
         changed = _changed(trs, joints.rest, used)
         if not changed.any():
             changed[0, 0] = True  # a pose at rest keeps its name
+        # q and -q turn alike, but a reader that blends their numbers passes through 0 between them
         values = (trs.translation, _continuous(trs.rotation), trs.scale)
         for i, joint in enumerate(used):
             for path, name in enumerate(("translation", "rotation", "scale")):

@@ -45,6 +45,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     for joint, matrix in unholdable.items():
         above[joint] = _parent(matrix)
     offsets = np.linalg.inv(above)
+    # an animated node is TRS and holds no shear: a node above takes that, and offsets take it out again
     rest = decompose(offsets @ local)
     names = _node_names(skeleton)
     nodes = [_node(name, rest, i) for i, name in enumerate(names)]

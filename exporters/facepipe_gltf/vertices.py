@@ -84,6 +84,7 @@ def vertices_of(corners: Corners, chosen: IntArray, extra: IntArray | None = Non
         attributes.append(_Attribute(np.repeat(extra, 3), np.arange(2, dtype=np.float32)[:, None]))
     first = np.full(corners.point_count, -1, np.int64)  # a corner of each point
     first[points] = np.arange(len(points))
+    # most points are one vertex: only corners of points that have several values are sorted by these
     seams = _seam_corners(points, first, attributes)
     of_seam, seam_corners = _distinct(
         points[seams], [_Attribute(attribute.indices[seams], attribute.values) for attribute in attributes]

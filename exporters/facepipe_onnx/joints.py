@@ -141,6 +141,7 @@ def chains_of(rig: Rig, moving: npt.NDArray[np.bool_], root: FloatArray) -> Chai
     for joint, parent in enumerate(rig.parents):
         before, path = (-1, root) if parent < 0 else (anchor[parent], ends[parent])
         reached = path @ rig.rest[joint]
+        # a joint that no slider moves is no product at run time: its rest is part of the next constant below
         if moving[joint]:
             above[joint], starts[joint], anchor[joint], ends[joint] = before, reached, joint, np.eye(4)
         else:

@@ -227,6 +227,7 @@ def carried_skeleton(parts: FaceParts, moved: FloatArray) -> Skeleton:
         apart = ((before - middle[of_point]) ** 2).sum(axis=1) * held.data
         spread = np.sqrt(group_sums(of_point, apart[:, None], len(joints)) / total)
         away = places[joints] - middle
+        # an error of the fitted turn grows with the lever: far from its points a joint would be thrown about
         near = np.linalg.norm(away, axis=1, keepdims=True) <= _FAR * spread
         along = then + whole.scale * away @ whole.rotation.T
         positions[joints] = np.where(near, fitted.apply(places[joints], np.arange(len(joints))), along)

@@ -89,6 +89,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
     last = np.append(np.diff(frames) > 0, True)  # of rows at one time the last
     warnings = [] if last.all() else [f"{int((~last).sum())} frames have the time of the frame before: left out"]
     frames, values = frames[last] - frames[last][0], values[last]
+    # the median: a gap of many frames would lengthen the mean
     step = max(1.0, float(np.rint(middle(np.diff(frames)))))
     count = int(frames[-1] / step + 0.5) + 1
     _check_count(where, count)
@@ -100,6 +101,7 @@ def steady(where: str, frames: FloatArray, fps: float, names: Sequence[str], val
         frames = np.rint(frames / step) * step
     turns = [i for i, name in enumerate(names) if angle_of(name)]
     values = np.array(values)
+    # before interpolation: half way between 179 and -179 degrees is 180, not 0
     values[:, turns] = np.unwrap(values[:, turns], axis=0)
     return Performance(
         where=where,

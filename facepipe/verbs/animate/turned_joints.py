@@ -167,6 +167,7 @@ def driven(
         weights[frame] = [own.get(name, 0.0) - weights_still.get(name, 0.0) for name in names]
         done()
     if (still != rest_coefficients(len(joints))).any():  # a network that is not quite 0 there
+        # C = C_default D: D alone is motion, so that sliders at their defaults leave the face as it is
         matrices = np.linalg.inv(coefficient_matrices(still)) @ coefficient_matrices(coefficients)
         coefficients = matrix_coefficients(matrices)
     moved = np.asarray(weights.any(axis=0))

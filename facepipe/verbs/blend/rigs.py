@@ -41,6 +41,7 @@ def blend_skeletons(
     binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
     rests = np.stack([_worlds(one)[at] for one, at in zip(skeletons, places, strict=True)])
     moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
+    # a change of unit is one of places: a joint's axes stay as long as in its own file
     units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
     linear = blend_linear(_float64(bind_worlds)[..., :3, :3] / units[..., None], weights)
     bind = _transforms(linear, positions)

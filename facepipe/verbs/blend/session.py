@@ -73,6 +73,7 @@ class BlendSession:
         self.edge_vectors = edge_vectors(self.sources.points, graph.edges)
         followers, leaders = graph.bridges.followers, graph.bridges.leaders
         self.bridge_vectors = self.sources.points[:, followers] - self.sources.points[:, leaders]
+        # shares are linear in masks: one product with a table of weights then makes those of all edges
         self._edge_masks = mean_of_ends(graph.masks.T, graph.edges[:, 0], graph.edges[:, 1])  # (e, regions + 1)
         held = self.options.expressions == "static"
         self._expressions = [

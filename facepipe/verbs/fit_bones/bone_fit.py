@@ -70,6 +70,7 @@ class BoneFit:
         self.lower, self.upper = checked_limits(rig, lower, upper)
         self.weights = checked_weights(rig, weights)
         size = float(np.ptp(rig.points, axis=0).max(initial=0.0)) or 1.0
+        # a radian or a factor counts as what it moves at a tenth of the face's size, so that all channels are lengths
         self._levers = np.repeat([1.0, 0.1 * size], [3, 6])
         self.tree = Tree(rig, parent_world)
         self.skin = SkinnedPoints(rig)

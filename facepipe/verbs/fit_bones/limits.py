@@ -82,6 +82,7 @@ class LimitRules:
             rows = _matching(f"{self.where} -> joints -> {pattern}", pattern, joints)
             for name in sorted(channels, key=lambda channel: -len(_channels("", channel))):  # * first, single ones last
                 for column in _channels("", name):
+                    # inwards: the nearest float32 to a limit may lie beyond it
                     low, high = _rounded_inwards(channels[name], scale if column < 3 else 1.0)
                     lower[rows, column], upper[rows, column] = low, high
                     if channels[name][0] is None:

@@ -135,6 +135,7 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
         flips = _flips(axes[joint], axes[partner], f"{rig.name} -> {rig.joints[joint]}", rig.joints[partner])
         followers = slice(9 * partner, 9 * partner + 9)
         if partner == joint:
+            # a joint on the middle is its own mirror image: c = -c leaves 0 alone
             still[followers] = flips < 0
         else:
             leaders[followers], signs[followers] = 9 * joint + np.arange(9), flips

@@ -56,6 +56,7 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     own = _joint_weights(surface, chosen, millimetres[moves], radii, masks, slits, options.sharpness)
     weights = np.zeros((len(surface.points), len(moves)))
     weights[:, moves] = following(surface, own)
+    # after `following`, by which eyeballs would stick to the lids around them
     for number, joint in turned.items():
         hold(weights, eyeballs[number].points, joint)
     paths = tuple(joint.path for joint in joints.joints)

@@ -243,6 +243,7 @@ def channel_effects(rig: Rig) -> FloatArray:
     """
     count = len(rig.joints)
     worlds = rig.joint_worlds(rig.rest)
+    # dp / dc = W (dM / dc) W^-1 p, W the joint's world at rest, M = 1 there
     motions = worlds[:, None] @ coefficient_derivatives(rest_coefficients(count)) @ np.linalg.inv(worlds)[:, None]
     points = np.column_stack([rig.evaluate(), np.ones(len(rig.points))])
     weights = np.asarray(rig.influences[:, :count].todense())
