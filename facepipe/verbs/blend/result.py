@@ -122,6 +122,7 @@ def _blendshapes(
     for name, sculpts in collected.items():
         indices: IntArray = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
         if name in with_normals:
+            # beside moving points triangles turn: normals change there at points that stay
             indices = _with_neighbours(indices, triangles)
         elif not len(indices) and name in still:
             indices = np.zeros(1, dtype=np.int32)  # USD reads a shape without indices as one over all points

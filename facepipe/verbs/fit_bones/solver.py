@@ -64,6 +64,7 @@ def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, sta
     damping, before, taken, exact = _START, np.inf, 0, False
     model: _Model | None = None
     while taken < problem.steps and state.largest > problem.threshold and state.slope > problem.settled:
+        # a model is a normal matrix and its factor: it serves on while a step leaves half the slope at most
         kept = model is not None and state.slope <= _KEPT * before
         if model is None or not kept:
             model = _Model(state, damping, exact)

@@ -87,6 +87,7 @@ def widened(points: FloatArray, triangles: IntArray, card: IntArray, share: floa
     owner = np.zeros(len(points), np.int64)
     owner[triangles] = card[:, None]
     area = np.bincount(owner, point_areas(points, triangles), len(around))
+    # 2 (l + w) = around and l w = area, so 4 w = around - sqrt(around^2 - 16 area); rounding may take the root below 0
     width = (around - np.sqrt(np.maximum(around**2 - 16 * area, 0))) / 4  # of a rectangle with that border and area
     factor = min(share**-_STANDS_IN, _WIDEST)
     return np.asarray(points + (0.5 * (factor - 1) * width)[owner][:, None] * push)
