@@ -51,6 +51,7 @@ def last_layer(
         matrix, offset = solved(*rows, doubt)
         return float(np.square(np.clip(others[0] @ matrix + offset, -1.0, 1.0) - others[1]).mean())
 
+    # The doubt is chosen on frames not taught; with all frames solved for, each doubt would look best at its least.
     together = [np.concatenate(pair) for pair in zip(rows, others, strict=True)]
     matrix, offset = solved(together[0], together[1], min(_DOUBTS, key=error))
     return matrix[:coordinates], matrix[coordinates:], offset

@@ -72,6 +72,7 @@ def face_frame(landmarks: FloatArray) -> FaceFrame | None:
     between, down = left - right, mouth - (left + right) / 2
     across = np.linalg.norm(between)
     x = between / max(across, np.finfo(np.float64).tiny)
+    # The eyes' line is kept, and the mouth made square to it: a mouth drawn aside does not tilt the frame.
     drop = down - (down @ x) * x
     height = np.linalg.norm(drop)
     if not (0.3 * across < height < 3.0 * across):
