@@ -62,6 +62,7 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
             return light, tint
         for _ in range(_ROUNDS):
             light, _ = _light_of(shape, surface.colors * tint[surface.materials], seen)
+            # Harmonics fall below 0 where little light comes: no colour can be found there.
             lit = surface.colors * (shape @ light).clamp(min=1e-3)
             tint = _tint(tint, lit, seen, surface.materials, count)
         main = int(torch.bincount(surface.materials, minlength=count).argmax())

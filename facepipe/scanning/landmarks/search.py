@@ -243,6 +243,7 @@ def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int
     matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
     crops = _cut_crops(picture, matrices, size)
     landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
+    # Means with mirrored crops: what the network errs to one side cancels.
     other = landmarks[len(crops) :][:, MIRRORED]
     other[..., 0] = size - other[..., 0]
     both = (landmarks[: len(crops)] + other) / 2
