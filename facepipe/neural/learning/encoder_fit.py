@@ -155,6 +155,7 @@ def train_encoder(
     with one_thread():
         random = torch.Generator().manual_seed(seed)
         learned, seen = [(as_tensor(one.offsets), as_tensor(one.controls)) for one in (samples, checked)]
+        # Drawn once, unlike that of the learned: errors of different steps are compared.
         seen = (seen[0] + noise * torch.randn(seen[0].shape, generator=random), seen[1])
         network = EncoderNetwork(first_weights(learned[0], places, straight, size, random), places, size.heads)
         descent = EncoderDescent(network, learned, seen, noise, random, steps=steps, patience=patience)

@@ -129,6 +129,7 @@ def candidates(
             continue
         landmarks, presence = network(_cut_crops(picture, matrices, size))
         sure = np.flatnonzero(presence > _MAYBE)
+        # More than are wanted: crops around one face find it several times, and `_apart` keeps one of them.
         sure = sure[np.argsort(-presence[sure], kind="stable")][: 4 * most]
         places = _in_picture(landmarks[sure], matrices[sure])
         for where, present in zip(places, presence[sure], strict=True):
