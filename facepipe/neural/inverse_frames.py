@@ -171,6 +171,7 @@ class Frames:
             elif attempt == 1 and blocks is not None and len(near):
                 other = settled.x[near]
             tried = self._each(other, again)
+            # Two starts that end at one cost are taken to have found the minimum: only other frames are tried again.
             apart = np.abs(tried.cost - settled.cost[again]) > _SAME * settled.cost[again]
             settled, again = _better(settled, tried, again), again[apart]
         if blocks is None or self.options.smoothness == 0.0:

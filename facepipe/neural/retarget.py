@@ -266,6 +266,7 @@ def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Ne
         now = _scaled(some, moving, gains)
         slopes = _slopes(some, now, moving, values, points)
         matrix, off = _subject_examples(now, values, points).normal(slopes, max(noise, 1e-6))
+        # Gauss-Newton on r'Wr + d |g - 1|^2: d holds the gains that frames don't determine at 1.
         gains -= np.linalg.solve(matrix + _GAIN_DOUBT * np.eye(len(moving)), off + _GAIN_DOUBT * (gains - 1.0))
     return _scaled(rig, moving, gains)
 

@@ -100,6 +100,7 @@ def evaluated(
         rest=rest,
         blocks=blocks,
         bones=bones,
+        # The determinant of a similarity is its scale cubed.
         coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
     )
 

@@ -51,6 +51,7 @@ def last_layer(
         matrix, offset = solved(*rows, doubt)
         return float(np.square(np.clip(others[0] @ matrix + offset, -1.0, 1.0) - others[1]).mean())
 
+    # The doubt is chosen on frames not taught; with all frames solved for, each doubt would look best at its least.
     together = [np.concatenate(pair) for pair in zip(rows, others, strict=True)]
     matrix, offset = solved(together[0], together[1], min(_DOUBTS, key=error))
     return matrix[:coordinates], matrix[coordinates:], offset
@@ -154,6 +155,7 @@ def train_encoder(
     with one_thread():
         random = torch.Generator().manual_seed(seed)
         learned, seen = [(as_tensor(one.offsets), as_tensor(one.controls)) for one in (samples, checked)]
+        # Drawn once, unlike that of the learned: errors of different steps are compared.
         seen = (seen[0] + noise * torch.randn(seen[0].shape, generator=random), seen[1])
         network = EncoderNetwork(first_weights(learned[0], places, straight, size, random), places, size.heads)
         descent = EncoderDescent(network, learned, seen, noise, random, steps=steps, patience=patience)

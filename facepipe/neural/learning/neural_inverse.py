@@ -50,6 +50,7 @@ def descend(
             (distance(x) + l1 * x.abs().sum()).backward()
             optimiser.step()
             schedule.step()
+            # Projected after the step: clamped within the loss, what is beyond its limits would get no gradient back.
             with torch.no_grad():
                 x.clamp_(lower, upper)
             done()

@@ -62,6 +62,7 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
             return light, tint
         for _ in range(_ROUNDS):
             light, _ = _light_of(shape, surface.colors * tint[surface.materials], seen)
+            # Harmonics fall below 0 where little light comes: no colour can be found there.
             lit = surface.colors * (shape @ light).clamp(min=1e-3)
             tint = _tint(tint, lit, seen, surface.materials, count)
         main = int(torch.bincount(surface.materials, minlength=count).argmax())
@@ -227,6 +228,7 @@ def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor,
         key = key if lamp is None else lamp
         arriving = shadows_of_lamp(model, points, camera, key)
         loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
+        # All once more: without the lamp, harmonics and tints took over what is its.
         if lamp is not None:
             column = (surface.normals @ lamp[:3]).clamp(min=0) * surface.at_pixels(arriving)
             light, tint = relight(surface, seen, torch.cat([shape, column[:, None]], dim=1), count)
@@ -278,6 +280,7 @@ def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unkno
         with torch.no_grad():
             for unknown, change in zip(unknowns, move(slopes), strict=True):
                 unknown -= pace * change
+            # A lamp takes no light away: descent alone may send it below 0.
             unknowns[1][:, 3:7].clamp_(min=0)
     light, key, tint = (one.detach().clone().requires_grad_() for one in best)
     return replace(at, light=light, key=key, tint=tint)

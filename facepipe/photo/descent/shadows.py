@@ -78,6 +78,7 @@ def visibility(
     depth = _FAR * size - points @ direction
     shrink = _FAR * size / depth
     x, y = (middle + points @ one * scale * shrink for one in across)
+    # Compared as 1 / depth, which is what the rasteriser gives; without the slack, surfaces shadow themselves.
     nearness = rasterise(torch.stack([x, y, depth], dim=1), triangles, resolution, resolution).nearness
     limit = 1 / (depth - _SLACK * size)
     left, top = (x - 0.5).floor(), (y - 0.5).floor()

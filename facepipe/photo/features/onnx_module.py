@@ -136,6 +136,7 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
                 what = f"can't work on its inputs ({str(error).splitlines()[0] if str(error) else error!r})"
                 raise node.refuse(what).under(self._where) from error
             known.update(zip(node.outputs, outputs if isinstance(outputs, tuple) else (outputs,), strict=True))
+            # What no later node takes is let go, else the memory of all layers is held at once.
             for name in done:
                 known.pop(name, None)
         return tuple(known[name] for name in self.outputs)

@@ -82,6 +82,7 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
     normals = point_normals(neutral, triangles)
     sky = visible_sky(neutral, normals, triangles, np.zeros(len(neutral), bool), _SKY_RESOLUTION).share(normals)
     own = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
+    # What lies inside, as the mouth's, no photo can show: it would count as unseen for ever.
     areas = point_areas(neutral[span], own) * (sky[span] > _OPEN)
     weights = {name: np.asarray(values) * areas for name, values in skin.regions.items()}
     return {name: float(each[~shown].sum() / each.sum()) for name, each in sorted(weights.items()) if each.sum() > 0}

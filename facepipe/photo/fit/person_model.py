@@ -213,6 +213,7 @@ def _on(parts: FaceParts, where: str, base: FaceParts, modes: FloatArray, *, bui
     skin = _skin(ordered)
     _, near = cKDTree(points[skin]).query(points[len(mean) :], k=_NEAR)
     apart = np.linalg.norm(points[skin][near] - points[len(mean) :, None], axis=2)
+    # 0.1 mm: a point that lies on one of the skin's would divide by 0.
     shares = 1 / (apart + 0.1)
     shares /= shares.sum(axis=1, keepdims=True)
 

@@ -42,6 +42,7 @@ class Camera:
         from scipy.spatial.transform import Rotation
 
         axes = np.asarray(axes, dtype=np.float64)
+        # A (x - eye) = A x + t, so t = -A eye.
         numbers = (Rotation.from_matrix(axes).as_rotvec(), -axes @ eye, focal, center)
         rotation, translation, length, middle = (
             torch.as_tensor(np.asarray(number, dtype=np.float64), dtype=dtype, device=device) for number in numbers

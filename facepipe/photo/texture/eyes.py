@@ -125,6 +125,7 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
     height, width = photo.seen.depth.shape
     column, row = np.clip(places, 0, [width - 1, height - 1]).astype(np.int64).T
     seen = depth <= photo.seen.depth[row, column] + _FRONT * photo.seen.eye_distance
+    # Without the pupil: ratios to its black say nothing of the iris's colour.
     seen &= bright > _PUPIL * np.median(bright)
     seen &= ((places > 2) & (places < np.array([width, height]) - 2)).all(axis=1)
     if across < _SMALLEST or not seen.any():

@@ -47,6 +47,7 @@ def nearest_style(
     for style, (painted, picture) in STYLES.items():
         if painted and picture in ("", STYLES[now][1]):
             shown = drawn(style)
+            # Intersection over union: by what is shared alone, the largest outline would win.
             share = _sum(np.minimum, hair, shown) / max(_sum(np.maximum, hair, shown), 1e-9)
             shares[style] = max(shares.get(style, 0.0), share)
     return max(shares, key=lambda style: shares[style])

@@ -69,6 +69,7 @@ class Descent(ABC):
             if self.steps % self.keep_every == 0:
                 keep(self.state())
             done()
+        # Kept before the best is restored: Adam's moments belong to the last parameters, not to the best.
         if self.steps > begun and self.steps % self.keep_every:
             keep(self.state())
         with torch.no_grad():

@@ -73,6 +73,7 @@ def distil(
         steps=steps,
         patience=steps // 4,
     )
+    # Learnt in millimetres, so that radians, lengths and weights count by what they move; / scales undoes it.
     scales = np.array([one.mm for one in driven])
     straight, offset = _straight(bent, trained, driven)
     by_name = {one.name: one for one in straight}
@@ -100,6 +101,7 @@ class _Teacher:
         driven: Sequence[Driven],
     ) -> None:
         """:param fixed: sliders of a single value that the network takes"""
+        # Entries with a curve alone: straight ones stay in the sliders, where they are exact.
         curved = [
             with_entries(
                 one,

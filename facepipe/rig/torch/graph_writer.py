@@ -43,6 +43,7 @@ class GraphWriter(Nodes):
         """A convolution with the normalisation after it folded in."""
         weight = conv.weight.detach().double()
         bias = torch.zeros(len(weight)) if conv.bias is None else conv.bias.detach().double()
+        # g (W x + b - m) / sqrt(v + eps) + beta, as one convolution; in double, rounded once.
         if norm is not None:
             scale = norm.weight.detach().double() / (norm.running_var.double() + norm.eps).sqrt()
             weight = weight * scale[:, None, None, None]

@@ -180,6 +180,7 @@ def train(
     with one_thread():
         linear, offset = _least_squares(_tensor(samples.inputs), _tensor(samples.outputs))
         parts = [(_tensor(one.inputs), _tensor(one.outputs)) for one in (samples, checked)]
+        # The network starts at 0 and learns what the straight map leaves alone.
         left = [(x.to(device), (y - x @ linear - offset).to(device)) for x, y in parts]
         network = Network(samples.inputs.shape[1], left[0][1].shape[1], width, activation, seed, device)
         descent = NetworkDescent(

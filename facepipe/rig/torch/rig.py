@@ -79,6 +79,7 @@ class DifferentiableRig:
             self._check("shape weights", weights, (len(self.shapes),))
         if coefficients is not None:
             self._check("bone coefficients", coefficients, (len(self.joints), 9))
+        # p = sum_i w_i W_i B_i^-1 (x + D a), with D a after the sum where expressions come last, turned into the world.
         matrices = self.skinning_matrices(coefficients, parent_world)
         if weights is None:
             return self.skin(self._points, matrices)

@@ -44,6 +44,7 @@ class PiecewiseLinear:
         self, terms: Sequence[Term], inputs: int, base: FloatArray, dtype: torch.dtype, device: torch.device | str
     ) -> None:
         """:param base: (outputs,) what the terms add to"""
+        # y = b + s x + sum c max(x - a, 0): terms with a bend at the same a share its column, so all is one product.
         bends = sorted({(term.input, at) for term in terms for at, _ in term.bends})
         column = {bend: inputs + i for i, bend in enumerate(bends)}
         matrix = np.zeros((inputs + len(bends), len(base)))

@@ -133,6 +133,7 @@ def _grown(
     entries = database.entries if database else ()
     entries += tuple(_entry(one, version, error, qualities) for one, error in zip(facts, errors, strict=True))
     neutrals = np.concatenate([*([database.neutrals()] if database else []), [fact.points for fact in facts]])
+    # All faces' anew: the model's axes turn with each face that comes.
     coefficients = identity.coefficients(neutrals)
     people = [number for number, entry in enumerate(entries) if entry.stored_error is not None]
     update = Update(
@@ -186,6 +187,7 @@ def _held(
         else:
             errors.append(None)
         done()
+    # The basis grows at its end: those who came before have nothing of what was appended later.
     padded = [np.pad(row, ((0, 0), (0, len(basis) - row.shape[1]))) for row in rows]
     return basis, np.array(padded).reshape(len(rows), len(names), len(basis)), errors
 

@@ -72,6 +72,7 @@ def face_frame(landmarks: FloatArray) -> FaceFrame | None:
     between, down = left - right, mouth - (left + right) / 2
     across = np.linalg.norm(between)
     x = between / max(across, np.finfo(np.float64).tiny)
+    # The eyes' line is kept, and the mouth made square to it: a mouth drawn aside does not tilt the frame.
     drop = down - (down @ x) * x
     height = np.linalg.norm(drop)
     if not (0.3 * across < height < 3.0 * across):
@@ -128,6 +129,7 @@ def candidates(
             continue
         landmarks, presence = network(_cut_crops(picture, matrices, size))
         sure = np.flatnonzero(presence > _MAYBE)
+        # More than are wanted: crops around one face find it several times, and `_apart` keeps one of them.
         sure = sure[np.argsort(-presence[sure], kind="stable")][: 4 * most]
         places = _in_picture(landmarks[sure], matrices[sure])
         for where, present in zip(places, presence[sure], strict=True):
@@ -242,6 +244,7 @@ def _one_view(look: Look, view: Pinhole, draw: Draw, network: Network, size: int
     matrices = np.stack([_turned(matrix, turn, scale, size) for turn, scale in _LOOKS])
     crops = _cut_crops(picture, matrices, size)
     landmarks, presence = network(np.concatenate([crops, crops[..., ::-1]]))
+    # Means with mirrored crops: what the network errs to one side cancels.
     other = landmarks[len(crops) :][:, MIRRORED]
     other[..., 0] = size - other[..., 0]
     both = (landmarks[: len(crops)] + other) / 2

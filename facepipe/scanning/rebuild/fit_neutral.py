@@ -159,6 +159,7 @@ def neutral_fit(
     model = identity.points(registered.coefficients)
     expression = shapes.expression(weights, len(model))
     base = model[template.rows]
+    # A scan is model + expression + residual; the neutral is model + residual.
     moves = template.with_inside(base, registered.points - expression[template.rows] - base)
     points = template.whole(model, base + moves)
     fit = scan_fit(scan, registered, template.face, names)

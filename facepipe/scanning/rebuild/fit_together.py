@@ -144,6 +144,7 @@ class FitTogether:
         surfaces, landmarks = self.neutral.registration.surface_sigma_mm, self.neutral.landmark_sigma_mm
         sigmas = [np.full(len(shows), surfaces) if view.sigmas is None else view.sigmas for view in views]
         known = shows / sigmas[0] ** 2 + sum(1.0 / sigma**2 for sigma in sigmas[1:])
+        # sum 1 / (sigma_v share)^2 = 1 / surface_sigma^2 over the views: as on one scan.
         share = surfaces * np.sqrt(known)
         counts: dict[str, float] = {}
         for view in views:
@@ -152,6 +153,7 @@ class FitTogether:
         balanced = []
         for view, sigma in zip(views, sigmas, strict=True):
             often = np.array([max(1.0, counts[name]) for name in view.anchors.names])
+            # Sigma by n^(1/4) is precision by 1 / sqrt(n): n scans come to sqrt(n).
             held = np.sqrt(view.anchors.variances(landmarks)) * often**0.25
             balanced.append(replace(view, sigmas=sigma * share, anchors=replace(view.anchors, sigmas=held)))
         return balanced

@@ -100,6 +100,7 @@ class RefineNeutral:
         )
         report = result.report(scan.name, solution, anchors.names, flipped, (*scan.warnings, *mended))
         moved = result.after - shown
+        # (points + expression) - expression rounds: points that stayed are taken as they were, to the bit.
         refined = np.where((moved == 0.0).all(axis=1, keepdims=True), points, points + moved)
         return RefinedNeutral(points=refined, place=lies, report=report)
 

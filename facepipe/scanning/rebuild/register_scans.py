@@ -144,6 +144,7 @@ class RegisterScans:
             beyond_template_max_mm=float(off.max(initial=0.0)),
             warnings=(*expression.scan.warnings, *mended, *_resized(name, start.scale, neutral, hold)),
         )
+        # Loose parts stay unmatched: they follow the skin, so where they are is no evidence of the scan.
         matched = np.zeros(len(points), bool)
         skin = template.row_of >= 0
         matched[skin] = registered.matched[template.row_of[skin]]

@@ -53,6 +53,7 @@ def with_sealed_lips(template: Template, points: FloatArray) -> FloatArray:
     along = (points - start) @ (end - start) / width**2
     upper, lower = (_on_rim(points, along, np.flatnonzero(np.isin(surface.group, rim))) for rim in rims)
     gap = upper - lower
+    # Across the mouth alone: a rim found a little too far along would draw the lips sideways.
     gap -= np.outer(gap @ (end - start), end - start) / width**2
     if np.linalg.norm(gap, axis=1).max() > _WIDE * width:
         return points

@@ -51,6 +51,7 @@ class Template:
             raise InputError(where, "has no multipie68 landmarks, expected 68 (facepipe landmarks)")
         row_of_sewn = np.full(len(surface.points), -1)
         row_of_sewn[surface.inside] = np.arange(len(surface.inside))
+        # One row for all points of a cut: with a row each, a fit could open it.
         first = np.unique(surface.group, return_index=True)[1]
         return cls(
             where=where,

@@ -102,6 +102,7 @@ def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
     skin, baker = on_scan.skin, Baker(on_scan.skin)
     observed = [on_scan.observed(number, flat) for number, flat in enumerate(baker.flats)]
     colors, trust = baker.at_points(observed)
+    # Colours are logarithms of ratios: light multiplies, so it is subtracted here.
     light = even * _light(skin, on_scan.normals, colors, trust) if even > 0 else np.zeros_like(colors)
     observed = [baker.evened(number, one, light, np.ones(len(trust))) for number, one in enumerate(observed)]
     areas = skin.areas * skin.outside

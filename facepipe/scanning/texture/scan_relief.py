@@ -39,11 +39,13 @@ def baked_relief(on_scan: SkinOnScan, number: int, own: TextureInput, edge: floa
     normal = unit(part.carried(on_scan.normals))
     across = unit(across - (across * normal).sum(axis=1, keepdims=True) * normal)
     binormal = np.cross(normal, across)
+    # Mirrored texture coordinates turn the frame's hand.
     binormal *= np.where((binormal * up).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     there = on_scan.outward * on_scan.samples.normals[shown.sample]
     facing = (there * normal).sum(axis=1)
     slopes = np.column_stack([(there * across).sum(axis=1), (there * binormal).sum(axis=1)])
     trust = (shown.trust * step(facing, *_ALIKE))[:, None]
+    # Slopes (x / z, y / z) of two reliefs add up, unit normals don't; 0.1 bounds those seen edge-on.
     slopes = slopes / np.maximum(facing, 0.1)[:, None]
     flat = result.reshape(-1, 3)
     before = flat[part.at]

@@ -44,6 +44,7 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
     inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
     if scan.is_cloud:
         return _of_cloud(scan, points, inside, place)
+    # Any corner, not all: else the box would have a rim without samples, as wide as the scan's triangles.
     triangles = np.flatnonzero(inside[scan.triangles].any(axis=1))
     normals = point_normals(points, scan.triangles)
     owners, shares, spacing = _lattice(points[scan.triangles[triangles]], spacing)
@@ -129,6 +130,7 @@ def _looked_up(texels: npt.NDArray[np.uint8], uv: FloatArray, picture: ScanPictu
     height, width = texels.shape[:2]
     x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    # Decoded before they are mixed: means of sRGB bytes are too dark.
     levels = from_srgb(np.arange(256) / 255).astype(np.float32)
     total = np.zeros((len(uv), 3), np.float32)
     for column, row, share in (
