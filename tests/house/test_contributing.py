@@ -13,6 +13,7 @@ from faces import tiny_face
 from jsonschema import Draft202012Validator
 from pages import blocks
 from places import REPOSITORY
+from pxr import Usd
 
 from facepipe.stage import save_parts
 
@@ -42,6 +43,8 @@ def test_what_it_names_is_there() -> None:
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the house with the files of the page, and all that is made of declarations; the check asks for it."""
+    if Usd.GetVersion() < (0, 26, 5):
+        pytest.skip("usdGenSchema of older usd-core lacks the base schemas")
     root = tmp_path_factory.mktemp("house")
     shutil.copytree(REPOSITORY / "facepipe", root / "facepipe", ignore=shutil.ignore_patterns("__pycache__"))
     for name in FILES:
