@@ -38,7 +38,10 @@ from mutant_edits import Edit, edits
 from tables import aligned
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-ROOMS = ("facepipe/rig", "facepipe/stage", "facepipe/geometry", "facepipe/verbs", "exporters")
+ROOMS = (
+    *("facepipe/rig", "facepipe/stage", "facepipe/geometry", "facepipe/verbs", "exporters"),
+    *("facepipe/photo", "facepipe/scanning", "facepipe/neural"),
+)
 SECONDS = 120  # of a run that a fault may take: beyond, it hangs, and that is noticed
 TESTS_SECONDS = 40.0  # of the tests that a fault meets, as recorded: a run without a fault stays far below `SECONDS`
 AIM = 0.92

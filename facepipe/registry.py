@@ -1,9 +1,8 @@
 """What is found by name: plug-ins through entry points, wings through the manifest (actions.json).
 
-Plug-ins are exporters by file suffix, importers by kind, hosts by name.
-
-`Exporter` and `Importer` are what modules must have that ``facepipe.exporters`` and ``facepipe.importers`` name. A
-host (``facepipe.hosts``) is a module that brings faces into another program; its command documents what it calls there.
+Plug-ins are exporters by file suffix, importers by kind, hosts by name. `Exporter` and `Importer` are what modules must
+have that ``facepipe.exporters`` and ``facepipe.importers`` name. A host (``facepipe.hosts``) is a module that brings
+faces into another program; its command documents what it calls there.
 """
 
 from __future__ import annotations
@@ -110,8 +109,8 @@ def manifest() -> dict[str, Any]:
     """What is known of the wings and the actions before one is imported; `python schemas/generate.py` makes it.
 
     ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``doors``: name -> module.
-    ``former``: name that a module had -> where it is.
-    ``functions``: public function -> where it is. ``groups``: first word of verbs of two words -> text of --help.
+    ``former``: name that a module had -> where it is. ``functions``: public function of a wing -> where it is.
+    ``groups``: first word of verbs of two words -> text of --help.
     """
     found: dict[str, Any] = json.loads(_MANIFEST.read_text(encoding="utf-8"))
     return found
