@@ -458,7 +458,7 @@ def test_good_faces_are_clean(suffix: str, tmp_path: Path) -> None:
     "make",
     [
         lambda: sample.make(0),
-        lambda: load("ict", shared("ict_facekit/ict_facekit.npz")).parts,
+        pytest.param(lambda: load("ict", shared("ict_facekit/ict_facekit.npz")).parts, marks=pytest.mark.slow),
         lambda: load("makehuman", shared("makehuman/makehuman_head.npz")).parts,
     ],
     ids=["sample", "ict", "makehuman"],

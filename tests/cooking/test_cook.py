@@ -129,7 +129,9 @@ cook(["shot.usda"], **{"between": {"on_node": on_node}, "within": {"watch": watc
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-@pytest.mark.parametrize(("moment", "fresh"), [("between", ["mix.usda"]), ("within", [])])
+@pytest.mark.parametrize(
+    ("moment", "fresh"), [pytest.param("between", ["mix.usda"], marks=pytest.mark.slow), ("within", [])]
+)
 def test_killed_and_begun_again_gives_the_same_bytes(
     chain: Path, capsys: Capsys, tmp_path: Path, moment: str, fresh: list[str]
 ) -> None:

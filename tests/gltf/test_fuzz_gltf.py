@@ -324,7 +324,7 @@ def crossed_key_times() -> Builder:
     [
         (lambda: zeros(2**31), "far more data"),
         (lambda: zeros(2**52), "count"),
-        (repeated_primitives, "far more data"),
+        pytest.param(repeated_primitives, "far more data", marks=pytest.mark.slow),
         (overlapping_accessors, "far more data"),
         (chain_of_joints, "far more data"),
         (crossed_key_times, "far more data"),

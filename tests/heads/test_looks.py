@@ -85,7 +85,10 @@ def test_the_same_look_gives_the_same_bytes_and_another_seed_others(drawn: Calla
 
 
 @pytest.mark.usefixtures("plain_skin")
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize(
+    "style",
+    [pytest.param(one, marks=pytest.mark.slow) if one in ("coils", "long", "parted") else one for one in STYLES],
+)
 def test_every_material_that_a_mesh_asks_for_is_there(head: FaceParts, style: str) -> None:
     look = Look(style=style)
     for size in (SIZE, None):

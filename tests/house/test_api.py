@@ -15,19 +15,21 @@ import numpy as np
 import pytest
 from command_line import content, exit_code
 from faces import tiny_face
-from small_head import make
+from small_head import lean, make
 
 import facepipe
 from facepipe.api import given, names
 from facepipe.core.errors import InputError
 from facepipe.stage import save_parts
 
+SHAPES = ("eyeBlinkLeft", "eyeBlinkRight", "jawOpen", "mouthSmileLeft")
+
 
 @pytest.fixture(scope="module")
 def heads(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("heads")
     for seed, name in enumerate("ab"):
-        save_parts(make(seed), folder / f"{name}.usda")
+        save_parts(lean(make(seed), *SHAPES), folder / f"{name}.usda")
     return folder
 
 

@@ -78,7 +78,9 @@ def blended(one: Made, found: dict[str, np.ndarray]) -> np.ndarray:
     return one.rig.skin(points, np.concatenate([matrices, own]))
 
 
-@pytest.mark.parametrize("name", FACES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == "makehuman" else name for name in FACES]
+)
 def test_agrees_with_the_rig(name: str, tmp_path: Path) -> None:
     one = made(FACES[name](), tmp_path, points=True)
     rng = np.random.default_rng(1)

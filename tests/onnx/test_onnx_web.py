@@ -29,7 +29,7 @@ def feeds_of(graph: Deformer, parts: FaceParts) -> list[dict[str, np.ndarray]]:
     return feeds
 
 
-@pytest.mark.parametrize("points", [False, True])
+@pytest.mark.parametrize("points", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_sliders_of_the_sample(points: bool, tmp_path: Path) -> None:
     parts = sample_with_sliders()
     export_parts(parts, tmp_path / "sliders.onnx", Options(sliders=True, points=points))

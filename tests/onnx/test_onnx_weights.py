@@ -125,7 +125,7 @@ def test_steps_begin_at_the_first_sample() -> None:
     assert rounded(np.array([[0.4], [0.4]]), samples, np.rint).tolist() == [[0.0], [1.0]]
 
 
-@pytest.mark.parametrize("weights", ["float16", "int8"])
+@pytest.mark.parametrize("weights", [pytest.param("float16", marks=pytest.mark.slow), "int8"])
 def test_the_web_runtime_gives_the_same(weights: Any, tmp_path: Path) -> None:
     parts = neural()
     export_parts(parts, tmp_path / "packed.onnx", Options(sliders=True, points=True, pose="rest", weights=weights))

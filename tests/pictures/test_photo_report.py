@@ -99,7 +99,7 @@ def test_names_are_text_and_no_file_is_loaded() -> None:
     assert not re.search(r'(src|href)="(?!data:)', page)
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("count", [1, 2, pytest.param(4, marks=pytest.mark.slow)])
 def test_every_photo_is_shown(count: int) -> None:
     plain = [(10, 200, 30), (200, 20, 20), (30, 40, 220), (220, 210, 20)][:count]
     photos = [
@@ -276,7 +276,7 @@ def test_bars_lead_from_the_default_to_the_value(
         assert np.mean(drawn["muted"]) == pytest.approx(100 * (default - low) / (high - low), abs=0.01)
 
 
-@pytest.mark.parametrize("count", [0, 1, 40, 90])
+@pytest.mark.parametrize("count", [40, *(pytest.param(count, marks=pytest.mark.slow) for count in (0, 1, 90))])
 def test_tables_have_the_sliders_that_moved_by_group(count: int) -> None:
     sliders = tuple(slider(f"slider{number}", group=f"group {number // 7}") for number in range(count))
     values = {each.name: 0.5 if number % 3 else 0.01 for number, each in enumerate(sliders)}

@@ -1,7 +1,7 @@
 """One face, four judges: facepipe's rig, UsdSkel.BakeSkinning, the GLB read back, and onnxruntime.
 
-Every shape alone and 50 random poses, for the sample, ICT-FaceKit and MakeHuman: the largest difference is at most 1e-5
-of the head height. The USD side is limited to the influences that the GLB holds.
+Every shape alone and 50 random poses, for the sample, in few triangles and as it is, ICT-FaceKit and MakeHuman: the
+largest difference is at most 1e-5 of the head height. The USD side is limited to the influences that the GLB holds.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import facepipe_gltf
 import gltf_reader
 import numpy as np
 import pytest
+import small_head
 from agreement import (
     INFLUENCES,
     OPTIONS,
@@ -34,7 +35,10 @@ from facepipe.importers import load
 from facepipe.rig import coefficient_matrices
 
 
-@pytest.fixture(scope="module", params=["sample", pytest.param("ict", marks=pytest.mark.slow), "makehuman"])
+@pytest.fixture(
+    scope="module",
+    params=["small sample", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sample", "ict")), "makehuman"],
+)
 def judged(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Judged:
     name = request.param
     if name in SOURCES and not SOURCES[name].exists():
@@ -42,7 +46,8 @@ def judged(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     if name in SOURCES:
         parts = load(name, SOURCES[name], OPTIONS.get(name)).parts
     else:
-        parts = make(3, textures=16, controls="bones")
+        small = name == "small sample"
+        parts = small_head.make(3, textures=16) if small else make(3, textures=16, controls="bones")
     folder = tmp_path_factory.mktemp(name)
     face = saved(limited(parts, INFLUENCES), folder / "face.usdc")
     poses = poses_of(face)
@@ -56,11 +61,18 @@ def test_the_poses_move_the_face(judged: Judged) -> None:
     assert moved[1:].min() > 1e-3
 
 
-@pytest.mark.parametrize(
-    "agree", [rig_is_usdskel, glb_read_back_is_the_rig, onnx_is_the_rig], ids=lambda agree: agree.__name__
-)
+@pytest.mark.parametrize("agree", [rig_is_usdskel, onnx_is_the_rig], ids=lambda agree: agree.__name__)
 def test_the_judges_agree(judged: Judged, agree: Callable[[Judged], None]) -> None:
     agree(judged)
+
+
+@pytest.mark.parametrize(
+    "judged",
+    ["small sample", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sample", "ict", "makehuman"))],
+    indirect=True,
+)
+def test_the_glb_that_is_read_back_agrees(judged: Judged) -> None:
+    glb_read_back_is_the_rig(judged)
 
 
 def test_three_js_is_the_rig(judged: Judged) -> None:

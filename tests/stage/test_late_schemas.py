@@ -43,7 +43,17 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Done:
     return work(tmp_path_factory.mktemp("first") / "work", "nothing")
 
 
-@pytest.mark.parametrize("before", [one for one in BEFORE if one != "nothing"])
+@pytest.mark.parametrize(
+    "before",
+    [
+        "another stage opened",
+        *(
+            pytest.param(one, marks=pytest.mark.slow)
+            for one in BEFORE
+            if one not in ("nothing", "another stage opened")
+        ),
+    ],
+)
 def test_the_same_whatever_the_host_did_before(tmp_path: Path, first: Done, before: str) -> None:
     said, files = work(tmp_path / "work", before)
     assert (first[0][-1], said[-1]) == ("known", "unknown" if before in LATE else "known")

@@ -127,7 +127,7 @@ CASES = {
         ),
     ),
     "fit-bones missed": Case(
-        ("fit-bones", "rig.usda", "--target", "shapes", "--limits", "limits.json"),
+        ("fit-bones", "rig.usda", "--target", "shapes", "--limits", "limits.json", "--rounds", "0"),
         save_sources,
         lambda: saved(tiny_face(5), Path("rig.usda")),
         code=1,
@@ -160,7 +160,7 @@ CASES = {
         ("sliders", "face.usda", "--from", "table.toml", "--replace"), _tabled, lambda: _text("table.toml", _MORE)
     ),
     "sliders from shapes": Case(
-        ("sliders", "face.usda", "--from-shapes", "jawOpen", "--residual", "--replace"),
+        ("sliders", "face.usda", "--from-shapes", "mouthSmileLeft", "--residual", "--replace"),
         lambda folder: _face(),
         lambda: _face(seed=3),
     ),

@@ -35,6 +35,16 @@ def make(seed: int = 0, *, textures: int = 0) -> FaceParts:
     return replace(parts, meshes=meshes, materials=materials, sliders=sliders)
 
 
+def lean(parts: FaceParts, *shapes: str) -> FaceParts:
+    """The face with these shapes alone, and the sliders that need no other; without animations."""
+    meshes = tuple(
+        replace(mesh, blendshapes=tuple(blendshape for blendshape in mesh.blendshapes if blendshape.name in shapes))
+        for mesh in parts.meshes
+    )
+    sliders = tuple(slider for slider in parts.sliders if {name for name, _ in slider.shapes} <= {*shapes})
+    return replace(parts, meshes=meshes, sliders=sliders, animations=())
+
+
 def _moving(mesh: Mesh) -> Mesh:
     """Without shapes that move none of its points."""
     return replace(

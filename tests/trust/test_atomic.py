@@ -52,7 +52,16 @@ NEW = {"fresh": "new", "main": "new", "beside": "new", "report/two": "new"}
 
 
 @POSIX
-@pytest.mark.parametrize("scenario", ["single", "several", "failing", "whole_folder", "two_renames", "settling"])
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        "single",
+        "several",
+        "whole_folder",
+        "two_renames",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("failing", "settling")),
+    ],
+)
 def test_a_kill_at_any_step_leaves_old_or_new_and_the_next_run_is_clean(tmp_path: Path, scenario: str) -> None:
     script = SUPPORT / "kill_points.py"
     traced = subprocess.run([sys.executable, script, scenario, tmp_path], stdout=subprocess.PIPE, check=True)

@@ -15,7 +15,7 @@ if sys.platform != "linux":
 from bombs import GROUPS
 
 MOST = 500 * 10**6  # bytes of the whole process
-QUICK = "repeated"  # the others take longer or say less
+QUICK = "one of each"  # the others take longer or say less
 MARKS = (pytest.mark.gate, pytest.mark.slow)
 
 

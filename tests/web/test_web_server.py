@@ -335,8 +335,8 @@ def closed(connection: socket.socket) -> bool:
 @pytest.mark.parametrize(
     "stalled",
     [
-        b"",
-        b"GET / HTTP/1.1\r\nHost: 127",
+        pytest.param(b"", marks=pytest.mark.slow),
+        pytest.param(b"GET / HTTP/1.1\r\nHost: 127", marks=pytest.mark.slow),
         b"POST /do HTTP/1.1\r\nHost: 127.0.0.1:PORT\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{",
     ],
 )

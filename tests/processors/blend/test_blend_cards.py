@@ -39,8 +39,8 @@ def away(parts: FaceParts) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def haired() -> FaceParts:
-    seed = next(seed for seed in range(1, 30) if any(one.name == "Hair" for one in make(seed, textures=16).meshes))
-    return few(make(seed, textures=16))
+    people = (make(seed, textures=16) for seed in range(1, 30))
+    return few(next(parts for parts in people if any(one.name == "Hair" for one in parts.meshes)))
 
 
 def test_hair_that_another_has_not_follows_its_skin(haired: FaceParts) -> None:

@@ -216,8 +216,9 @@ def test_the_result_is_an_override_layer_that_validates_and_exports(kind: str, t
         parts = make(number + 1) if kind == "sample" else head(kind, number)
         save_parts(misaligned(livelier(parts)) if number else parts, tmp_path / f"{number}.usdc")
     sources = [facepipe.open(tmp_path / f"{number}.usdc") for number in range(2)]
+    blend = BlendSession(sources)
     with sources[0].deriving(tmp_path / "out.usda") as face:
-        report = Blend(weights=by_region("features"))(face, sources)
+        report = Blend(weights=by_region("features"))(face, blend)
     assert report.authored
     result = facepipe.open(tmp_path / "out.usda")
     assert validate(tmp_path / "out.usda") == ()
@@ -227,7 +228,6 @@ def test_the_result_is_an_override_layer_that_validates_and_exports(kind: str, t
         assert [one for one in validate(tmp_path / name) if one.severity != "info"] == []
     issues = node.validate([tmp_path / "out.glb"])[tmp_path / "out.glb"]["issues"]
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0)
-    blend = BlendSession(sources)
     posed = build(replace(result.parts(), sliders=())).points
     same(posed, blend.neutral(by_region("features")).points, 1e-6 * result.head_height)
     residual = result.primvar("facepipe:seamResidual")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,11 +31,14 @@ from facepipe.stage import Face
 from facepipe.verbs.fit_bones import read_targets
 from facepipe.verbs.fit_bones.residual import with_half_scales
 
-Capsys = pytest.CaptureFixture[str]
 TOLERANCE = 1e-5  # head heights
 THRESHOLD = 0.1  # mm
 
 
+SHAPES = ("jawOpen", "mouthSmileLeft")
+
+
+@functools.cache
 def sample() -> FaceParts:
     return limited(make(0), 8)
 
@@ -53,12 +59,12 @@ HUMP = ("--targets", "nose/nose-hump-incr=0.8")
 class Fitted:
     """A fit by the command line, as files."""
 
-    def __init__(self, folder: Path, capsys: Capsys, rig: Path, words: list[str], *more: object) -> None:
-        self.out = folder / "fitted.usda"
+    def __init__(self, folder: Path, rig: Path, words: list[str], *more: object) -> None:
+        self.out, self.residual = folder / "fitted.usda", "--residual" in more
         targets = [part for word in words for part in ("--target", word)]
-        capsys.readouterr()
-        self.code = exit_code("fit-bones", rig, *targets, "-o", self.out, "--rounds", 0, "--json", *more)
-        self.report: dict[str, Any] = json.loads(capsys.readouterr().out)
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            self.code = exit_code("fit-bones", rig, *targets, "-o", self.out, "--rounds", 0, "--json", *more)
+        self.report: dict[str, Any] = json.loads(out.getvalue())
         self.rig, self.face = facepipe.open(rig), facepipe.open(self.out)
         taken = {animation.name for animation in self.rig.animations}
         self.goals = {f"{one.name}_2" if one.name in taken else one.name: one for one in read_targets(self.rig, words)}
@@ -88,24 +94,46 @@ def check_distances(stated: Mapping[str, float], values: np.ndarray, tolerance: 
     assert stated["max_mm"] == pytest.approx(flat[-1], abs=tolerance)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("sample", marks=pytest.mark.slow), "makehuman"])
-def test_bones_and_residual_meet_the_threshold_in_usdskel(kind: str, tmp_path: Path, capsys: Capsys) -> None:
+def fitted_sample(folder: Path, *more: str) -> Fitted:
+    """Two shapes and a clip."""
+    return Fitted(folder, saved(sample(), folder / "rig.usdc"), [*SHAPES, sample().animations[0].name], *more)
+
+
+@pytest.fixture(scope="module")
+def with_residual(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
+    return fitted_sample(tmp_path_factory.mktemp("residual"), "--residual")
+
+
+@pytest.fixture(scope="module")
+def bones_alone(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
+    return fitted_sample(tmp_path_factory.mktemp("bones"))
+
+
+def test_bones_and_residual_meet_the_threshold_in_usdskel(with_residual: Fitted) -> None:
     """The file as it is, posed by UsdSkel alone, whose scales are half precision."""
-    rig = saved({"sample": sample, "makehuman": makehuman}[kind](), tmp_path / "rig.usdc")
-    words = ["jawOpen", "mouthSmileLeft"] if kind == "sample" else [str(nose(tmp_path))]
-    fit = Fitted(tmp_path, capsys, rig, words, "--residual")
+    check_threshold(with_residual, SHAPES)
+
+
+@pytest.mark.slow
+def test_makehumans_bones_and_residual_meet_the_threshold_in_usdskel(tmp_path: Path) -> None:
+    rig = saved(makehuman(), tmp_path / "rig.usdc")
+    fit = Fitted(tmp_path, rig, [str(nose(tmp_path))], "--residual")
+    check_threshold(fit, fit.report["targets"])
+
+
+def check_threshold(fit: Fitted, names: Iterable[str]) -> None:
     assert fit.code == 0
-    for name, one in fit.report["targets"].items():
+    for name in names:
+        one = fit.report["targets"][name]
         assert one["distances"]["max_mm"] > 1.0
         shown = fit.off(played(fit.out, animation=name), name)
         assert shown.max() <= THRESHOLD
         check_distances(one["residual"]["distances"], shown, 1e-3)
 
 
-def test_the_report_is_what_usdskel_shows_of_the_bones(tmp_path: Path, capsys: Capsys) -> None:
+def test_the_report_is_what_usdskel_shows_of_the_bones(with_residual: Fitted, tmp_path: Path) -> None:
     """Distances of each target and region, with the residual's weight taken off the file."""
-    rig = saved(sample(), tmp_path / "rig.usdc")
-    fit = Fitted(tmp_path, capsys, rig, ["jawOpen", "mouthSmileLeft"], "--residual")
+    fit = with_residual
     bare = replace(
         fit.face.parts(),
         animations=tuple(replace(animation, shapes=(), shape_weights=None) for animation in fit.face.animations),
@@ -113,7 +141,8 @@ def test_the_report_is_what_usdskel_shows_of_the_bones(tmp_path: Path, capsys: C
     saved(bare, tmp_path / "bare.usdc")
     masks = all_regions(fit.rig.meshes)
     largest = np.stack(list(masks.values())).argmax(axis=0)
-    for name, one in fit.report["targets"].items():
+    for name in SHAPES:
+        one = fit.report["targets"][name]
         shown = fit.off(played(tmp_path / "bare.usdc", animation=name), name)
         check_distances(one["distances"], shown, 1e-3)
         for number, region in enumerate(masks):
@@ -122,14 +151,14 @@ def test_the_report_is_what_usdskel_shows_of_the_bones(tmp_path: Path, capsys: C
         assert set(one["regions"]) == {region for number, region in enumerate(masks) if (largest == number).any()}
 
 
-def test_raw_coefficients_of_the_file_are_within_the_limits_exactly(tmp_path: Path, capsys: Capsys) -> None:
+def test_raw_coefficients_of_the_file_are_within_the_limits_exactly(tmp_path: Path) -> None:
     """float32 on the prim against float32 on the prim, with limits that bite and residuals that round scales."""
     limits = tmp_path / "limits.json"
     limits.write_text(
         '{"joints": {"*": {"t": [-0.7, 1.3], "r": [-0.013, 0.017], "s": [0.993, 1.0071]}}, "units": "mm"}'
     )
     rig = saved(replace(sample(), bone_limits=None), tmp_path / "rig.usdc")
-    fit = Fitted(tmp_path, capsys, rig, ["jawOpen", "mouthSmileLeft"], "--residual", "--limits", limits)
+    fit = Fitted(tmp_path, rig, [*SHAPES], "--residual", "--limits", limits)
     low = np.repeat([-0.7 / fit.rig.mm_per_unit, -0.013, 0.993], 3)
     high = np.repeat([1.3 / fit.rig.mm_per_unit, 0.017, 1.007], 3)
     for name, one in fit.report["targets"].items():
@@ -168,15 +197,14 @@ def glb_points(glb: gltf_reader.Gltf, face: Face, name: str, time: float) -> np.
     return np.concatenate([found[mesh.name] for mesh in face.meshes]) / face.meters_per_unit
 
 
-@pytest.mark.parametrize(
-    "residual", [pytest.param((), marks=pytest.mark.slow, id="bones"), pytest.param(("--residual",), id="residual")]
-)
-def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path, capsys: Capsys) -> None:
-    """A pose and a clip, read back by a decoder of its own."""
-    parts = sample()
-    rig = saved(parts, tmp_path / "rig.usdc")
-    clip = parts.animations[0].name
-    fit = Fitted(tmp_path, capsys, rig, ["mouthSmileLeft", clip], *residual)
+@pytest.fixture(params=[pytest.param("bones_alone", marks=pytest.mark.slow), "with_residual"])
+def fit(request: pytest.FixtureRequest) -> Fitted:
+    found: Fitted = request.getfixturevalue(request.param)
+    return found
+
+
+def test_the_glb_plays_what_was_fitted(fit: Fitted, tmp_path: Path) -> None:
+    """Poses and a clip, read back by a decoder of its own."""
     assert exit_code("export", fit.out, "-o", tmp_path / "x.glb", "--animations", "--influences", 8) == 0
     glb = gltf_reader.read(tmp_path / "x.glb")
     for name in fit.report["targets"]:
@@ -189,27 +217,22 @@ def test_the_glb_plays_what_was_fitted(residual: tuple[str, ...], tmp_path: Path
             used = np.isfinite(points[:, 0])
             assert used.mean() > 0.9
             assert difference(fit.face, points[used], expected[used]) < TOLERANCE
-            if residual:
+            if fit.residual:
                 assert fit.off(points[None], name)[frame if len(times) > 1 else 0][used].max() <= THRESHOLD
 
 
-@pytest.mark.parametrize(
-    "residual", [pytest.param((), marks=pytest.mark.slow, id="bones"), pytest.param(("--residual",), id="residual")]
-)
-def test_the_deformer_takes_the_same_coefficients(residual: tuple[str, ...], tmp_path: Path, capsys: Capsys) -> None:
+def test_the_deformer_takes_the_same_coefficients(fit: Fitted, tmp_path: Path) -> None:
     """`facepipe eval` of the exported fit, coefficients word by word."""
-    rig = saved(sample(), tmp_path / "rig.usdc")
-    fit = Fitted(tmp_path, capsys, rig, ["jawOpen"], *residual)
     assert exit_code("export", fit.out, "-o", tmp_path / "x.onnx") == 0
     values = fit.coefficients("jawOpen")[0]
-    words: list[object] = ["--set", "jawOpen_residual=1"] if residual else []
+    words: list[object] = ["--set", "jawOpen_residual=1"] if fit.residual else []
     for joint, row in zip(fit.face.skeleton.joints, values, strict=True):
         for channel, value in zip(CHANNELS, row, strict=True):
             words += ["--bone", f"{joint}:{channel}={float(value)!r}"]
     assert exit_code("eval", tmp_path / "x.onnx", *words, "-o", tmp_path / "points.npz") == 0
     points = np.load(tmp_path / "points.npz")["points"].reshape(-1, 3)
-    weights = {"jawOpen_residual": 1.0} if residual else {}
+    weights = {"jawOpen_residual": 1.0} if fit.residual else {}
     assert difference(fit.face, points, fit.face.evaluate(weights, coefficients=values)) < TOLERANCE
     assert difference(fit.face, points, fit.face.evaluate()) > 0.01
-    if residual:
+    if fit.residual:
         assert fit.off(points, "jawOpen").max() <= THRESHOLD

@@ -142,7 +142,7 @@ def off(rig: Rig, values: np.ndarray, target: Target, threshold: float) -> int:
     return int((np.linalg.norm(rig.evaluate(coefficients=values) - target.points[0], axis=1) > threshold).sum())
 
 
-@pytest.mark.parametrize("name", ["nose-hump-incr", "nose-base-up"])
+@pytest.mark.parametrize("name", [pytest.param("nose-hump-incr", marks=pytest.mark.slow), "nose-base-up"])
 def test_half_scales_hardly_cost_points(name: str) -> None:
     """Of those that plain rounding adds to the residual of least squares, at most a fifth."""
     parts, target = nose(name)

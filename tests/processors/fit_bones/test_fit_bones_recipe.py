@@ -195,7 +195,9 @@ BEFORE: dict[str, tuple[str, ...]] = {
 }
 
 
-@pytest.mark.parametrize(("kind", "suffix"), [*((kind, "usda") for kind in BEFORE), ("targets", "usdz")])
+@pytest.mark.parametrize(
+    ("kind", "suffix"), [*((kind, "usda") for kind in BEFORE), pytest.param("targets", "usdz", marks=pytest.mark.slow)]
+)
 def test_a_fit_again_has_the_same_bytes_once_and_twice(folder: Path, capsys: Capsys, kind: str, suffix: str) -> None:
     result = f"a.{suffix}"
     outcome = run(capsys, "fit-bones", "rig.usda", *BEFORE[kind], "-o", result)[0]

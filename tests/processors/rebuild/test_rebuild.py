@@ -93,7 +93,9 @@ def test_expressions_follow_the_place_of_a_corrected_neutral(project: Path, caps
     assert rebuilt(capsys, project)["reused"] == ["template"]
 
 
-@pytest.mark.parametrize("lost", ["place", "report", "points"])
+@pytest.mark.parametrize(
+    "lost", ["points", *(pytest.param(name, marks=pytest.mark.slow) for name in ("place", "report"))]
+)
 def test_results_that_someone_else_wrote_are_made_anew(
     project: Path, capsys: pytest.CaptureFixture[str], lost: str
 ) -> None:

@@ -64,12 +64,12 @@ class Made:
         return ("rebuild", self.folder / "p.toml", "-o", self.folder / "out.usda", "--force", *more)
 
     def rebuilt(self) -> tuple[RebuildPictures, Rebuilt]:
-        """What the pictures are drawn of, from the stages' results."""
+        """What pictures of little size are drawn of, from the stages' results."""
         project = read_project(self.folder / "p.toml")
         template = Template.of(open_face(project.template).parts(), "head.usda")
         with mock.patch("facepipe.scanning.rebuild.steps.landmarks_of", side_effect=AssertionError):
             rebuilt = Rebuild(project, template)()
-        return RebuildPictures(project=project, template=template, rebuilt=rebuilt), rebuilt
+        return RebuildPictures(project=project, template=template, rebuilt=rebuilt, size=96), rebuilt
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +180,6 @@ def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -
         rebuilt=replace(
             rebuilt, shapes=rebuilt.personal, composites={}, reports={"neutral": rebuilt.reports["neutral"]}
         ),
-        size=128,
     )
     steps: list[None] = []
     alone.write(tmp_path, {}, lambda: steps.append(None))
@@ -192,7 +191,7 @@ def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -
 def test_the_same_pictures_again(made: Made, tmp_path: Path) -> None:
     for folder in (tmp_path / "one", tmp_path / "other"):
         folder.mkdir()
-        replace(made.rebuilt()[0], size=128).write(folder, made.result)
+        made.rebuilt()[0].write(folder, made.result)
     for name in FILES[1:]:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes(), name
 

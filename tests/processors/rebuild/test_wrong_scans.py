@@ -95,7 +95,7 @@ def test_right_scans_all_count(folder: Path, capsys: pytest.CaptureFixture[str])
     assert all(own < 0.6 * template for own, template in errors(folder).values())
 
 
-@pytest.mark.parametrize("wrong", ["person", "expression"])
+@pytest.mark.parametrize("wrong", ["person", pytest.param("expression", marks=pytest.mark.slow)])
 def test_a_wrong_scan_is_named_and_left_out(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, wrong: str
 ) -> None:

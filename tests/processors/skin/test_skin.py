@@ -52,7 +52,13 @@ def column(kind: str, joint: str) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [("sample", 2), ("sample", 4), pytest.param("ict", 4, marks=pytest.mark.slow), ("makehuman", 4)]
+    ("kind", "count"),
+    [
+        pytest.param("sample", 2, marks=pytest.mark.slow),
+        ("sample", 4),
+        pytest.param("ict", 4, marks=pytest.mark.slow),
+        ("makehuman", 4),
+    ],
 )
 def test_weights_are_shares_of_few_joints(kind: str, count: int) -> None:
     face, report = skinned(kind, count)
