@@ -30,10 +30,9 @@ from arguments import positive
 from tables import aligned
 
 from facepipe.core import __version__
-from facepipe.farm import cluster
+from facepipe.farm import child
 from facepipe.farm.ledger import FILE, ledger_in
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import Plan, Step, plan_of
+from facepipe.farm.plan import Plan, RunOptions, Step, plan_of
 from facepipe.farm.run import _IN_FLIGHT, Run
 from facepipe.farm.table import Row
 
@@ -128,7 +127,7 @@ def run(folder: Path, tasks: int, engine: Any) -> Json:
 
 def dask_setup(worker: Any) -> None:
     """Called by the Dask worker, which loads this file: its tasks do nothing."""
-    cluster._do = answer
+    child._do = answer
 
 
 @contextmanager
@@ -155,7 +154,7 @@ def dask(folder: Path) -> Iterator[tuple[str, psutil.Process]]:
 def over_dask(folder: Path, tasks: int) -> Json:
     """Figures of a run on Dask's scheduler, of the master and of the scheduler."""
     with dask(folder) as (address, scheduler):
-        engine = cluster.Cluster(address, {"version": __version__})
+        engine = child.Cluster(address, {"version": __version__})
         used, peak = sum(scheduler.cpu_times()[:2]), [scheduler.memory_info().rss]
         over = threading.Event()
 

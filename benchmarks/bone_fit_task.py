@@ -117,7 +117,7 @@ def prepare(kind: str, source: str, joints: str, arrays: str) -> Json:
     from facepipe.importers.ict import Options
     from facepipe.rig import build
     from facepipe.stage import save_parts
-    from facepipe.verbs.skin.joints_file import JointSet, JointSpec
+    from facepipe.verbs.skin.from_joints import JointSet, JointSpec
     from facepipe.verbs.skin.skin_face import SkinFace
 
     parts = importers.load("ict", source, Options()).parts if kind == "ict" else make(controls="bones")

@@ -93,7 +93,7 @@ def _spread_of(name: str, times: list[tuple[float, float]]) -> Json:
 
 def _linear(fit: BoneFit, task: Task) -> float:
     """Seconds of one boxed linear system, formed of a session's moments and solved, at rest."""
-    from facepipe.geometry.boxed_qp import BoxedQuadratic
+    from facepipe.geometry.bounded_least_squares import BoxedQuadratic
     from facepipe.rig import rest_coefficients
 
     skin, tree, variables, target = fit.skin, fit.tree, fit.variables, task.targets[task.hardest()[0]]

@@ -75,7 +75,7 @@ def main() -> int:
 def _forward(first: Teacher, arguments: argparse.Namespace) -> tuple[list[Row], NeuralRig, float]:
     """The rows of the teacher's own frames, the neural rig with bones, and how much is not straight."""
     from facepipe.neural import SampleMotionOptions, TrainNeuralRig, TrainNeuralRigOptions
-    from facepipe.neural.straight_models import best_blendshapes, ridge
+    from facepipe.neural.train_neural_rig import best_blendshapes, ridge
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))
     unseen = first.motion(SampleMotionOptions(spread=300, sweep=0, together=300, seed=2026))
@@ -111,9 +111,8 @@ def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     """A person whose frames have known controls."""
     from facepipe.geometry.deformation_transfer import Transfer
     from facepipe.neural import SampleMotionOptions
-    from facepipe.neural.carried_rig import Subject, carried
     from facepipe.neural.options import RetargetOptions
-    from facepipe.neural.retarget import RetargetNeuralRig
+    from facepipe.neural.retarget import RetargetNeuralRig, Subject, carried
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)
@@ -144,8 +143,7 @@ def _carried(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
 def _without_controls(rig: NeuralRig, second: Teacher, name: str) -> list[Row]:
     """The person's frames alone; unseen ones are made with the controls that each way comes nearest with."""
     from facepipe.neural import SampleMotionOptions
-    from facepipe.neural.carried_rig import Subject
-    from facepipe.neural.retarget import RetargetNeuralRig, compared
+    from facepipe.neural.retarget import RetargetNeuralRig, Subject, compared
 
     seen, unseen = (
         second.motion(SampleMotionOptions(spread=FRAMES, sweep=0, together=0, seed=seed)) for seed in (11, 12)

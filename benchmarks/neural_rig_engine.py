@@ -113,7 +113,7 @@ def _rows(first: Teacher, arguments: argparse.Namespace, folder: Path) -> Iterat
         TrainNeuralRigOptions,
         load_neural_rig,
     )
-    from facepipe.neural.straight_models import best_blendshapes
+    from facepipe.neural.train_neural_rig import best_blendshapes
     from facepipe.rig import build
 
     learned = first.motion(SampleMotionOptions(spread=arguments.spread, sweep=6, together=2000))

@@ -33,8 +33,7 @@ from tables import aligned
 
 if TYPE_CHECKING:
     from facepipe.neural import Motion
-    from facepipe.rig.neural_encoder import NeuralEncoder
-    from facepipe.rig.neural_rig import NeuralRig
+    from facepipe.rig.neural_rig import NeuralEncoder, NeuralRig
 
 FloatArray = npt.NDArray[np.floating]
 

@@ -154,7 +154,7 @@ def _joint_loss(made: RecoveryTarget, image: np.ndarray, guess: Guess, options: 
     from facepipe.photo.descent.joint_loss import FEATURES, JointLoss
     from facepipe.photo.descent.landmark_fit import LandmarkFit
     from facepipe.photo.descent.working_photo import WorkingPhoto
-    from facepipe.photo.features.own import own_extractors
+    from facepipe.photo.features.extractor import own_extractors
     from facepipe.photo.renderer.face_model import FaceModel
 
     space = pose_space(guess.subject, image.shape[1], image.shape[0])

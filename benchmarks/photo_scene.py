@@ -13,9 +13,8 @@ import torch
 from facepipe.heads import make
 from facepipe.parts import FaceParts
 from facepipe.photo.renderer.camera import Camera
-from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.face_model import FaceModel, Look, Surfaces, opaque_surfaces
 from facepipe.photo.renderer.light import ambient, distant
-from facepipe.photo.renderer.surfaces import Surfaces, opaque_surfaces
 from facepipe.pictures.camera import Camera as RenderCamera
 from facepipe.pictures.camera import portrait
 from facepipe.rig import build, slide

@@ -32,12 +32,10 @@ from facepipe.heads import make
 from facepipe.parts import FaceParts, PhotoView, TextureInput
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera
-from facepipe.pictures.lighting import Light, Studio
-from facepipe.pictures.photo_light import harmonics
+from facepipe.pictures.lighting import Light, Studio, harmonics
 from facepipe.rig import build
 from facepipe.textures.bake import Baker, template_texels
-from facepipe.textures.observed import Exposure, expose, sampled
-from facepipe.textures.seen_skin import to_pixels
+from facepipe.textures.seen_skin import Exposure, expose, sampled, to_pixels
 from facepipe.textures.skin_surface import SkinSurface, skin_of
 
 SKIN = ("M_Face", "M_BackHead")

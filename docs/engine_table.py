@@ -12,7 +12,7 @@ sys.path.insert(0, str(HERE.parent / "tests" / "support"))
 
 from engine_faces import FACES, LAYOUTS, Case, cases  # noqa: E402
 from engines import RUNNERS, Piece, versions  # noqa: E402
-from facepipe_gltf.engines import ENGINES  # noqa: E402
+from facepipe_gltf.options import ENGINES  # noqa: E402
 
 PAGE = HERE / "engines.md"
 TABLE = re.compile(r"(?<=<!-- docs/engine_table.py -->\n).*?(?=<!-- end -->)", re.DOTALL)

@@ -15,8 +15,8 @@ import measures  # noqa: E402
 from directions import REACH  # noqa: E402
 
 from facepipe.heads import make  # noqa: E402
+from facepipe.heads.assembly import directions  # noqa: E402
 from facepipe.heads.asset import arrays, asset  # noqa: E402
-from facepipe.heads.controls import directions  # noqa: E402
 from facepipe.stage import Face  # noqa: E402
 
 PAGE = HERE / "people.md"

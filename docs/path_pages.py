@@ -144,14 +144,14 @@ FIELDS = (
         "check_written",
         _WITHIN,
     ),
-    FileField("OBJ, MTL", "mtllib, map_Kd", "facepipe.importers.materials_mtl:_beside", "check_copied", _BELOW),
+    FileField("OBJ, MTL", "mtllib, map_Kd", "facepipe.importers.wavefront:_beside", "check_copied", _BELOW),
     FileField("ONNX", "external_data location", "facepipe_onnx.read:_tensor_problem", "", "refused, whatever it says"),
     FileField("landmarks JSON", "image", "facepipe.photo.fit.landmark_file:read_landmarks", "", _CONFORMS),
     # what lies in a folder, or beside a file
     FileField("folder of shapes", "*.obj", "facepipe.importers.obj:_files", "files_in", _FOUND),
     FileField("folder of shapes", "landmarks.json", "facepipe.importers.obj:read", "file_beside", _FOUND),
-    FileField("folder of ICT-FaceKit", "FaceXModel", "facepipe.importers.ict_model:read_model", "check_found", _FOUND),
-    FileField("folder of ICT-FaceKit", "*.obj", "facepipe.importers.ict_model:_read_folder", "file_beside", _FOUND),
+    FileField("folder of ICT-FaceKit", "FaceXModel", "facepipe.importers.ict:read_model", "check_found", _FOUND),
+    FileField("folder of ICT-FaceKit", "*.obj", "facepipe.importers.ict:_read_folder", "file_beside", _FOUND),
     FileField("folder of photos", "photos", "facepipe.scanning.photos.photos:photo_files", "files_in", _FOUND),
     FileField("folder of masks", "masks", "facepipe.scanning.photos.photos:_mask", "file_beside", _FOUND),
     FileField("folder of people", "photos", "facepipe.photo.fit.train_photo_action:_photos", "files_in", _FOUND),
@@ -160,7 +160,7 @@ FIELDS = (
     FileField(
         "scan of a project", "*.landmarks.json", "facepipe.scanning.rebuild.project:_scan", "file_beside", _FOUND
     ),
-    FileField("network", "*.onnx.json", "facepipe.networks.description:describe", "file_beside", _FOUND),
+    FileField("network", "*.onnx.json", "facepipe.networks.onnx_file:describe", "file_beside", _FOUND),
     FileField("graph", "*.onnx.json", "facepipe_onnx.read:_sidecar_problems", "file_beside", _FOUND),
     FileField("graph that is shown", "*.onnx.json", "facepipe_web.viewer:_entry", "check_found", _FOUND),
     # where results go, with what is written beside them

@@ -20,7 +20,7 @@ from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 if TYPE_CHECKING:
     from facepipe.importers.rename_table import Rename, Renamed
     from facepipe.parts import HasParts
-    from facepipe.rig.neural_encoder import NeuralEncoder
+    from facepipe.rig.neural_rig import NeuralEncoder
     from facepipe.stage import Face
     from facepipe.verbs.sliders import DistilReport
 

@@ -21,7 +21,7 @@ from facepipe.core.names import did_you_mean
 if TYPE_CHECKING:
     from facepipe.core.reports import ExportReport, Finding
     from facepipe.parts import FaceParts, HasParts
-    from facepipe.rig.neural_encoder import NeuralEncoder
+    from facepipe.rig.neural_rig import NeuralEncoder
     from facepipe.stage.imported import Imported
 
 _MANIFEST = Path(__file__).with_name("actions.json")

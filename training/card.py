@@ -1,6 +1,6 @@
 """Scenes drawn by OpenGL: some hundred times as fast on a graphics card as `facepipe.pictures.draw`, much alike.
 
-The light is that of `facepipe.pictures.portrait`. Left out are light scattered below the skin, hollows
+The light is that of `facepipe.pictures.lighting`. Left out are light scattered below the skin, hollows
 narrower than the maps of the sky, and the order of see-through layers. It needs ``moderngl`` and a driver with EGL;
 Mesa's software driver serves too.
 """
@@ -18,10 +18,9 @@ import numpy.typing as npt
 from facepipe.geometry.colors import to_srgb
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
+from facepipe.pictures.lighting import Portrait
 from facepipe.pictures.occlusion import Sky
-from facepipe.pictures.portrait import Portrait
-from facepipe.pictures.scene import Scene
-from facepipe.pictures.textures import decode
+from facepipe.pictures.scene import Scene, decode
 
 FloatArray = npt.NDArray[np.floating]
 

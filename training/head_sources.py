@@ -8,9 +8,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.heads.assembly import make_head
+from facepipe.heads.assembly import bone_sliders, make_head
 from facepipe.heads.asset import asset
-from facepipe.heads.controls import bone_sliders
 from facepipe.heads.people import MODES, Look, draw
 from facepipe.heads.surfaces import dressed
 from facepipe.parts import FaceParts, Material, Mesh

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.heads.asset import asset
-from facepipe.networks.description import CLASSES
+from facepipe.networks.onnx_file import CLASSES
 from facepipe.pictures.draw import seen
 from facepipe.pictures.scene import Scene
 from facepipe.pictures.shade import Shader

@@ -16,7 +16,7 @@ from facepipe.heads.asset import asset
 from facepipe.heads.people import Look
 from facepipe.pictures.camera import Camera
 from facepipe.pictures.draw import draw
-from facepipe.pictures.portrait import Portrait, Softbox
+from facepipe.pictures.lighting import Portrait, Softbox
 from facepipe.pictures.scene import Scene
 from facepipe.pictures.shade import Shader
 

@@ -11,12 +11,10 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_normals
 from facepipe.parts import FaceParts, Mesh
-from facepipe_gltf.encoding import Encoding, decode
-from facepipe_gltf.influences import Influences, limit
-from facepipe_gltf.morphs import Morphs, Sculpt, blocks, sculpts_of, without_small
+from facepipe_gltf.encoding import Encoding, Influences, decode, limit
+from facepipe_gltf.morphs import Corners, Morphs, Sculpt, blocks, corners_of, sculpts_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Placement, Space, place
-from facepipe_gltf.vertices import Corners, corners_of
 
 _SAME = 1e-6  # smaller changes of a unit normal don't show
 

@@ -8,12 +8,78 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray
-from facepipe_gltf.influences import float_weights, integer_weights
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import ExportError
+from facepipe.parts import Skin
 
+_EVERY = slice(None)
+_ROUNDING = 2e-7  # that a sum of float32 weights may be off
+LOST = 1e-6  # weight that counts as left out
 _SHORT = 32767
 _BYTE = 127
 _USHORT = 65535
+
+
+class Influences(NamedTuple):
+    """Joints (n, k) int64 and weights (n, k) of every point, largest first; unused ones are joint 0, weight 0."""
+
+    joints: IntArray
+    weights: FloatArray
+    lost: FloatArray  # (n,) part of the weight that went with the influences left out
+
+    @property
+    def any_lost(self) -> bool:
+        """Whether influences of some point were left out."""
+        return bool((self.lost > LOST).any())
+
+
+def limit(skin: Skin, most: int, where: str) -> Influences:
+    """The `most` largest influences of every point, renormalised in float64.
+
+    :raises ExportError: a negative weight, or a point without any
+    """
+    joints, weights = merge(skin)
+    if weights.size and weights.min() < 0:
+        point = int(np.argmin(weights.min(axis=1)))
+        raise ExportError(where, f"point {point} has a negative skin weight, expected 0..1")
+    total = weights.sum(axis=1)
+    if len(total) and total.min() <= 1e-9:
+        raise ExportError(where, f"point {int(np.argmin(total))} has no skin weight, expected weights that sum to 1")
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :most]
+    joints = np.take_along_axis(joints, order, axis=1)
+    weights = np.take_along_axis(weights, order, axis=1)
+    kept = weights.sum(axis=1)
+    lost = 1.0 - kept / total
+    kept[np.abs(kept - 1.0) <= _ROUNDING] = 1.0  # normalised before: their bits stay
+    return Influences(np.where(weights > 0, joints, 0), weights / kept[:, None], lost)
+
+
+def merge(skin: Skin, points: IntArray | slice = _EVERY) -> tuple[IntArray, FloatArray]:
+    """Joint indices and weights (n, k) of `points` with every joint once a point: repeated ones are summed."""
+    joints = np.asarray(skin.joint_indices)[points].astype(np.int64)
+    order = np.argsort(joints, axis=1, kind="stable")
+    joints = np.take_along_axis(joints, order, axis=1)
+    weights = np.take_along_axis(np.asarray(skin.joint_weights)[points].astype(np.float64), order, axis=1)
+    for column in range(1, joints.shape[1]):
+        repeated = joints[:, column] == joints[:, column - 1]
+        weights[repeated, column] += weights[repeated, column - 1]
+        weights[repeated, column - 1] = 0.0
+    return joints, weights
+
+
+def float_weights(weights: FloatArray) -> FloatArray:
+    """float32 weights whose exact sum is 1 to one rounding: the largest takes up the rounding of the others."""
+    rounded = weights.astype(np.float32)
+    rest = 1.0 - rounded[:, 1:].sum(axis=1, dtype=np.float64)
+    rounded[:, 0] = rest
+    return rounded
+
+
+def integer_weights(weights: FloatArray) -> IntArray:
+    """16 bit weights that sum to 65535 exactly."""
+    steps = np.rint(weights * 65535).astype(np.int64)
+    steps[:, 0] += 65535 - steps.sum(axis=1)
+    return steps.astype(np.uint16)
 
 
 class Encoded(NamedTuple):

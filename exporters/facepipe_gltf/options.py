@@ -2,11 +2,115 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+from facepipe.core.errors import InputError
 from facepipe.declare import POSE_HELP, option
-from facepipe_gltf.engines import ANY, ENGINES, Engine
+
+_LISTED = 3
+_WORDS_IN_GODOT = (  # where its String::camelcase_to_underscore puts one
+    r"(?<=[^A-Z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z]{2})|(?<=[^0-9])(?=[0-9])|(?<=[0-9])(?=[^0-9][a-z0-9])"
+)
+
+
+def _in_godot(joint: str) -> str:
+    """Words apart, lower case, letters and digits of ASCII alone, numbers without leading zeros (Godot 3.2)."""
+    words = re.sub(_WORDS_IN_GODOT, "_", joint).lower()
+    kept = re.sub(r"[ _]+", "_", re.sub(r"[^a-z0-9_ ]", "", words))
+    return re.sub(r"0+(\d+)", r"\1", kept)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """One reader of glTF."""
+
+    title: str
+    influences: Literal[4, 8] = 8  # joints of a vertex that it reads
+    sparse: bool = True  # it reads sparse accessors of morph targets
+    quantized: bool = True  # it reads KHR_mesh_quantization
+    meshopt: bool = False  # it reads EXT_meshopt_compression
+    lods: bool = True  # it shows one level of those that MSFT_lod names, and not all
+    target_normals: bool = False  # it shades by the normals of morph targets, and computes none itself
+    changed_names: tuple[tuple[str, str], ...] = ()  # patterns in a node's name, and what they become
+    joint_name: Callable[[str], str] | None = None  # what a joint is called instead
+
+
+ANY = Engine(title="glTF 2.0", meshopt=True)
+ENGINES: Mapping[str, Engine] = {
+    "blender": Engine(title="Blender"),
+    "godot": Engine(
+        title="Godot 3",
+        influences=4,
+        sparse=False,
+        quantized=False,
+        lods=False,
+        target_normals=True,
+        changed_names=((r'[.:@/"]', ""),),
+        joint_name=_in_godot,
+    ),
+    "three": Engine(
+        title="three.js",
+        influences=4,
+        meshopt=True,
+        target_normals=True,
+        changed_names=((r"\s", "_"), (r"[\[\].:/]", "")),
+    ),
+    "babylon": Engine(title="Babylon.js", meshopt=True, target_normals=True),
+    "unity": Engine(title="Unity (glTFast)", influences=4, meshopt=True, target_normals=True),
+    "unreal": Engine(title="Unreal (Interchange)", changed_names=((r"[\s.]", "_"),)),
+    "generic": Engine(title="any engine", influences=4, sparse=False, quantized=False, lods=False),
+}
+
+
+def check_engine(options: Options) -> None:
+    """:raises InputError: an option that the engine can't read"""
+    engine = options.reader
+    if options.most_influences > engine.influences:
+        raise _refused("--influences 8", engine, f"reads {engine.influences} joints a vertex")
+    if not options.is_dense and not engine.sparse:
+        raise _refused("--no-dense", engine, "gets sparse morph targets wrong")
+    if options.quantize and not engine.quantized:
+        raise _refused("--quantize", engine, "reads no quantised attributes reliably")
+    if options.lods and not engine.lods:
+        raise _refused("--lods", engine, "shows all levels at once")
+    if options.meshopt and not engine.meshopt:
+        raise _refused("--meshopt", engine, "reads no EXT_meshopt_compression")
+
+
+def _refused(flag: str, engine: Engine, why: str) -> InputError:
+    return InputError(flag, f"{engine.title} {why}, expected an export without it or another --engine")
+
+
+def engine_warnings(
+    engine: Engine, nodes: Sequence[Mapping[str, Any]], skins: Sequence[Mapping[str, Any]]
+) -> list[str]:
+    """A line for each kind of node name that the engine changes, or of joint name that it can't read."""
+    joints = {joint for skin in skins for joint in skin["joints"]}
+    names = {str(node["name"]): renamed(engine, str(node["name"]), i in joints) for i, node in enumerate(nodes)}
+    nameless = [f"'{nodes[i]['name']}'" for i in sorted(joints) if not names[str(nodes[i]["name"])]]
+    changed = [f"'{old}' is '{new}' there" for old, new in names.items() if new != old and f"'{old}'" not in nameless]
+    lines = [f"{engine.title} changes {_listed(changed)}"] if changed else []
+    if nameless:
+        why = "joints need an ASCII letter or digit (--rename gives others)"
+        lines.append(f"{engine.title} does not load the file for {_listed(nameless)}: {why}")
+    return lines
+
+
+def _listed(names: Sequence[str]) -> str:
+    few = ", ".join(names[:_LISTED])
+    return f"{len(names)} name{'s' * (len(names) > 1)}: {few}{', ...' if len(names) > _LISTED else ''}"
+
+
+def renamed(engine: Engine, name: str, joint: bool = False) -> str:
+    """The engine's name for a node, or a joint, of this name."""
+    if joint and engine.joint_name is not None:
+        return engine.joint_name(name)
+    for pattern, instead in engine.changed_names:
+        name = re.sub(pattern, instead, name)
+    return name
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,9 @@ from facepipe.records import Json
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
-from facepipe_gltf.morphs import Morphs, Table, rows_of, table_of, without_small
+from facepipe_gltf.morphs import Morphs, Table, Vertices, rows_of, table_of, vertices_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.record_format import material_groups
-from facepipe_gltf.vertices import Vertices, vertices_of
 
 
 def _orientation(uvs: FloatArray) -> IntArray:

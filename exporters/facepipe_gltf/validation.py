@@ -15,7 +15,7 @@ import numpy as np
 from facepipe.core.policy.children import find_program
 from facepipe.core.reports import Finding
 from facepipe_gltf import mesh_validation as mesh
-from facepipe_gltf import skin_validation as skin
+from facepipe_gltf import mesh_validation as skin
 from facepipe_gltf.node import run_node
 from facepipe_gltf.raw import RawDocument
 

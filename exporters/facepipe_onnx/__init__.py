@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe_onnx.encoder import export_encoder
-    from facepipe_onnx.model_file import outputs
     from facepipe_onnx.options import Options
     from facepipe_onnx.read import validate
     from facepipe_onnx.runtime import Deformer
-    from facepipe_onnx.writer import export, export_parts
+    from facepipe_onnx.writer import export, export_encoder, export_parts, outputs
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -12,7 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts, Mesh, Slider, SliderNetwork
 from facepipe.records import Json
 from facepipe.rig import CHANNELS, Rig
-from facepipe.rig.activation import curves
+from facepipe.rig.rig import curves
 from facepipe_onnx.graph import signature
 from facepipe_onnx.metadata import DEFORMER, FURTHER, SLIDERS
 from facepipe_onnx.options import Options

@@ -23,16 +23,18 @@ from facepipe_onnx.deform import (
     OFFSET_BYTES,
     WEIGHT_BYTES,
     Ends,
+    Partition,
+    block_size,
     joint_columns,
     morph_nodes,
     moved_lengths,
     normal_nodes,
+    partition,
     skin_nodes,
     skinning_nodes,
 )
 from facepipe_onnx.joints import tree_order, world_nodes
 from facepipe_onnx.options import Options
-from facepipe_onnx.partition import Partition, block_size, partition
 
 
 def select_shapes(rig: Rig, names: tuple[str, ...]) -> Rig:

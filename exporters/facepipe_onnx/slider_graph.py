@@ -28,8 +28,16 @@ from facepipe_onnx.deform import Ends, activation_nodes, normal_nodes
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
 from facepipe_onnx.joints import Chains, chain_nodes, chains_of, end_nodes, tree_order
 from facepipe_onnx.options import Options
-from facepipe_onnx.packed_weights import PackedNodes, follow, product_nodes
-from facepipe_onnx.ramps import Ramps, ramp_nodes, ramp_samples, ramps_of, slider_samples
+from facepipe_onnx.packed_weights import (
+    PackedNodes,
+    Ramps,
+    follow,
+    product_nodes,
+    ramp_nodes,
+    ramp_samples,
+    ramps_of,
+    slider_samples,
+)
 
 _SAMPLES = 4096  # of slider values, for packed weights
 _LARGE = 1 << 14  # numbers: a matrix that is worth two more nodes to make smaller

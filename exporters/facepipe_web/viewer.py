@@ -3,21 +3,187 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import facepipe
+from facepipe import registry
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_found
 from facepipe.core.reading import check_regular
+from facepipe.declare import option
 from facepipe.records import Json
 from facepipe_web import build
-from facepipe_web.assets import given_assets, write_assets
-from facepipe_web.blending import Blending, blending_of
-from facepipe_web.options import Options
-from facepipe_web.server import Server
+from facepipe_web.server import Answer, Server
+
+if TYPE_CHECKING:
+    from facepipe.hosting.live_blend import LiveBlend
+    from facepipe.parts import FaceParts
+
+_PORTS = (0, 65535)
+_KEPT = 2  # versions of the face that may still be on their way to the page
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the viewer."""
+
+    port: int = option(0, "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", *_PORTS)
+    pose: str = option("set", "the person at rest: set (as FACE is set), rest (the template), or an animation")
+
+    def check(self) -> None:
+        """Check the values.
+
+        :raises InputError: a value out of range
+        """
+        if not _PORTS[0] <= self.port <= _PORTS[1]:
+            raise InputError("--port", f"is {self.port}, expected a number from {_PORTS[0]} to {_PORTS[1]}")
+
+
+def write_assets(
+    parts: FaceParts, label: str, folder: Path, url: str, pose: str = "set"
+) -> tuple[Json, dict[str, Path]]:
+    """Export a face into an empty folder: its entry in viewer.json, and path on the server -> file.
+
+    :param label: what the page calls it
+    :param url: folder on the server, without slashes at its ends
+    :param pose: the person at rest, as the exporters take it
+    :raises ExportError: a face that a format can't hold
+    :raises InputError: no such pose
+    """
+    folder.mkdir(parents=True)
+    notes = _export(parts, folder / "face.glb", pose=pose, morph_normals=True)
+    if parts.sliders:
+        notes += _export(parts, folder / "sliders.onnx", pose=pose, sliders=True)
+    regions = _write_masks(parts, folder / "regions.bin")
+    details: Json = {
+        "joints": _joints(parts),
+        "meshes": [{"name": mesh.name, "points": len(mesh.points)} for mesh in parts.meshes],
+        "notes": list(dict.fromkeys(notes)),
+        "regions": {"names": regions, "masks": f"{url}/regions.bin"} if regions else None,
+    }
+    (folder / "details.json").write_text(json.dumps(details), encoding="utf-8")
+    entry = {
+        "label": label,
+        "glb": f"{url}/face.glb",
+        "onnx": f"{url}/sliders.onnx" if parts.sliders else None,
+        "details": f"{url}/details.json",
+    }
+    return entry, {f"/{url}/{file.name}": file for file in folder.iterdir()}
+
+
+def given_assets(label: str, glb: Path, onnx: Path | None, url: str) -> tuple[Json, dict[str, Path]]:
+    """The same of files that are there: a GLB, and the ONNX of its sliders with its sidecar."""
+    files = {f"/{url}/face.glb": glb}
+    if onnx is not None:
+        files |= {f"/{url}/sliders.onnx": onnx, f"/{url}/sliders.onnx.json": onnx.with_name(f"{onnx.name}.json")}
+    entry = {
+        "label": label,
+        "glb": f"{url}/face.glb",
+        "onnx": None if onnx is None else f"{url}/sliders.onnx",
+        "details": None,
+    }
+    return entry, files
+
+
+def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
+    """Write one file; who is at rest where that is set, and what the report warns of."""
+    from facepipe.parts import HeldFace
+
+    exporter = registry.exporter(path)
+    report = exporter.export(HeldFace(parts), path, exporter.Options(**settings))
+    return [*([] if report.pose == "rest" else [f"at rest: {report.pose}"]), *report.warnings]
+
+
+def _joints(parts: FaceParts) -> Json | None:
+    """Paths of the joints, and the axes of their coefficients: the stage's times the skeleton's scale."""
+    import numpy as np
+
+    if not parts.skeleton.joints:
+        return None
+    axes = parts.gltf_axes
+    axes[:3, :3] *= np.cbrt(abs(np.linalg.det(np.asarray(parts.skeleton.transform)[:3, :3])))
+    return {"paths": list(parts.skeleton.joints), "axes": axes.tolist()}
+
+
+def _write_masks(parts: FaceParts, path: Path) -> Sequence[str]:
+    """The regions' masks, a byte for each point of all meshes, region after region; their names, none without."""
+    import numpy as np
+
+    names = sorted({name for mesh in parts.meshes for name in mesh.regions})
+    if names:
+        rows = [
+            np.concatenate([mesh.regions.get(name, np.zeros(len(mesh.points))) for mesh in parts.meshes])
+            for name in names
+        ]
+        path.write_bytes(np.rint(255 * np.clip(rows, 0, 1)).astype(np.uint8).tobytes())
+    return names
+
+
+class Blending:
+    """Answers the page; `entry` is the blend's entry in viewer.json."""
+
+    def __init__(self, path: Path, live: LiveBlend, folder: Path, server: Server) -> None:
+        self._path, self._live, self._folder, self._server = path, live, folder, server
+        self._versions: list[dict[str, Path]] = []
+        self._number = 0
+        self._lock = threading.Lock()  # of versions
+        self.entry: Json = {
+            "sources": [source.name for source in live.sources],
+            "regions": list(live.regions),
+            "weights": live.rows,
+            "locked": dict(live.weights.locked),
+            "command": f"facepipe blend --edit {path.name} --force",
+        }
+
+    def answer(self, sent: bytes) -> Answer:
+        """Points (n, 3) of all meshes as float32 in glTF space, or the entry of a new version of the face.
+
+        :param sent: ``{"weights": {region or "default": [...]}, "wanted": "points" or "face"}``
+        :raises InputError: other JSON, or weights that can't be blended
+        """
+        try:
+            request = json.loads(sent)
+            rows, wanted = dict(request["weights"]), request["wanted"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise InputError("blend", "no request, expected weights and what is wanted") from None
+        if wanted == "points":
+            return "application/octet-stream", self._live.points(rows, self._live.base.gltf_axes)
+        if wanted == "face":
+            with self._lock:
+                return "application/json", json.dumps(self._version(rows)).encode()
+        raise InputError("blend", "expected points or face as wanted")
+
+    def _version(self, rows: Json) -> Json:
+        parts = self._live.face(rows)
+        self._number += 1
+        name = f"blend{self._number}"
+        entry, files = write_assets(parts, self._path.name, self._folder / name, f"faces/{name}")
+        self._server.files |= files
+        self._versions.append(files)
+        for old in self._versions[:-_KEPT]:
+            for url, file in old.items():
+                self._server.files.pop(url, None)
+                shutil.rmtree(file.parent, ignore_errors=True)
+        del self._versions[:-_KEPT]
+        return entry
+
+
+def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:
+    """The blend behind a face that `facepipe blend` made; None for other faces.
+
+    :raises InputError: a source of its recipe is gone
+    """
+    from facepipe.hosting.live_blend import LiveBlend
+
+    live = None if path.suffix.lower() == ".glb" else LiveBlend.from_stage(path)
+    return None if live is None else Blending(path, live, folder, server)
 
 
 class Viewer:

@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from facepipe.checks.checks import CHECKS, Check, check_stage
-from facepipe.checks.usd_registry import check_built_in, register
+from facepipe.checks.checks import CHECKS, Check, check_built_in, check_stage, register
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Finding
 from facepipe.registry import exporter, suffixes

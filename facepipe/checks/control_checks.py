@@ -20,7 +20,7 @@ from facepipe.rig.sliders import curve_fault
 from facepipe.stage import Face
 from facepipe.stage.neural_rig_link import NeuralRigLink, read_neural_rig_link
 from facepipe.stage.prims import exact_name
-from facepipe.stage.slider_network import read_slider_network
+from facepipe.stage.sliders import read_slider_network
 from facepipe.verbs.whole_faces import Topology
 
 

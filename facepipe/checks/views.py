@@ -11,9 +11,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.array_counts import check_arrays
-from facepipe.stage.bindings import Known, inherited_attribute, inherited_skeleton
+from facepipe.stage.api_schemas import Known, inherited_attribute, inherited_skeleton, is_applied
+from facepipe.stage.composition import check_arrays
 from facepipe.stage.guard import UNREADABLE
 from facepipe.stage.prims import check_kinds, prims_below
 

@@ -48,8 +48,14 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     import facepipe
     from facepipe.core.atomic import write_bytes
     from facepipe.payload import decode
-    from facepipe.verbs.apply_bones import beyond_limits, check_fits, limit_warnings, posed_points, within_limits
-    from facepipe.verbs.bone_payload import payload_bytes
+    from facepipe.verbs.apply_bones import (
+        beyond_limits,
+        check_fits,
+        limit_warnings,
+        payload_bytes,
+        posed_points,
+        within_limits,
+    )
 
     out = output_of(arguments, [action.face, action.coefficients])
     data, face = payload_bytes(action.coefficients), facepipe.read(action.face)
@@ -74,8 +80,7 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
 def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
     import facepipe
     from facepipe.payload import decode, read_header
-    from facepipe.verbs.apply_bones import beyond_limits, limit_warnings
-    from facepipe.verbs.bone_payload import payload_bytes
+    from facepipe.verbs.apply_bones import beyond_limits, limit_warnings, payload_bytes
 
     where = action.coefficients
     face, data = facepipe.read(action.face), payload_bytes(where)

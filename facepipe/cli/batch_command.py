@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 from facepipe.cli.parser import add_options
 from facepipe.cli.show import emit, is_quiet, note
 from facepipe.core.errors import InputError
-from facepipe.farm.options import RunOptions
+from facepipe.farm.plan import RunOptions
 
 if TYPE_CHECKING:
     from facepipe.farm.plan import Plan
@@ -61,8 +61,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the plan, print its report."""
-    from facepipe.core.policy.paths import trust, trusting
-    from facepipe.core.policy.urls import typed_roots
+    from facepipe.core.policy.paths import trust, trusting, typed_roots
     from facepipe.farm.plan import each, read_plan
 
     if arguments.each is None:

@@ -12,7 +12,7 @@ from facepipe.cli.parser import Parser, add_field, names_file
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.placing import relative
-from facepipe.core.policy.named import file_chosen
+from facepipe.core.policy.paths import file_chosen
 from facepipe.core.project import Project
 from facepipe.declare import fields_of
 

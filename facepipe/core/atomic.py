@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
-from facepipe.core import hidden_folders
+from facepipe.core import placing
 from facepipe.core.errors import ChangedError, InputError
-from facepipe.core.hidden_folders import HiddenFolder
 from facepipe.core.placing import (
+    HiddenFolder,
     Move,
     Role,
     exchange,
@@ -170,7 +170,7 @@ def hidden_folder(parent: Path) -> Iterator[Path]:
 
 def collect(folder: Path) -> None:
     """Clean up after killed processes in `folder`: hidden files go, and what they had begun to place is placed."""
-    for held in hidden_folders.left_behind(folder):
+    for held in placing.left_behind(folder):
         settle(held)
 
 
@@ -190,7 +190,7 @@ class _Group:
 
     def __exit__(self, *_: object) -> None:
         for home in self._homes.values():
-            (hidden_folders.release if self._left else hidden_folders.remove)(home)
+            (placing.release if self._left else placing.remove)(home)
 
     def home(self, parent: Path) -> Path:
         """The hidden folder in `parent`, which is without links; macOS may know it in another case too."""
@@ -198,7 +198,7 @@ class _Group:
         if parent not in self._homes:
             if parent != self._main.parent:
                 collect(parent)
-            self._homes[parent] = hidden_folders.make(parent, self._key)
+            self._homes[parent] = placing.make(parent, self._key)
         return self._homes[parent].path
 
     def add(self, target: Path, role: Role | None = None) -> None:
@@ -252,7 +252,7 @@ _group: ContextVar[_Group | None] = ContextVar("facepipe_files_together", defaul
 def _in_group(target: Path) -> Iterator[_Group | None]:
     """The group that `target` goes with: that of `together`, else one of its own; None within a hidden folder."""
     group = _group.get()
-    if hidden_folders.is_within_live(target):
+    if placing.is_within_live(target):
         yield None
     elif group is not None:
         yield group

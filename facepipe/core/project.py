@@ -27,8 +27,7 @@ from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys
-from facepipe.core.policy.paths import PROJECT
-from facepipe.core.policy.urls import is_url
+from facepipe.core.policy.paths import PROJECT, is_url
 from facepipe.core.reading import read_toml
 
 _MOST_BYTES = 1 << 20

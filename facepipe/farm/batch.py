@@ -2,30 +2,182 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core import __version__
+from facepipe.core.atomic import together, write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import check_written, roots_of, trust
-from facepipe.core.policy.urls import checked, is_url
+from facepipe.core.markup import Markup, heading, joined, page, ruled_table, tag
+from facepipe.core.policy.paths import check_written, checked, is_url, roots_of, trust
+from facepipe.core.reports import Report
 from facepipe.declare import check_ranges
-from facepipe.farm.child import Engine, Processes
-from facepipe.farm.cluster import Cluster
+from facepipe.farm.child import Cluster, Engine, Processes
 from facepipe.farm.ledger import ledger_in
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import Plan, Step, plan_of, read_plan
-from facepipe.farm.report import BatchReport, report_of, write_report
+from facepipe.farm.plan import Plan, RunOptions, Step, plan_of, read_plan
 from facepipe.farm.run import Run
 from facepipe.stage.files import SUFFIXES
 
+if TYPE_CHECKING:
+    from facepipe.farm.ledger import Record
+
+_DONE = ("made", "kept", "cached")
+_MOST_FAILURES = 20  # on the terminal
+_MOST_LINES = 1000  # on the page
+_MOST_FIGURES = 6  # of a face
 THUMBNAIL = "thumbnail"  # the step that draws each face for the report
 _SIZES = range(16, 1025)
 _MOST_A_CORE, _MOST_ON_HOSTS = 4, 1024  # processes: more only wait, and each takes memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchReport(Report):
+    """The report of a plan."""
+
+    faces: int
+    tasks: int
+    counts: Mapping[str, int]  # status -> tasks
+    steps: Mapping[str, Mapping[str, Any]]  # step -> counts, and of what is done seconds_mean, to make it, and peak_mb
+    failures: tuple[str, ...]  # a line each
+    missed_checks: tuple[str, ...]  # tasks that were done, but missed a check or threshold
+    attributions: tuple[str, ...]  # of everything that went in
+    seconds: float
+    scheduling_seconds: float  # of those, what giving tasks out took
+    page: Path
+
+    @property
+    def missed(self) -> bool:
+        """Whether anything was not done, or missed a check."""
+        return bool(self.failures or self.missed_checks)
+
+    def text(self) -> str:
+        """The report for people."""
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(self.counts.items()))
+        lines = [f"{self.faces} faces, {self.tasks} tasks in {self.seconds:.1f} s: {counts}"]
+        for name, one in self.steps.items():
+            said = ", ".join(f"{one['counts'][status]} {status}" for status in sorted(one["counts"]))
+            time = f"; {one['seconds_mean']:.2f} s each" if one.get("seconds_mean") else ""
+            lines.append(f"  {name}: {said}{time}")
+        lines += [f"warning: {line}" for line in self.warnings]
+        lines += [f"failed: {line}" for line in self.failures[:_MOST_FAILURES]]
+        if len(self.failures) > _MOST_FAILURES:
+            lines.append(f"and {len(self.failures) - _MOST_FAILURES} more, see the report")
+        if self.missed_checks:
+            lines.append(f"a check was missed: {', '.join(self.missed_checks[:_MOST_FAILURES])}")
+        return "\n".join([*lines, f"report: {self.page}"])
+
+
+def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
+    """The report of a run that has ended."""
+    failed = [record for record in run.records.values() if record["status"] not in _DONE]
+    own = [one for one in failed if one["status"] != "skipped"]
+    skipped = len(failed) - len(own)
+    done = [record for record in run.records.values() if record["status"] in _DONE]
+    left = (f"{run.gone}: {run.left} tasks are left, run it again to do them",) if run.gone else ()
+    lines = Counter(one["error"] for one in own).items()
+    return BatchReport(
+        faces=len(run.plan.rows),
+        tasks=len(run.records),
+        counts=dict(run.counts),
+        steps={step.name: _of_step(run.records, step.name) for step in run.plan.steps},
+        failures=(*(f"{line} ({count} tasks)" if count > 1 else line for line, count in lines), *left),
+        missed_checks=tuple(one["task"] for one in done if one.get("missed")),
+        attributions=tuple(sorted({text for one in done for text in one.get("attribution") or ()})),
+        seconds=seconds,
+        scheduling_seconds=run.scheduling,
+        page=state / "report.html",
+        warnings=(
+            *run.warnings,
+            *([f"{skipped} tasks were left out, since what they need failed"] if skipped else []),
+        ),
+    )
+
+
+def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
+    ended = [one for name, one in records.items() if name.partition("/")[0] == step]
+    made = [one for one in ended if one["status"] in _DONE]
+    facts: dict[str, Any] = {"counts": dict(Counter(one["status"] for one in ended))}
+    if made:
+        facts["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
+        facts["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
+    return facts
+
+
+def write_report(report: BatchReport, run: Run, state: Path) -> None:
+    """``report.json``, with every task, and ``report.html`` in the state folder.
+
+    :raises InputError: they can't be written
+    """
+    tasks = [run.records[name] for name in sorted(run.records)]
+    content = {**report.to_dict(), "records": tasks}
+    with together(state / "report.html"):
+        write_bytes(state / "report.json", json.dumps(content, sort_keys=True, indent=1, default=str).encode())
+        write_bytes(state / "report.html", _page(report, run, state))
+
+
+def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
+    """Figures in millimetres of a task's report, by name; of those in a mapping the mean and the largest alone."""
+    errors: dict[str, float] = {}
+    for key, value in report.items():
+        if isinstance(value, Mapping):
+            short = {name.removesuffix("_mm"): number for name, number in value.items()}
+            unit = key.endswith("_mm") or any(name.endswith("_mm") for name in value)
+            named = {f"{key.removesuffix('_mm')} {name}": short.get(name) for name in ("mean", "max")} if unit else {}
+            errors |= {name: number for name, number in named.items() if isinstance(number, int | float)}
+        elif key.endswith("_mm") and isinstance(value, int | float):
+            errors[key.removesuffix("_mm")] = value
+    return errors
+
+
+def _page(report: BatchReport, run: Run, state: Path) -> bytes:
+    title = Path(run.plan.where).name
+    counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
+    facts = f"{report.faces} faces, {report.tasks} tasks: {counts}; {report.seconds:.1f} s, "
+    facts += f"of which giving tasks out {report.scheduling_seconds:.1f} s"
+    steps = [
+        (name, ", ".join(f"{count} {status}" for status, count in sorted(figures["counts"].items())),
+         f"{figures.get('seconds_mean', 0):.2f}", f"{figures.get('peak_mb', 0):.0f}")
+        for name, figures in report.steps.items()
+    ]  # fmt: skip
+    parts = [tag("h1", title), tag("p", facts, class_="muted"), heading("Steps")]
+    parts.append(ruled_table(("step", "tasks", "seconds each", "peak MB"), steps, numbers=(2, 3)))
+    if report.failures:
+        lines = (tag("li", tag("code", line)) for line in report.failures[:_MOST_LINES])
+        parts.append(joined(tag("h2", "Not done", class_="bad"), tag("ul", *lines)))
+    parts += [heading("Faces"), tag("div", *_faces(run, state), class_="cards")]
+    if report.attributions:
+        parts += [heading("Licences and attributions"), tag("ul", *(tag("li", line) for line in report.attributions))]
+    return page(title, *parts)
+
+
+def _faces(run: Run, state: Path) -> Iterator[Markup]:
+    """A card each: picture, errors, times, what went wrong."""
+    names = [step.name for step in run.plan.steps if not step.once]
+    for row in run.plan.rows:
+        tasks = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
+        written = [path for task in tasks for path in task.get("writes", ())]
+        pictures = [path for path in written if path.endswith(".png") and not is_url(path)]
+        image = [tag("img", loading="lazy", src=_address(run, state, pictures[-1]), alt="")] if pictures else []
+        errors = {name: value for task in tasks for name, value in errors_mm(task.get("report") or {}).items()}
+        seconds = sum(task.get("seconds", 0.0) for task in tasks)
+        bad = [
+            tag("div", task["task"], class_="bad", title=task["error"]) for task in tasks if task["status"] not in _DONE
+        ]
+        figures = [tag("div", f"{name} {value:.3g} mm") for name, value in list(errors.items())[:_MOST_FIGURES]]
+        yield tag("div", *image, tag("b", row.name), f" {seconds:.1f} s", *bad, *figures, class_="card")
+
+
+def _address(run: Run, state: Path, path: str) -> str:
+    """A picture as the page names it."""
+    from urllib.parse import quote
+
+    return quote(os.fsencode(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix()))
 
 
 def batch(

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
 import json
+import logging
 import queue
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from typing import Any, Protocol
 
+from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.policy import children
+from facepipe.core.policy.children import remote_python
 from facepipe.core.threads import THREADS
 from facepipe.farm.ledger import FAILED, Record
 
@@ -31,6 +36,11 @@ _ONE_THREAD = dict.fromkeys(
     ),
     "1",
 )
+_CONNECT = 10.0  # seconds for a scheduler to answer
+_PATIENCE = 30.0  # seconds for all workers
+_WORKERS = 120.0  # seconds for a first worker
+_LOOK, _ABSENT = 10.0, 600.0  # seconds between two looks for workers, and without any, after which it is over
+_IDLE = "10 minutes"  # after these a scheduler that was started by ssh ends, and its workers: who started it was killed
 
 
 class ChildLostError(FacepipeError):
@@ -182,3 +192,175 @@ class Processes:
             if request is None:
                 return
             done(answer(child, request))
+
+
+_children: dict[int, tuple[dict[str, Any], Child]] = {}  # thread of a worker -> its process, and its setting
+
+
+class Cluster:
+    """The workers of a scheduler."""
+
+    def __init__(self, address: str, setting: Mapping[str, Any], processes: int | None = None) -> None:
+        """
+        :param address: ``tcp://HOST:PORT`` of a scheduler, or ``ssh://HOST,HOST`` to start one on the first host and a
+            worker on each
+        :param processes: on each host of ssh; None: a core each
+        :raises InputError: Dask is not installed, no scheduler answers, none has a worker, or one of another facepipe
+        """
+        try:
+            from distributed import Client
+        except ImportError:
+            raise InputError("--cluster", "needs Dask: pip install 'facepipe[farm]'") from None
+        _quieten()
+        self._setting = dict(setting)
+        self._refused: dict[str, str] = {}  # worker -> why
+        self._last: tuple[str, Done] | None = None  # a task, and whom to call
+        self._over = threading.Event()
+        with contextlib.ExitStack() as ends:
+            try:
+                over_ssh = address.startswith("ssh://")
+                target: Any = ends.enter_context(_over_ssh(address, processes)) if over_ssh else address
+                self._client = ends.enter_context(Client(target, timeout=_CONNECT, set_as_default=False))
+                self._client.wait_for_workers(1, timeout=_WORKERS)
+                _check_versions(self._on_all(_version))
+            except InputError:
+                raise
+            except Exception as error:
+                raise InputError(f"--cluster {address}", f"can't be used: {_brief(error)}") from None
+            self._ends = ends.pop_all()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def submit(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+        """Do a task, before those of a higher order."""
+        self._last = request["task"], done
+        self._client.loop.add_callback(self._follow, request, order, done)
+
+    def close(self) -> None:
+        """End; what is being done is lost."""
+        gone = self._over.is_set() or self._client.status != "running"
+        self._over.set()
+        if not gone:
+            with contextlib.suppress(Exception):
+                self._on_all(_end_children, self._setting)
+        with contextlib.suppress(Exception):  # of a scheduler that hangs
+            self._ends.close()
+
+    def _watch(self) -> None:
+        """A scheduler that hangs, or has no workers and gets none, is gone too: Dask waits for it without an end."""
+        seen = time.monotonic()
+        while not self._over.wait(_LOOK):
+            with contextlib.suppress(Exception):  # tasks hear of a scheduler that was lost themselves
+                if self._client.sync(self._client.scheduler.ncores, callback_timeout=_PATIENCE):
+                    seen = time.monotonic()
+            if self._last is not None and time.monotonic() - seen > _ABSENT:
+                self._over.set()
+                task, done = self._last
+                done({"task": task, "gone": f"no scheduler with workers has answered for {_ABSENT:g} seconds"})
+
+    def _on_all(self, function: Callable[..., object], *arguments: object) -> dict[str, Any]:
+        """What a function gives on each worker, or the error that it raises there."""
+        run = self._client.run
+        answers: dict[str, Any] = self._client.sync(
+            run, function, *arguments, on_error="return", callback_timeout=_PATIENCE
+        )
+        return answers
+
+    async def _follow(self, request: Mapping[str, Any], order: tuple[int, ...], done: Done) -> None:
+        record = await self._answer(request, order, await self._others())
+        while "refused" in record:
+            self._refused[record["worker"]] = record["error"]
+            others = await self._others()
+            if not others:
+                break
+            record = await self._answer(request, order, others)
+        record.pop("worker", None)
+        warnings = [f"{worker}: {why}; its tasks go to others" for worker, why in self._refused.items()]
+        done({**record, "warnings": warnings} if warnings else record)
+
+    async def _others(self) -> list[str]:
+        """Where some have refused, the workers that have not; none where the cluster is gone."""
+        if not self._refused:
+            return []
+        try:
+            return [one for one in await self._client.nthreads() if one not in self._refused]
+        except Exception:  # `_answer` says so
+            return []
+
+    async def _answer(self, request: Mapping[str, Any], order: tuple[int, ...], workers: Sequence[str]) -> Record:
+        """The record of a task that has ended.
+
+        :param workers: that may do it, as long as there are any; empty: all
+        """
+        said = json.dumps([request, self._setting, workers], sort_keys=True).encode()
+        key = f"facepipe-{request['task']}-{hashlib.sha256(said).hexdigest()[:32]}"
+        where: Any = {"workers": list(workers), "allow_other_workers": True} if workers else {}
+        record: Record = {"task": request["task"], "words": request["words"], "status": LOST}
+        try:
+            settings: Any = {"key": key, "pure": False, "priority": -order[0], **where}
+            found: Record = await self._client.submit(_do, dict(request), self._setting, **settings)
+        except CancelledError:
+            return {**record, "gone": "the cluster is gone"}
+        except Exception as error:
+            if self._client.status in ("closing", "closed"):
+                return {**record, "gone": "the cluster is gone"}
+            return {**record, "error": f"{request['task']}: its workers were lost ({_brief(error)})"}
+        return found
+
+
+def _do(request: Mapping[str, Any], setting: Mapping[str, Any]) -> Record:
+    """Do a task in the process of this thread."""
+    from distributed import get_worker
+
+    known = _children.get(threading.get_ident())
+    if known is None or known[0] != setting:
+        if known is not None:
+            known[1].end()
+        known = _children[threading.get_ident()] = dict(setting), Child(setting)
+    return {**answer(known[1], request), "worker": get_worker().address}
+
+
+def _end_children(setting: Mapping[str, Any]) -> None:
+    """End the processes of a worker that have a setting."""
+    for known, child in list(_children.values()):
+        if known == setting:
+            child.end()
+
+
+def _version() -> str:
+    return __version__
+
+
+def _check_versions(versions: Mapping[str, Any]) -> None:
+    """:raises InputError: a worker of another facepipe, or of none"""
+    for worker, version in versions.items():
+        if isinstance(version, ImportError | AttributeError):
+            raise InputError(worker, f"has no facepipe that can work for {__version__} ({_brief(version)})")
+        if isinstance(version, str) and version != __version__:
+            raise InputError(worker, f"has facepipe {version}, expected {__version__}")
+
+
+def _quieten() -> None:
+    """Dask's logs repeat at length what our lines say."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado", "asyncssh")):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _brief(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
+@contextlib.contextmanager
+def _over_ssh(address: str, processes: int | None) -> Iterator[Any]:
+    from distributed import SSHCluster
+
+    hosts = [one for one in address.removeprefix("ssh://").split(",") if one]
+    if not hosts:
+        raise InputError(f"--cluster {address}", "no host, expected ssh://HOST,HOST")
+    options: Any = {
+        "worker_options": {} if processes is None else {"nthreads": processes},
+        "scheduler_options": {"idle_timeout": _IDLE},
+        "remote_python": remote_python(),
+    }
+    with SSHCluster([hosts[0], *hosts], **options) as cluster:
+        yield cluster

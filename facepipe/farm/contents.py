@@ -11,7 +11,7 @@ from typing import NamedTuple
 from facepipe.core.errors import ChangedError, InputError
 from facepipe.core.policy.paths import check_readable
 from facepipe.core.reading import digest, read_bytes, read_json_object
-from facepipe.importers.materials_mtl import texture_name
+from facepipe.importers.wavefront import texture_name
 from facepipe.stage.files import SUFFIXES, dependencies, named_in
 
 _MOST_BYTES = 1 << 28  # of a glTF document

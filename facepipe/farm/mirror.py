@@ -17,8 +17,7 @@ from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
 from facepipe.core.errors import ChangedError, InputError
-from facepipe.core.policy.paths import private_folder
-from facepipe.core.policy.urls import SCHEMES, checked, is_url
+from facepipe.core.policy.paths import SCHEMES, checked, is_url, private_folder
 from facepipe.core.reading import digest
 from facepipe.farm import contents
 from facepipe.farm.cache import Cache

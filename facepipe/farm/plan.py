@@ -30,11 +30,9 @@ from typing import Any
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys, did_you_mean
 from facepipe.core.placing import relative
-from facepipe.core.policy.paths import check_writable
-from facepipe.core.policy.urls import is_url, placed
+from facepipe.core.policy.paths import check_writable, is_url, placed
 from facepipe.core.reading import read_toml
-from facepipe.declare import fields_of
-from facepipe.farm.options import RunOptions
+from facepipe.declare import fields_of, option
 from facepipe.farm.table import Row, read_table
 
 _MOST_BYTES = 1 << 20
@@ -56,6 +54,22 @@ _KINDS: Mapping[str, Any] = {
 }
 _PRIORITIES = 1_000_000
 OUT = "out"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """Limits of tasks, what is done again, and where results are kept."""
+
+    seconds: float = option(3600.0, "limit on the time of a task; its process is ended then", 0.1, 1e7, "s")
+    memory_mb: float | None = option(None, "limit on the memory of a task's process (needs psutil)", 50.0, 1e7, "MB")
+    failures: int = option(3, "processes or workers that a task may lose before it counts as failed", 0, 1000)
+    retry_failed: bool = option(False, "do failed tasks again, even if nothing that they read has changed")
+    resume: bool = option(False, "take finished tasks as they are, whatever has changed since: ends a killed run")
+    verify: bool = option(False, "compare the digests of all that is kept; what differs is done again")
+    local: Path | None = option(None, "folder on each machine for copies of files at URLs (default ~/.cache/facepipe)")
+    local_gb: float = option(20.0, "limit on these copies; the least recently used go first", 0.001, 1e6, "GB")
+    cache: Path | None = option(None, "folder of results by content, shared by plans and runs")
+    cache_gb: float = option(20.0, "limit on the cache; the least recently used go first", 0.001, 1e6, "GB")
 
 
 @dataclass(frozen=True, kw_only=True)

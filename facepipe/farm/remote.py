@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.policy.urls import SCHEMES, is_url
+from facepipe.core.policy.paths import SCHEMES, is_url
 
 State = tuple[int, str]  # bytes, and a mark of the version
 _PATIENCE, _SLOWEST = 60.0, 20e3  # seconds for an upload, and bytes in each of those that it takes longer

@@ -17,13 +17,11 @@ from facepipe.core import __version__
 from facepipe.core.atomic import collect
 from facepipe.core.errors import FacepipeError, printable
 from facepipe.core.locks import discard_lock
-from facepipe.core.policy.paths import trust
-from facepipe.core.policy.urls import Reach, is_url
+from facepipe.core.policy.paths import Reach, is_url, trust
 from facepipe.farm.child import LOST, Engine
 from facepipe.farm.contents import state_of, unchanged
 from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Ledger, Record
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import Plan, Task, line_of, needed, result_of, tasks_named, tasks_of
+from facepipe.farm.plan import Plan, RunOptions, Task, line_of, needed, result_of, tasks_named, tasks_of
 from facepipe.farm.remote import States
 
 DONE = (MADE, KEPT, CACHED)

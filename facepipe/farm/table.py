@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import check_keys, file_name
-from facepipe.core.policy.paths import check_copied, trust
-from facepipe.core.policy.urls import checked, is_url, placed
+from facepipe.core.policy.paths import check_copied, checked, is_url, placed, trust
 from facepipe.core.reading import read_bytes
 from facepipe.farm.remote import Store
 

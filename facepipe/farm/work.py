@@ -18,8 +18,7 @@ from typing import Any
 from facepipe.core import __version__
 from facepipe.core.errors import ChangedError, FacepipeError, InputError, printable
 from facepipe.core.locks import locked
-from facepipe.core.policy.paths import is_writable, trust
-from facepipe.core.policy.urls import is_url
+from facepipe.core.policy.paths import is_url, is_writable, trust
 from facepipe.core.reading import digest
 from facepipe.farm.cache import Cache
 from facepipe.farm.contents import Contents, named

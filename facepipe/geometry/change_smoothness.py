@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.geometry.triangle_frames import Neighbours, TriangleChanges
+from facepipe.geometry.deformation_transfer import Neighbours, TriangleChanges
 
 
 @dataclass(frozen=True, kw_only=True)

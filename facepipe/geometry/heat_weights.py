@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.differences import cotangent_weights, incidence
 from facepipe.geometry.factor import factorise
+from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas
 
 SMALLEST_SHARE = 1e-3  # weights below are left out: they cost an influence and move nothing

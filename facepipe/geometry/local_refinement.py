@@ -23,9 +23,8 @@ from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
 from facepipe.geometry.registration.solve import Stage, in_stages
-from facepipe.geometry.registration.step import Pull
+from facepipe.geometry.registration.step import Demand, Pull, Registered, ViewState
 from facepipe.geometry.registration.surface import means_around
-from facepipe.geometry.registration.view import Demand, Registered, ViewState
 
 _LEAST_FOLLOW = 1e-6  # a point that follows less counts as this one
 _STAGES = (Stage(1.0, 2.0, 4, 0.1), Stage(1.0, 1.0, 12, 0.005))

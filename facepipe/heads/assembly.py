@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from importlib.resources import files
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
-from facepipe.heads.asset import ATTRIBUTION, Asset, Part, asset
-from facepipe.heads.controls import bone_sliders, identity_shapes, identity_sliders
-from facepipe.heads.expressions import TALK, animations, sliders
+from facepipe.heads.asset import ATTRIBUTION, Asset, Part, arrays, asset, unpacked
 from facepipe.heads.part_fits import Shapes, fit_eyes, fit_mouth
 from facepipe.heads.people import draw
 from facepipe.heads.surfaces import dressed, laid_again
 from facepipe.parts import (
+    Animation,
     Blendshape,
     BoneLimits,
     FaceParts,
@@ -27,11 +31,241 @@ from facepipe.parts import (
     Recipe,
     Skeleton,
     Skin,
+    Slider,
     UvSet,
 )
+from facepipe.rig.bone_coefficients import CHANNELS, rest_coefficients
 
+SIDES = ("Left", "Right")
+MEET = 0.433  # cm below the middle of an eye: where lids meet
+_MIDDLE = 1.0  # cm on each side of the middle, over which left and right mix
+_TURN = 0.5  # radians that an eye turns to the side, and up or down, at 1
+_LEFT, _RIGHT = "root/neck/head/eyeLeft", "root/neck/head/eyeRight"
+_RISING = ((-1.0, 0.0), (0.0, 0.0), (1.0, 1.0))
+_FALLING = ((-1.0, 1.0), (0.0, 0.0), (1.0, 0.0))
+_BOTH = ("Left", "Right")
+
+_MOODS: dict[str, dict[str, float]] = {
+    "smile": {"mouthSmile": 1.0, "cheekSquint": 0.5},
+    "frown": {"mouthFrown": 1.0, "browInnerUp": 0.5},
+    "blink": {"eyeBlink": 1.0},
+    "mouthOpen": {"jawOpen": 1.0},
+}
+VISEMES: dict[str, dict[str, float]] = {
+    "sil": {"mouthPress": 0.05},
+    "PP": {"mouthPress": 0.5, "mouthRollLower": 0.3, "mouthRollUpper": 0.25, "mouthPucker": 0.1},
+    "FF": {"jawOpen": 0.04, "mouthRollLower": 0.55, "mouthUpperUp": 0.3, "mouthShrugLower": 0.15},
+    "TH": {"tongueOut": 0.72, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1},
+    "DD": {"jawOpen": 0.12, "mouthLowerDown": 0.3, "mouthUpperUp": 0.15},
+    "kk": {"jawOpen": 0.2, "mouthStretch": 0.15, "mouthLowerDown": 0.15},
+    "CH": {"jawOpen": 0.07, "mouthFunnel": 0.7, "mouthPucker": 0.2, "mouthShrugUpper": 0.15},
+    "SS": {"jawOpen": 0.03, "mouthStretch": 0.35, "mouthSmile": 0.15, "mouthLowerDown": 0.4, "mouthUpperUp": 0.2},
+    "nn": {"jawOpen": 0.09, "mouthLowerDown": 0.25, "mouthUpperUp": 0.1},
+    "RR": {"jawOpen": 0.1, "mouthFunnel": 0.45, "mouthPucker": 0.2},
+    "aa": {"jawOpen": 0.55, "mouthStretch": 0.1, "mouthLowerDown": 0.2},
+    "E": {"jawOpen": 0.22, "mouthStretch": 0.35, "mouthSmile": 0.2, "mouthLowerDown": 0.2, "mouthUpperUp": 0.1},
+    "I": {"jawOpen": 0.12, "mouthSmile": 0.5, "mouthStretch": 0.25, "mouthLowerDown": 0.25},
+    "O": {"jawOpen": 0.4, "mouthFunnel": 0.7, "mouthPucker": 0.15},
+    "U": {"jawOpen": 0.12, "mouthPucker": 0.75, "mouthFunnel": 0.45},
+}
 Controls = Literal["measures", "bones"]
 BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Direction:
+    """Two standard deviations of a measure, or what is typical of sex or age."""
+
+    name: str
+    group: str
+    offsets: npt.NDArray[np.float32]  # (n, 3) cm, symmetric, less what joints do: 0 on the eyeballs
+    eyes: FloatArray  # (2, 5) left and right: translation in cm, what is added to its scale, and to that of its lids
+    sided: bool  # whether each side has a control of its own
+
+    @cached_property
+    def shapes(self) -> tuple[Direction, ...]:
+        """What blendshapes are made of: its left and right half, which add up to it, or itself."""
+        return (self._half(0), self._half(1)) if self.sided else (self,)
+
+    def _half(self, side: int) -> Direction:
+        across = np.clip(asset().points[:, :1] * (1 - 2 * side) / _MIDDLE, -1.0, 1.0)
+        share = 0.5 + across * (3.0 - across**2) / 4.0  # a smooth step
+        offsets = np.round(self.offsets * share, 3).astype(np.float32)  # as the whole ones are: half the memory
+        eyes = self.eyes * (np.arange(2) == side)[:, None]
+        return replace(self, name=self.name + SIDES[side], offsets=offsets, eyes=eyes)
+
+
+@cache
+def directions() -> tuple[Direction, ...]:
+    """The directions of all measures and traits."""
+    data = arrays("measures")
+    names = [*data["names"], *data["traits"]]
+    groups = [*data["groups"], *("person" for _ in data["traits"])]
+    sided = [*data["sided"], *(False for _ in data["traits"])]
+    return tuple(
+        Direction(name=str(names[i]), group=str(groups[i]), offsets=offsets, eyes=data["eyes"][i], sided=bool(sided[i]))
+        for i, offsets in enumerate(unpacked(data["offsets"]))
+    )
+
+
+_MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
+
+
+def bone_sliders() -> tuple[Slider, ...]:
+    """The sliders over joints."""
+    table = json.loads((files("facepipe.heads") / "data" / "bone_sliders.json").read_text("utf-8"))
+    paths = {path.rpartition("/")[2]: path for path in asset().joints}
+    return tuple(
+        Slider(name=name, group=group, minimum=-1.0, channels=tuple(_channels(paths, gains)))
+        for group, sliders in table.items()
+        for name, gains in sliders.items()
+    )
+
+
+def _channels(paths: Mapping[str, str], gains: Mapping[str, float]) -> Iterator[tuple[str, str, float]]:
+    for target, gain in gains.items():
+        joint, _, channel = target.partition(".")
+        if joint.endswith("*"):
+            yield paths[f"{joint[:-1]}Left"], channel, gain
+            yield paths[f"{joint[:-1]}Right"], channel, -gain if channel in _MIRRORED else gain
+        else:
+            yield paths[joint], channel, gain
+
+
+Gains = Sequence[tuple[Direction, float]]
+
+_LEAST = 1e-3  # cm, or share of the size: less moves no joint
+_CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
+    *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
+    *(("eye", channel, 3, 1.0) for channel in ("sy", "sz")),
+    *((lid, channel, 4, share) for lid in ("lidUpper", "lidLower") for channel, share in (("ty", MEET), ("sy", 1.0))),
+)
+
+
+def identity_shapes() -> Mapping[str, Mapping[float, FloatArray]]:
+    """Name -> weight 1 -> (n, 3) offsets in cm."""
+    return {shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes}
+
+
+def identity_sliders() -> tuple[Slider, ...]:
+    """The sliders of measures, from -1 to 1; those of one side name their mirror."""
+    by_name = {direction.name: direction for direction in directions()}
+    sliders = [slider for one in by_name.values() for slider in _family(one.name, one.group, [(one, 1.0)])]
+    table = json.loads((files("facepipe.heads") / "data" / "mixes.json").read_text("utf-8"))
+    for group, mixes in table.items():  # group -> slider -> gain of each measure
+        for name, gains in mixes.items():
+            sliders += _family(name, group, [(by_name[measure], gain) for measure, gain in gains.items()])
+    return tuple(sliders)
+
+
+def _family(name: str, group: str, parts: Gains) -> list[Slider]:
+    """The slider of both sides and, where all its directions have sides, those of each."""
+    whole = [(shape, gain) for one, gain in parts for shape in one.shapes]
+    if not all(one.sided for one, _ in parts):
+        return [_slider(name, group, whole)]
+    sides = [
+        _slider(name + side, group, [(one.shapes[i], gain) for one, gain in parts]) for i, side in enumerate(SIDES)
+    ]
+    mirrors = [replace(one, mirror=other.name) for one, other in (sides, sides[::-1])]
+    return [_slider(name, group, whole), *mirrors]
+
+
+def _slider(name: str, group: str, parts: Gains) -> Slider:
+    eyes = sum((gain * shape.eyes for shape, gain in parts), np.zeros((2, 5)))
+    channels = [
+        (f"root/neck/head/{joint}{side}", channel, round(float(gains[column] * share), 5))
+        for side, gains in zip(SIDES, eyes, strict=True)
+        for joint, channel, column, share in _CHANNELS
+        if abs(gains[column]) >= _LEAST
+    ]
+    shapes = tuple((shape.name, gain) for shape, gain in parts)
+    return Slider(name=name, group=group, minimum=-1.0, channels=tuple(channels), shapes=shapes)
+
+
+def sided(weights: dict[str, float], shapes: frozenset[str]) -> dict[str, float]:
+    """The weights with those of both sides for names that shapes have by sides alone."""
+    return {
+        shape: weight
+        for name, weight in weights.items()
+        for shape in ((name,) if name in shapes else (name + side for side in _BOTH))
+    }
+
+
+def sliders(shapes: frozenset[str]) -> tuple[Slider, ...]:
+    """The sliders of a head that has the shapes of ARKit."""
+    made = [
+        Slider(name=prefix + name, group=group, shapes=tuple(sided(weights, shapes).items()))
+        for group, prefix, table in (("expression", "", _MOODS), ("visemes", "viseme_", VISEMES))
+        for name, weights in table.items()
+    ]
+    return (
+        *made,
+        _look("lookLeft", "ry", ("eyeLookOutLeft", "eyeLookInRight"), ("eyeLookInLeft", "eyeLookOutRight")),
+        _look("lookDown", "rx", ("eyeLookDownLeft", "eyeLookDownRight"), ("eyeLookUpLeft", "eyeLookUpRight")),
+    )
+
+
+def _look(name: str, channel: str, forth: tuple[str, ...], back: tuple[str, ...]) -> Slider:
+    """Turns both eyes, and has the lids follow them either way."""
+    return Slider(
+        name=name,
+        group="eyes",
+        minimum=-1.0,
+        channels=((_LEFT, channel, _TURN), (_RIGHT, channel, _TURN)),
+        channel_curves=(None, None),
+        shapes=tuple((shape, 1.0) for shape in (*forth, *back)),
+        shape_curves=(_RISING,) * len(forth) + (_FALLING,) * len(back),
+    )
+
+
+TALK = "talk"
+_RATE = 24
+_SPOKEN = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
+_HEAD, _NECK = "root/neck/head", "root/neck"
+_EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
+
+_Tracks = Mapping[str, FloatArray | float]
+
+
+def animations(shapes: frozenset[str]) -> tuple[Animation, ...]:
+    """`smile`, `lookLeft` and `talk` of a head that has the shapes of ARKit."""
+    smile = sided({"mouthSmile": 0.9, "cheekSquint": 0.5, "jawOpen": 0.05}, shapes)
+    look = {"eyeLookOutLeft": 0.7, "eyeLookInRight": 0.7}
+    turns = {f"{_NECK}.ry": 0.12, f"{_HEAD}.rx": 0.05, f"{_HEAD}.ry": 0.25} | {f"{eye}.ry": 0.35 for eye in _EYES}
+    return (_animation("smile", None, smile, {}), _animation("lookLeft", None, look, turns), _talk(shapes))
+
+
+def _talk(shapes: frozenset[str]) -> Animation:
+    times = np.arange(_RATE + 1) / _RATE
+    beats = np.abs(times[:, None] * (len(_SPOKEN) - 1) - np.arange(len(_SPOKEN)))
+    shares = 0.5 + 0.5 * np.cos(np.pi * np.minimum(beats, 1.0))  # (times, spoken), in sum 1
+    weights: dict[str, FloatArray] = {}
+    for share, viseme in zip(shares.T, _SPOKEN, strict=True):
+        for shape, weight in sided(VISEMES[viseme], shapes).items():
+            weights[shape] = weights.get(shape, np.zeros(len(times))) + weight * share
+    slow = np.sin(2 * np.pi * times)
+    blink = np.exp(-(((times - 0.75) / 0.06) ** 2))
+    weights |= {"eyeBlinkLeft": blink, "eyeBlinkRight": blink, "browInnerUp": 0.4 * np.maximum(slow, 0.0)}
+    return _animation(TALK, times, weights, {f"{_HEAD}.rx": 0.04 * slow, f"{_HEAD}.ry": 0.06 * slow})
+
+
+def _animation(name: str, times: FloatArray | None, shapes: _Tracks, turns: _Tracks) -> Animation:
+    """:param turns: joint path and channel -> radians"""
+    samples = 1 if times is None else len(times)
+    joints = tuple(sorted({key.rpartition(".")[0] for key in turns}, key=lambda path: path.split("/")))
+    coefficients = np.tile(rest_coefficients(len(joints)), (samples, 1, 1))
+    for key, values in turns.items():
+        joint, _, channel = key.rpartition(".")
+        coefficients[:, joints.index(joint), CHANNELS.index(channel)] = values
+    weights = [np.broadcast_to(values, samples) for values in shapes.values()]
+    return Animation(
+        name=name,
+        times=times,
+        joints=joints,
+        coefficients=coefficients,
+        shapes=tuple(shapes),
+        shape_weights=np.stack(weights, axis=1),
+    )
 
 
 @one_thread()

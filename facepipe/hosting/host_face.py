@@ -12,14 +12,14 @@ from pxr import Sdf, Usd
 
 from facepipe.core import tokens
 from facepipe.core.arrays import AnyArray
-from facepipe.hosting.edited_mesh import sculpted
+from facepipe.hosting.edited_face import sculpted
 from facepipe.importers.npz import Field, read_arrays
 from facepipe.parts import FaceParts, Material, Recipe
-from facepipe.rig.activation import Curve, curves
+from facepipe.rig.rig import Curve, curves
 from facepipe.stage import Face, open_face
 from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
-from facepipe.stage.author_regions import check_region_name
+from facepipe.stage.author_mesh import check_region_name
 from facepipe.stage.files import relative_path, save_layer
 from facepipe.stage.neural_rig_link import author_neural_rig_link, read_neural_rig_link
 

@@ -7,37 +7,259 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.reading import read_json
+from facepipe.core.policy.paths import check_found
+from facepipe.core.reading import file_beside, read_json
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
 from facepipe.geometry.vectors import to_segment
-from facepipe.importers import ict_topology as topology
-from facepipe.importers.ict_model import IctModel, read_model
-from facepipe.importers.ict_topology import LANDMARKS, MATERIALS, PARTS
-from facepipe.importers.mesh_pieces import (
+from facepipe.importers.npz import Field, check_indices, read_arrays
+from facepipe.importers.options import IctOptions
+from facepipe.importers.wavefront import (
+    Obj,
     compact_uvs,
     face_corners,
     material_faces,
+    read_obj,
+    read_offsets,
     sparse_shapes,
     whole_region,
 )
-from facepipe.importers.options import IctOptions
-from facepipe.parts import FaceParts, Landmarks, Mesh
+from facepipe.parts import FaceParts, Landmarks, Material, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 
+POINT_COUNT = 26719
+FACE_COUNT = 26384
+IDENTITY_MODES = 100
+NEUTRAL = "generic_neutral_mesh.obj"
+
+_BASE = {
+    "neutral": Field("float", ("V", 3)),
+    "face_vertex_counts": Field("int", ("F",)),
+    "face_vertex_indices": Field("int", ("C",)),
+    "uv": Field("float", ("U", 2)),
+    "face_uv_indices": Field("int", ("C",)),
+    "face_material": Field("int", ("F",)),
+    "material_names": Field("str", ("M",)),
+}
 Options = IctOptions
 
 
 _MOST_BYTES = 1 << 20  # of a file of weights
 _LARGEST_WEIGHT = 1e3  # standard deviations; far beyond any face, small enough for sums
+
+
+class Part(NamedTuple):
+    """A run of points and faces that becomes (a piece of) one mesh, with the region that a loose one belongs to."""
+
+    title: str
+    mesh: str
+    region: str
+    points: tuple[int, int]
+    faces: tuple[int, int]
+
+
+# Face to eye sockets are welded: their faces share points. Head takes its regions point by point (`ict`).
+PARTS = (
+    Part("Face", "Head", "", (0, 9409), (0, 9230)),
+    Part("Head and Neck", "Head", "", (9409, 11248), (9230, 11144)),
+    Part("Mouth socket", "Head", "mouth", (11248, 13294), (11144, 13226)),
+    Part("Eye socket left", "Head", "eyes", (13294, 13678), (13226, 13630)),
+    Part("Eye socket right", "Head", "eyes", (13678, 14062), (13630, 14034)),
+    Part("Gums and tongue", "GumsAndTongue", "mouth", (14062, 17039), (14034, 17006)),
+    Part("Teeth", "Teeth", "mouth", (17039, 21451), (17006, 21496)),
+    Part("Eyeball left", "EyeballLeft", "eyes", (21451, 23021), (21496, 23094)),
+    Part("Eyeball right", "EyeballRight", "eyes", (23021, 24591), (23094, 24692)),
+    Part("Lacrimal fluid left", "LacrimalFluidLeft", "eyes", (24591, 24795), (24692, 24855)),
+    Part("Lacrimal fluid right", "LacrimalFluidRight", "eyes", (24795, 24999), (24855, 25018)),
+    Part("Eye blend left", "EyeBlendLeft", "eyes", (24999, 25023), (25018, 25033)),
+    Part("Eye blend right", "EyeBlendRight", "eyes", (25023, 25047), (25033, 25048)),
+    Part("Eye occlusion left", "EyeOcclusionLeft", "eyes", (25047, 25199), (25048, 25176)),
+    Part("Eye occlusion right", "EyeOcclusionRight", "eyes", (25199, 25351), (25176, 25304)),
+    Part("Eyelashes left", "EyelashesLeft", "eyes", (25351, 26035), (25304, 25844)),
+    Part("Eyelashes right", "EyelashesRight", "eyes", (26035, 26719), (25844, 26384)),
+)
+
+# fmt: off
+EXPRESSIONS = (
+    "browDown_L", "browDown_R", "browInnerUp_L", "browInnerUp_R", "browOuterUp_L", "browOuterUp_R",
+    "cheekPuff_L", "cheekPuff_R", "cheekSquint_L", "cheekSquint_R",
+    "eyeBlink_L", "eyeBlink_R", "eyeLookDown_L", "eyeLookDown_R", "eyeLookIn_L", "eyeLookIn_R",
+    "eyeLookOut_L", "eyeLookOut_R", "eyeLookUp_L", "eyeLookUp_R", "eyeSquint_L", "eyeSquint_R",
+    "eyeWide_L", "eyeWide_R", "jawForward", "jawLeft", "jawOpen", "jawRight", "mouthClose",
+    "mouthDimple_L", "mouthDimple_R", "mouthFrown_L", "mouthFrown_R", "mouthFunnel", "mouthLeft",
+    "mouthLowerDown_L", "mouthLowerDown_R", "mouthPress_L", "mouthPress_R", "mouthPucker", "mouthRight",
+    "mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper", "mouthSmile_L", "mouthSmile_R",
+    "mouthStretch_L", "mouthStretch_R", "mouthUpperUp_L", "mouthUpperUp_R", "noseSneer_L", "noseSneer_R",
+)
+EXTRAS = ("PupilDilate_L", "PupilDilate_R", "cheekRaiser_L", "cheekRaiser_R")
+
+LANDMARKS = (  # multipie68
+    1225, 1888, 1052, 367, 1719, 1722, 2199, 1447, 966, 3661, 4390, 3927, 3924, 2608, 3272, 4088, 3443,  # jaw line
+    268, 493, 1914, 2044, 1401, 3615, 4240, 4114, 2734, 2509,  # brows
+    978, 4527, 4942, 4857, 1140, 2075, 1147, 4269, 3360,  # nose
+    1507, 1542, 1537, 1528, 1518, 1511, 3742, 3751, 3756, 3721, 3725, 3732,  # eyes
+    5708, 5695, 2081, 0, 4275, 6200, 6213, 6346, 6461, 5518, 5957, 5841,  # outer lips
+    5702, 5711, 5533, 6216, 6207, 6470, 5517, 5966,  # inner lips
+)
+# fmt: on
+
+ATTRIBUTION = (
+    "ICT-FaceKit, Copyright (c) 2020 USC Institute for Creative Technologies, MIT license. Please cite: Li et al., "
+    "Learning Formation of Physically-Based Face Attributes, CVPR 2020."
+)
+
+_SKIN = (0.60, 0.37, 0.28)
+
+MATERIALS = {
+    material.name: material
+    for material in (
+        Material(name="M_Face", diffuse_color=_SKIN, roughness=0.5),
+        Material(name="M_BackHead", diffuse_color=_SKIN, roughness=0.5),
+        Material(name="M_GumsTongue", diffuse_color=(0.50, 0.16, 0.15), roughness=0.35),
+        Material(name="M_Teeth", diffuse_color=(0.78, 0.73, 0.62), roughness=0.25),
+        Material(name="M_ScleraLeft", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
+        Material(name="M_ScleraRight", diffuse_color=(0.80, 0.77, 0.74), roughness=0.15),
+        Material(name="M_IrisLeft", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
+        Material(name="M_IrisRight", diffuse_color=(0.13, 0.08, 0.05), roughness=0.1),
+        Material(name="M_LacrimalFluid", diffuse_color=(0.0, 0.0, 0.0), roughness=0.05, opacity=0.1),
+        Material(name="M_EyeBlend", diffuse_color=(0.55, 0.30, 0.25), roughness=0.3, opacity=0.2),
+        Material(name="M_EyeOcclusion", diffuse_color=(0.05, 0.02, 0.02), roughness=0.9, opacity=0.15),
+        Material(name="M_EyeLashes", diffuse_color=(0.02, 0.015, 0.01), roughness=0.8, opacity=0.15),
+        Material(name="Cornea", diffuse_color=(0.0, 0.0, 0.0), roughness=0.02, opacity=0.05),  # see `ict`
+        Material(name="Pupil", diffuse_color=(0.005, 0.005, 0.005), roughness=0.1),
+    )
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class IctModel:
+    """What was read: V = 26719 points, whole model in one index space."""
+
+    neutral: Obj  # the generic one
+    identity: FloatArray  # (V, 3) offsets of the weighted identity modes
+    shapes: Mapping[str, FloatArray]  # name -> (V, 3) offsets
+    files: tuple[Path, ...]  # that were read
+    warnings: tuple[str, ...] = ()
+
+
+def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
+    """Read the generic neutral, the identity modes with their weights, and the named shapes that are there.
+
+    :param source: a FaceXModel folder, an ICT-FaceKit checkout, or the packed .npz
+    :raises InputError: no neutral, a weighted mode that is missing, or a file that can't be used
+    :raises TopologyError: not the ICT-FaceKit topology
+    """
+    if not source.is_dir():
+        return _read_npz(source, identity, shapes)
+    inner = source / "FaceXModel"
+    check_found(inner, source)
+    return _read_folder(inner if inner.is_dir() else source, identity, shapes)
+
+
+def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
+    sizes = {"V": POINT_COUNT, "F": FACE_COUNT}
+    arrays = read_arrays(path, _BASE, sizes)
+    _check(path, arrays)
+    offsets: dict[str, FloatArray] = {}
+    for kind in ("expression", "extra"):
+        if kind == "expression" or set(EXTRAS) & set(shapes):
+            offsets |= _named_offsets(path, kind, sizes)
+    modes = _named_offsets(path, "identity", sizes) if identity else {}
+    _require(path, identity, modes)
+    return IctModel(
+        neutral=Obj(
+            points=arrays["neutral"].astype(np.float64),
+            face_vertex_counts=arrays["face_vertex_counts"].astype(np.int32),
+            face_vertex_indices=arrays["face_vertex_indices"].astype(np.int32),
+            uvs=arrays["uv"].astype(np.float64),
+            uv_indices=arrays["face_uv_indices"].astype(np.int32),
+            materials=tuple(arrays["material_names"].tolist()),
+            face_material=arrays["face_material"].astype(np.int32),
+        ),
+        identity=_weighted({name: modes[name] for name in identity}, identity),
+        shapes={name: offsets[name] for name in shapes if name in offsets},
+        files=(path,),
+        warnings=_missing([name for name in shapes if name not in offsets]),
+    )
+
+
+def _named_offsets(path: Path, kind: str, sizes: dict[str, int]) -> dict[str, FloatArray]:
+    axis = f"{kind} names"
+    fields = {f"{kind}_names": Field("str", (axis,)), f"{kind}_deltas": Field("float", (axis, "V", 3))}
+    arrays = read_arrays(path, fields, sizes)
+    names = arrays[f"{kind}_names"].tolist()
+    if len(set(names)) != len(names):
+        raise InputError(f"{path} -> {kind}_names", "a name occurs twice, expected each once")
+    return dict(zip(names, arrays[f"{kind}_deltas"], strict=True))
+
+
+def _check(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    counts = arrays["face_vertex_counts"]
+    corners = len(arrays["face_vertex_indices"])
+    if counts.min() < 3 or counts.max() > corners or int(counts.sum(dtype=np.int64)) != corners:
+        raise InputError(f"{path} -> face_vertex_counts", f"counts don't add up to the {corners} corners there are")
+    check_indices(f"{path} -> face_vertex_indices", arrays["face_vertex_indices"], len(arrays["neutral"]))
+    check_indices(f"{path} -> face_uv_indices", arrays["face_uv_indices"], len(arrays["uv"]))
+    check_indices(f"{path} -> face_material", arrays["face_material"], len(arrays["material_names"]))
+
+
+def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
+    neutral_file = file_beside(folder, NEUTRAL)
+    if neutral_file is None:
+        raise InputError(folder, f"no {NEUTRAL} there, expected the FaceXModel folder of ICT-FaceKit")
+    neutral = read_obj(neutral_file)
+    if (len(neutral.points), len(neutral.face_vertex_counts)) != (POINT_COUNT, FACE_COUNT):
+        raise TopologyError(
+            neutral_file,
+            f"{len(neutral.points)} points and {len(neutral.face_vertex_counts)} faces, expected "
+            f"{POINT_COUNT} and {FACE_COUNT}",
+        )
+    modes = [file for name in identity if (file := file_beside(folder, f"{name}.obj"))]
+    _require(folder, identity, {path.stem: path for path in modes})
+    shape_files = [file for name in shapes if (file := file_beside(folder, f"{name}.obj"))]
+    return IctModel(
+        neutral=replace(
+            neutral,
+            points=neutral.points.astype(np.float32).astype(np.float64),
+            uvs=neutral.uvs.astype(np.float32).astype(np.float64),
+        ),
+        identity=_weighted({path.stem: _offsets(path, neutral) for path in modes}, identity),
+        shapes={path.stem: _offsets(path, neutral) for path in shape_files},
+        files=(neutral_file, *modes, *shape_files),
+        warnings=_missing([name for name in shapes if folder / f"{name}.obj" not in shape_files]),
+    )
+
+
+def _offsets(path: Path, neutral: Obj) -> FloatArray:
+    """Rounded to 7 decimals like the packed form: the OBJ files carry six digits."""
+    return np.round(read_offsets(path, neutral), 7).astype(np.float32)
+
+
+def _weighted(modes: Mapping[str, FloatArray], weights: Mapping[str, float]) -> FloatArray:
+    total = np.zeros((POINT_COUNT, 3))
+    for name in sorted(weights):
+        total += weights[name] * modes[name].astype(np.float64)
+    return total
+
+
+def _require(where: Path, identity: Mapping[str, float], modes: Mapping[str, object]) -> None:
+    for name in identity:
+        if name not in modes:
+            raise InputError(f"{where} -> {name}", "identity mode is missing")
+
+
+def _missing(names: Sequence[str]) -> tuple[str, ...]:
+    return (f"shapes not in the source, left out: {', '.join(names)}",) if names else ()
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -48,7 +270,7 @@ def read(source: Path, options: Options) -> Imported:
     """
     check_ranges(options)
     weights = identity_weights(options)
-    model = read_model(source, weights, topology.EXPRESSIONS + (topology.EXTRAS if options.extras else ()))
+    model = read_model(source, weights, EXPRESSIONS + (EXTRAS if options.extras else ()))
     materials = face_materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(
@@ -57,10 +279,8 @@ def read(source: Path, options: Options) -> Imported:
         meshes=tuple(
             _mesh(source, name, model, materials, options) for name in dict.fromkeys(part.mesh for part in PARTS)
         ),
-        materials=tuple(
-            material for number, material in enumerate(topology.MATERIALS.values()) if (materials == number).any()
-        ),
-        attribution=topology.ATTRIBUTION,
+        materials=tuple(material for number, material in enumerate(MATERIALS.values()) if (materials == number).any()),
+        attribution=ATTRIBUTION,
         recipe=import_recipe("ict", sources, options),
     )
     return Imported(parts=parts, warnings=model.warnings + _unknown_materials(model))
@@ -76,7 +296,7 @@ def identity_weights(options: Options) -> dict[str, float]:
     if options.identity is not None:
         weights = _weights_of_file(options.identity)
     elif options.identity_seed is not None:
-        draws = np.random.Generator(np.random.PCG64(options.identity_seed)).standard_normal(topology.IDENTITY_MODES)
+        draws = np.random.Generator(np.random.PCG64(options.identity_seed)).standard_normal(IDENTITY_MODES)
         weights = {_mode(i): float(draw) for i, draw in enumerate(draws)}
     else:
         weights = {}
@@ -100,7 +320,7 @@ def _weights_of_file(path: Path) -> dict[str, float]:
         content = {_mode(i): value for i, value in enumerate(content)}
     if not isinstance(content, Mapping):
         raise InputError(path, "expected a JSON object or list of identity weights")
-    known = {_mode(i) for i in range(topology.IDENTITY_MODES)}
+    known = {_mode(i) for i in range(IDENTITY_MODES)}
     for name, value in content.items():
         if name not in known:
             raise InputError(f"{path} -> {name[:40]}", f"unknown mode, expected {_mode(0)}..{max(known)}")
@@ -111,14 +331,14 @@ def _weights_of_file(path: Path) -> dict[str, float]:
 
 
 def _unknown_materials(model: IctModel) -> tuple[str, ...]:
-    unknown = [ascii(name)[:40] for name in model.neutral.materials if name not in topology.MATERIALS]
+    unknown = [ascii(name)[:40] for name in model.neutral.materials if name not in MATERIALS]
     return (f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()
 
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     neutral = model.neutral
     shapes = {shape_name(shape, options.arkit_names): offsets for shape, offsets in model.shapes.items()}
-    pieces = [part for part in topology.PARTS if part.mesh == name]
+    pieces = [part for part in PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
     corners = face_corners(neutral.face_vertex_counts, faces)
@@ -135,9 +355,9 @@ def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options
         uv_sets=(compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else (),
         blendshapes=sparse_shapes(shapes, slice(first, last), options.threshold),
         regions=head_regions(neutral.points) if head else whole_region(REGIONS, pieces[0].region, last - first),
-        landmarks={"multipie68": Landmarks(indices=np.array(topology.LANDMARKS, np.int32))} if head else {},
+        landmarks={"multipie68": Landmarks(indices=np.array(LANDMARKS, np.int32))} if head else {},
         anchor=back_of_border(neutral.points[first:last], counts, indices) if head else None,
-        material_faces=material_faces(list(topology.MATERIALS), materials[faces]),
+        material_faces=material_faces(list(MATERIALS), materials[faces]),
     )
 
 

@@ -18,11 +18,17 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, identifier
 from facepipe.declare import check_ranges
 from facepipe.geometry.polygons import back_of_border
-from facepipe.importers.makehuman_data import MakeHumanData, read_data
-from facepipe.importers.makehuman_rig import arkit_sliders, pose_units, read_skeleton, unit_sliders
-from facepipe.importers.mesh_pieces import compact_uvs, sparse_shapes, whole_region
+from facepipe.importers.makehuman_rig import (
+    MakeHumanData,
+    arkit_sliders,
+    pose_units,
+    read_data,
+    read_skeleton,
+    unit_sliders,
+)
 from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions
+from facepipe.importers.wavefront import compact_uvs, sparse_shapes, whole_region
 from facepipe.parts import FaceParts, Landmarks, Material, Mesh, Skin
 from facepipe.stage.imported import Imported, import_recipe
 

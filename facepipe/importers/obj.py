@@ -16,17 +16,63 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
-from facepipe.core.reading import file_beside, files_in
+from facepipe.core.reading import file_beside, files_in, read_json
 from facepipe.declare import check_ranges
-from facepipe.importers.landmark_file import read_landmarks
-from facepipe.importers.materials_mtl import read_materials
-from facepipe.importers.mesh_pieces import compact_uvs, face_corners, material_faces, sparse_shapes
 from facepipe.importers.options import ObjOptions
-from facepipe.importers.wavefront import Obj, read_obj, read_offsets
+from facepipe.importers.wavefront import (
+    Obj,
+    compact_uvs,
+    face_corners,
+    material_faces,
+    read_materials,
+    read_obj,
+    read_offsets,
+    sparse_shapes,
+)
 from facepipe.parts import FaceParts, Landmarks, Material, Mesh
 from facepipe.stage.imported import Imported, import_recipe
 
+_DEFAULT = "multipie68"
+_MOST_BYTES = 1 << 24
 Options = ObjOptions
+
+
+def read_landmarks(path: Path, point_count: int) -> dict[str, Landmarks]:
+    """Scheme -> landmarks.
+
+    :raises InputError: not such JSON, or a point out of range
+    """
+    content = read_json(path, _MOST_BYTES)
+    if isinstance(content, Mapping) and "indices" in content:
+        names, points = content.get("names"), content["indices"]
+        content = {str(content.get("scheme", _DEFAULT)): _paired(path, names, points) if names else points}
+    elif not isinstance(content, Mapping) or not any(isinstance(value, list | Mapping) for value in content.values()):
+        content = {_DEFAULT: content}
+    return {
+        scheme: _landmarks(f"{path} -> {ascii(scheme)[:40]}", scheme, content[scheme], point_count)
+        for scheme in content
+    }
+
+
+def _paired(path: Path, names: object, points: object) -> dict[str, object]:
+    if isinstance(names, list) and isinstance(points, list) and all(isinstance(name, str) for name in names):
+        paired = dict(zip(names, points, strict=False))
+        if len(paired) == len(names) == len(points):
+            return paired
+    raise InputError(path, "expected as many different names as indices")
+
+
+def _landmarks(where: str, scheme: str, value: object, point_count: int) -> Landmarks:
+    if not (scheme.isascii() and scheme.isidentifier()):
+        raise InputError(where, "expected a scheme name of letters, digits and underscores")
+    names = tuple(value) if isinstance(value, Mapping) else ()
+    points = list(value.values()) if isinstance(value, Mapping) else value
+    if not isinstance(points, list) or not points:
+        raise InputError(where, "expected a list of points, or an object of name and point")
+    for point in points:
+        if isinstance(point, bool) or not isinstance(point, int) or not 0 <= point < point_count:
+            raise InputError(where, f"point {str(point)[:40]}, expected a whole number from 0 to {point_count - 1}")
+    return Landmarks(indices=np.array(points, dtype=np.int32), names=names)
 
 
 def read(source: Path, options: Options) -> Imported:

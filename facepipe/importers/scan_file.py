@@ -6,6 +6,10 @@ seams of texture coordinates don't tear the surface. Skins, shapes and animation
 
 from __future__ import annotations
 
+import io
+import logging
+import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,21 +19,86 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.images import open_image, pixels
+from facepipe.core.reading import read_bytes
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import merge_points, point_triangles, triangulate
 from facepipe.geometry.vectors import transformed
 from facepipe.importers import load
-from facepipe.importers.materials_mtl import read_materials
-from facepipe.importers.mesh_pieces import material_faces
 from facepipe.importers.scan_ply import read_ply
-from facepipe.importers.scan_trimesh import read_off, read_stl
-from facepipe.importers.wavefront import Obj, read_obj
+from facepipe.importers.wavefront import MAX_BYTES, Obj, material_faces, read_materials, read_obj, read_text
 from facepipe.parts import Material, Mesh, Texture, TextureInput, UvSet
 from facepipe.scans import Scan, ScanPicture, ScanTexture
 from facepipe.stage.imported import Imported
 
+_NOWHERE = logging.NullHandler()
+_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
+_NEXT_SOLID = re.compile(rb"endsolid[^\n]*\n\s*solid[^\n]*", re.IGNORECASE)
+_OFF = re.compile(r"(?:ST)?C?N?OFF\s+([0-9]{1,10})\s+([0-9]{1,10})(?:\s+[0-9]{1,10})?\s*")
 LARGEST = 1e15  # of a coordinate: its cube stays finite in float64, and so do volumes
 _PLAIN = 1e-3  # colours that differ less are a material, no picture of a face
+
+
+def read_stl(path: Path) -> Scan:
+    """The triangles of an STL file, text or binary, three points each.
+
+    :raises InputError: neither, cut short, without triangles, NaN or infinity
+    """
+    data = read_bytes(path, MAX_BYTES)
+    count = int.from_bytes(data[_HEADER - 4 : _HEADER], "little")
+    if len(data) != _HEADER + _TRIANGLE * count:
+        if b"\0" in data or data.lstrip()[:5].lower() != b"solid":
+            what = f"{len(data)} bytes, expected {_HEADER + _TRIANGLE * count} for the {count} triangles of its header"
+            raise InputError(path, f"no STL, or cut short: {what}")
+        count = data.lower().count(b"endfacet")
+        data = _NEXT_SOLID.sub(b"", data)  # many solids take trimesh the square of their number
+    return _read(path, data, "stl", count)
+
+
+def read_off(path: Path) -> Scan:
+    """The triangles and quads of an OFF file, points in its order; colours and normals are left out.
+
+    :raises InputError: no text of that format, cut short, faces of other sizes or without points, NaN or infinity
+    """
+    rows = [row for line in read_text(path).split("\n") if (row := line.partition("#")[0].strip())]
+    start = 1 if _OFF.fullmatch(rows[0] if rows else "") else 2  # the counts may have a row of their own
+    header = _OFF.fullmatch(" ".join(rows[:start]))
+    if header is None:
+        raise InputError(path, "no OFF header, expected 'OFF' and the numbers of points and faces")
+    points, faces = int(header[1]), int(header[2])
+    if len(rows) - start < points + faces:
+        raise InputError(path, f"cut short: {len(rows) - start} rows of {points} points and {faces} faces")
+    corners = [row.split(None, 1)[0] for row in rows[start + points : start + points + faces]]
+    other = next((number for number, one in enumerate(corners) if one not in ("3", "4")), None)
+    if other is not None:
+        raise InputError(f"{path} -> face {other}", f"{corners[other][:40]!r} corners, expected 3 or 4")
+    triangles = corners.count("3") + 2 * corners.count("4")
+    return _read(path, "\n".join(rows).encode(), "off", triangles)
+
+
+def _read(path: Path, data: bytes, kind: str, triangles: int) -> Scan:
+    """What trimesh makes of the bytes.
+
+    :raises InputError: it can't read them, or finds another number of triangles, or numbers that are not finite
+    """
+    import trimesh
+
+    if not triangles:
+        raise InputError(path, "no triangles, expected a surface")
+    logging.getLogger("trimesh").addHandler(_NOWHERE)  # else Python prints its notes where nobody has set up logging
+    try:
+        with warnings.catch_warnings():  # numpy's, of text at whose middle a number ends
+            warnings.simplefilter("ignore")
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type=kind, process=False)
+    except Exception as error:  # of any kind: it trusts its files
+        raise InputError(path, f"can't be read: {' '.join(str(error).split())[:120]}") from None
+    if len(mesh.faces) != triangles:
+        raise InputError(path, f"damaged: {len(mesh.faces)} triangles can be read of {triangles}")
+    points, corners = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    if not np.isfinite(points).all():
+        raise InputError(path, "NaN or infinity, expected finite numbers")
+    if corners.min() < 0 or corners.max() >= len(points):
+        raise InputError(path, f"a face with a point outside 0 to {len(points) - 1}")
+    return Scan(name=path.stem, points=points, triangles=corners.astype(np.int32))
 
 
 def read_scan(path: Path) -> Scan:

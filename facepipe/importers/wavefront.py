@@ -7,9 +7,10 @@ Curves, points, lines and normals are left out.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import NoReturn
@@ -18,7 +19,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.core.reading import read_bytes
+from facepipe.core.policy.paths import check_copied
+from facepipe.core.reading import is_file, read_bytes
+from facepipe.parts import Blendshape, Material, MaterialFaces, Texture, TextureInput, UvSet
 
 MAX_BYTES = 1 << 30
 LARGEST = 1e30  # of a number: it stays finite in float32, its square in float64
@@ -30,6 +33,22 @@ _CORNERS = {  # how corners are written -> (pattern, numbers a corner)
     "point//normal": (re.compile(r"(?:-?[0-9]+//-?[0-9]+ )+"), 2),
 }
 _CORNER = re.compile(r"(-?[0-9]{1,18})(?:/(-?[0-9]{1,18})?(?:/(?:-?[0-9]{1,18})?)?)?")
+MAX_TEXTURE_BYTES = 1 << 28
+
+_MAP_OPTIONS = {  # map_Kd option -> how many words follow; -o, -s and -t take one to three numbers
+    "-blendu": 1,
+    "-blendv": 1,
+    "-boost": 1,
+    "-bm": 1,
+    "-cc": 1,
+    "-clamp": 1,
+    "-imfchan": 1,
+    "-mm": 2,
+    "-texres": 1,
+    "-o": 3,
+    "-s": 3,
+    "-t": 3,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,3 +299,150 @@ def _first_different_face(neutral: Obj, shape: Obj) -> int:
 def _points(obj: Obj, face: int) -> list[int]:
     start = int(obj.face_vertex_counts[:face].sum())
     return [int(i) + 1 for i in obj.face_vertex_indices[start : start + int(obj.face_vertex_counts[face])]]
+
+
+@dataclass
+class Materials:
+    """What was read, and what the user should know."""
+
+    materials: dict[str, Material] = field(default_factory=dict)  # by name in the files
+    files: list[Path] = field(default_factory=list)
+    textures: dict[Path, Texture] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def read_materials(source: Path, libraries: Sequence[str]) -> Materials:
+    """The materials of all `libraries` of the OBJ file `source`.
+
+    :raises InputError: a library or texture outside of its folder and roots, or a line that can't be used
+    """
+    result = Materials()
+    for name in libraries:
+        path = _beside(source, name, f"{source} -> mtllib")
+        if not is_file(path):
+            result.warnings.append(f"{ascii(path.name)[:80]}: material library not there, materials stay grey")
+            continue
+        result.files.append(path)
+        _read_library(path, source, result)
+    return result
+
+
+def _beside(source: Path, name: str, where: str) -> Path:
+    """The path that an OBJ file, or a library of it, means.
+
+    :raises InputError: outside of its folder and roots
+    """
+    path = source.parent / name.replace("\\", "/")
+    check_copied(where, path, source)
+    return path
+
+
+def _read_library(path: Path, source: Path, result: Materials) -> None:
+    name = None
+    for number, row in enumerate(read_text(path).split("\n"), 1):
+        keyword, *rest = row.split(None, 1)[:2] or [""]
+        where, text = f"{path}:{number}", rest[0].strip() if rest else ""
+        if keyword == "newmtl":
+            name = text
+            result.materials[name] = Material(name=name)
+        elif name is not None:
+            result.materials[name] = _with_line(result.materials[name], keyword, text, where, source, result)
+
+
+def _with_line(material: Material, keyword: str, text: str, where: str, source: Path, result: Materials) -> Material:
+    if keyword == "Kd" and not isinstance(material.diffuse_color, TextureInput):
+        r, g, b = _material_numbers(where, text, 3)
+        return replace(material, diffuse_color=(r, g, b))
+    if keyword in ("d", "Tr"):
+        value = _material_numbers(where, text.removeprefix("-halo"), 1)[0]
+        return replace(material, opacity=1.0 - value if keyword == "Tr" else value)
+    if keyword == "map_Kd":
+        texture = _texture(_beside(source, texture_name(text), where), where, result)
+        return replace(material, diffuse_color=TextureInput(texture=texture)) if texture else material
+    return material
+
+
+def _texture(path: Path, where: str, result: Materials) -> Texture | None:
+    """The image at `path`, under a name of its own."""
+    if path in result.textures:
+        return result.textures[path]
+    if not is_file(path):
+        result.warnings.append(f"{where}: texture {ascii(path.name)[:80]} not there, the colour is used")
+        return None
+    data = read_bytes(path, MAX_TEXTURE_BYTES)
+    taken = {texture.name for texture in result.textures.values()}
+    name = path.name if path.name not in taken else f"{len(taken)}_{path.name}"
+    result.files.append(path)
+    result.textures[path] = Texture(name=name, data=data)
+    return result.textures[path]
+
+
+def texture_name(text: str) -> str:
+    """The file of a texture's line: what is left after the options; a file name may hold blanks."""
+    words = text.split(" ")
+    while len(words) > 1 and words[0] in _MAP_OPTIONS:
+        option, *words = words
+        left = _MAP_OPTIONS[option]
+        while left and len(words) > 1 and (left == _MAP_OPTIONS[option] or _is_number(words[0])):
+            words, left = words[1:], left - 1
+    return " ".join(words)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _material_numbers(where: str, text: str, count: int) -> list[float]:
+    try:
+        values = [float(word) for word in text.split()[:count]]
+    except ValueError:
+        raise InputError(where, f"{text[:40]!r}, expected {count} numbers from 0 to 1") from None
+    if len(values) != count or not all(math.isfinite(value) and 0 <= value <= 1 for value in values):
+        raise InputError(where, f"{text[:40]!r}, expected {count} numbers from 0 to 1")
+    return values
+
+
+def face_corners(face_vertex_counts: IntArray, faces: IntArray) -> IntArray:
+    """Corner numbers of `faces`, face after face."""
+    counts = np.asarray(face_vertex_counts, dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    picked = counts[faces]
+    within = np.arange(int(picked.sum())) - np.repeat(np.cumsum(picked) - picked, picked)
+    return np.asarray(np.repeat(starts[faces], picked) + within)
+
+
+def compact_uvs(values: FloatArray, indices: IntArray) -> UvSet:
+    """A face-varying UV set that holds only the values in use, in their order."""
+    used, compact = np.unique(indices, return_inverse=True)
+    return UvSet(values=np.asarray(values)[used], indices=compact.reshape(-1).astype(np.int32))
+
+
+def sparse_shapes(
+    shapes: Mapping[str, FloatArray], points: IntArray | slice, threshold: float
+) -> tuple[Blendshape, ...]:
+    """Shapes, name -> offsets (n, 3), of some `points`: those that they move further than `threshold`, if any."""
+    sparse = []
+    for name, whole in shapes.items():
+        offsets = np.asarray(whole[points])
+        moved = np.flatnonzero(np.linalg.norm(offsets.astype(np.float64), axis=1) > threshold)
+        if len(moved):
+            sparse.append(Blendshape(name=name, point_indices=moved.astype(np.int32), offsets=offsets[moved]))
+    return tuple(sparse)
+
+
+def material_faces(names: Sequence[str], face_material: IntArray) -> tuple[MaterialFaces, ...]:
+    """Faces by material; `face_material` (f,) indexes `names`, -1 for faces without."""
+    used = np.unique(face_material[face_material >= 0])
+    return tuple(
+        MaterialFaces(material=names[number], faces=np.flatnonzero(face_material == number).astype(np.int32))
+        for number in used
+    )
+
+
+def whole_region(names: Sequence[str], region: str, count: int) -> dict[str, FloatArray]:
+    """Masks (count,) of all regions `names` for a loose mesh that belongs to `region` alone."""
+    return {name: np.full(count, float(name == region)) for name in names}

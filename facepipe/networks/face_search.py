@@ -13,8 +13,15 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import TEMPLATE, face_crop, from_crop, turned_crop
 from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
 from facepipe.networks.crops import sample_crop
-from facepipe.networks.dense_landmarks import COUNT, PUPILS, dense_landmarks
-from facepipe.networks.files import DenseLandmarkSession, LandmarkSession, own_dense_session, own_landmark_session
+from facepipe.networks.files import (
+    COUNT,
+    PUPILS,
+    DenseLandmarkSession,
+    LandmarkSession,
+    dense_landmarks,
+    own_dense_session,
+    own_landmark_session,
+)
 from facepipe.rig.torch import torch
 
 _LARGEST, _SMALLEST, _RATIO = 1.3, 1 / 7, 1.4  # crops' sides over the shorter side of the photo, and between two sizes

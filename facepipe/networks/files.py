@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
@@ -13,10 +14,68 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
+from facepipe.networks.crops import sample_crop
 from facepipe.networks.onnx_file import read_model
+from facepipe.rig.torch import torch
 
+_OPERATORS = ("Sigmoid", "Gemm", "Flatten", "GlobalAveragePool")  # from presence back to the features
 _BATCH = 32
 _KEY = "facepipe.features"
+COUNT, PUPILS = 68, 2
+# Crops that landmarks are the mean of, each as it is and mirrored: turn in radians, scale.
+_LOOKS = ((0.0, 1.0), (0.08, 1.05), (-0.08, 0.96))
+_ROUNDS = 2
+
+
+def presence_map(model: Any) -> tuple[bytes, int]:
+    """An ONNX model of presence before its sigmoid (1, 1, r, c), and the pixels between its windows.
+
+    :param model: the `onnx.ModelProto` of a landmark network; of its input (b, 3, S, S) the map takes (1, 3, h, w), at
+        least S and multiples of the pixels between windows
+    :raises ValueError: its presence is not the sigmoid of a layer of mean features
+    """
+    from onnx import ModelProto, TensorProto, helper, shape_inference
+
+    made = {output: node for node in model.graph.node for output in node.output}
+    steps, name = [], "presence"
+    for operator in _OPERATORS:
+        if name not in made or made[name].op_type != operator:
+            raise ValueError(f"{name} is not of {operator}")
+        steps.append(made[name])
+        name = steps[-1].input[0]
+    _, weight, bias = steps[1].input
+    shapes = {one.name: one for one in shape_inference.infer_shapes(model).graph.value_info}
+    window = shapes[name].type.tensor_type.shape.dim[2].dim_value
+    size = model.graph.input[0].type.tensor_type.shape.dim[2].dim_value
+    if window < 1 or size % window:
+        raise ValueError(f"features of {window} rows, of a crop of {size}")
+    result = ModelProto()
+    result.CopyFrom(model)
+    graph = result.graph
+    kernel = next((one for one in graph.initializer if one.name == weight), None)
+    if kernel is None:
+        raise ValueError(f"{weight} is no constant")
+    kernel.dims[:] = [1, math.prod(kernel.dims), 1, 1]
+    nodes = _before(model.graph, name)
+    nodes.append(helper.make_node("AveragePool", [name], ["mean"], kernel_shape=[window, window]))
+    nodes.append(helper.make_node("Conv", ["mean", weight, bias], ["map"]))
+    del graph.node[:], graph.output[:]
+    graph.node.extend(nodes)
+    graph.output.append(helper.make_tensor_value_info("map", TensorProto.FLOAT, None))
+    for axis, length in zip(graph.input[0].type.tensor_type.shape.dim[2:], ("height", "width"), strict=True):
+        axis.dim_param = length
+    return result.SerializeToString(), size // window
+
+
+def _before(graph: Any, name: str) -> list[Any]:
+    """The nodes that make `name`."""
+    wanted, nodes = {name}, []
+    for node in reversed(graph.node):
+        if wanted & set(node.output):
+            wanted |= set(node.input)
+            nodes.append(node)
+    return nodes[::-1]
 
 
 def landmark_model() -> Path:
@@ -100,8 +159,6 @@ class LandmarkSession(_CropSession):
     def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
         from onnx import load_from_string
 
-        from facepipe.networks.presence_map import presence_map
-
         graph, self.cell = presence_map(load_from_string(data))
         try:
             self._map = _session(graph)
@@ -151,3 +208,33 @@ def own_landmark_session() -> LandmarkSession:
 def own_dense_session() -> DenseLandmarkSession:
     """The network of `dense_landmark_model`, loaded once."""
     return DenseLandmarkSession(dense_landmark_model())
+
+
+def dense_landmarks(
+    network: DenseLandmarkSession, photo: torch.Tensor, landmarks: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """(n, 2) landmarks, the first 68 those of Multi-PIE, the last two the pupils, and errors to expect of them (n,).
+
+    All in pixels; None: no crop.
+
+    After Wood et al., "3D Face Reconstruction with Dense Landmarks", ECCV 2022.
+
+    :param photo: (h, w, 3) sRGB 0..1, float32
+    :param landmarks: (68, 2) pixels, about where they are
+    """
+    points = landmarks
+    for _ in range(_ROUNDS):
+        try:
+            aligned = face_crop(points[:COUNT], network.size)
+        except InputError:
+            return None
+        matrices = [turned_crop(aligned, turn, scale / network.zoom, network.size) for turn, scale in _LOOKS]
+        crops = np.concatenate([sample_crop(photo, matrix, network.size).numpy() for matrix in matrices])
+        places, errors = network(np.concatenate([crops, crops[..., ::-1]]))
+        places[len(crops) :] = [network.size, 0] + places[len(crops) :, network.mirrored] * [-1, 1]
+        errors[len(crops) :] = errors[len(crops) :, network.mirrored]
+        looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)])
+        points = looks.mean(axis=0)
+    spread = ((looks - points) ** 2).sum(axis=2).mean(axis=0)
+    scales = np.array([np.hypot(*matrix[:, 0]) for matrix in matrices * 2])
+    return points, np.sqrt(((errors * scales[:, None]) ** 2).mean(axis=0) + spread)

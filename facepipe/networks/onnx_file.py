@@ -2,20 +2,158 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from facepipe.core.arrays import AnyArray
+from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes
+from facepipe.core.reading import file_beside, read_bytes, read_json_object
+from facepipe.declare import from_json, option
 from facepipe.onnx_graph import MAX_BYTES
 
+# In the order of the photo fit's source; left and right are the person's.
+CLASSES = (
+    *("background", "face", "hair", "leftBrow", "rightBrow", "leftEye", "rightEye"),
+    *("nose", "upperLip", "teeth", "lowerLip"),
+)
+
+# The channels of BiSeNet networks for face parsing, trained on CelebAMask-HQ.
+CELEBAMASK = (
+    *("background", "skin", "l_brow", "r_brow", "l_eye", "r_eye", "eye_g", "l_ear", "r_ear", "ear_r"),
+    *("nose", "mouth", "u_lip", "l_lip", "neck", "neck_l", "cloth", "hair", "hat"),
+)
+
+# Glasses, ears and earrings are on the face; the neck and what is worn are behind it.
+_OF_OTHERS = {
+    "skin": "face",
+    "eye_g": "face",
+    "l_ear": "face",
+    "r_ear": "face",
+    "ear_r": "face",
+    "neck": "background",
+    "neck_l": "background",
+    "cloth": "background",
+    "hat": "background",
+    "l_brow": "leftBrow",
+    "r_brow": "rightBrow",
+    "l_eye": "leftEye",
+    "r_eye": "rightEye",
+    "u_lip": "upperLip",
+    "mouth": "teeth",
+    "l_lip": "lowerLip",
+}
+Kind = Literal["content", "identity", "attributes", "landmarks"]
+Crop = Literal["face", "arcface"]
+Order = Literal["RGB", "BGR"]
+Triple = tuple[float, float, float]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+PROPERTY = "facepipe.features"  # key of the metadata in an ONNX file
+_MAX_BYTES = 1 << 20
+_IMAGENET: tuple[Triple, Triple] = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
+_HALF: tuple[Triple, Triple] = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
+DEFAULT_SIZES: Mapping[Kind, int] = {"content": 512, "identity": 112, "attributes": 224, "landmarks": 224}
 OLDEST_OPSET, NEWEST_OPSET = 7, 25
 
 _DOMAINS = ("", "ai.onnx")
+
+
+def class_matrix(labels: Sequence[str]) -> FloatArray:
+    """(11, n) 1 where a channel named by `labels` (n,) is one of `CLASSES`, 0 elsewhere; several may be one class.
+
+    :raises InputError: a label that is neither of `CLASSES` nor of `CELEBAMASK`
+    """
+    matrix = np.zeros((len(CLASSES), len(labels)))
+    for channel, label in enumerate(labels):
+        name = _OF_OTHERS.get(label, label)
+        if name not in CLASSES:
+            expected = ", ".join(dict.fromkeys([*CLASSES, *CELEBAMASK]))
+            raise InputError("labels", f"{label!r}, expected one of {expected}")
+        matrix[CLASSES.index(name), channel] = 1
+    return matrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """How a network wants its pictures, and what its outputs are."""
+
+    kinds: Mapping[Kind, tuple[str | int, ...]]  # outputs of each kind by name or position; none named: all there are
+    size: int | None = option(None, low=8, high=2048)  # pixels a side; None: what the network's input or the kind says
+    mean: Triple  # of red, green and blue in 0..1, taken away
+    std: Triple  # of red, green and blue, divided by
+    order: Order = "RGB"
+    crop: Crop = "face"
+    names: tuple[str, ...] = ()  # of attributes
+    labels: tuple[str, ...] = ()  # of the channels of the last content output; none: the eleven, or CelebAMask's
+    logits: bool | None = None  # probabilities are yet to be made; None: for content, judged by a run
+    trained_on: str = ""
+
+
+DEFAULTS: Mapping[Kind, Description] = {
+    "content": Description(kinds={"content": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+    "identity": Description(kinds={"identity": ()}, mean=_HALF[0], std=_HALF[1], crop="arcface"),
+    "attributes": Description(kinds={"attributes": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+    "landmarks": Description(kinds={"landmarks": ()}, mean=_IMAGENET[0], std=_IMAGENET[1]),
+}
+
+
+def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description:
+    """The description of a network: ``<path>.json``, or else `metadata`, or else what is usual for `kind`.
+
+    :param metadata: JSON text in the file itself
+    :param kind: that it is wanted for; None: what the file itself says
+    :raises InputError: no description where `kind` is None, another kind, or values that can't be
+    """
+    if kind is not None and kind not in KINDS:
+        raise InputError("kind", f"{kind!r}, expected one of {', '.join(KINDS)}")
+    beside = file_beside(path, f"{path.name}.json")
+    if beside is not None:
+        return _described(beside, read_json_object(beside, _MAX_BYTES), kind)
+    if metadata is not None:
+        where = f"{path} -> {PROPERTY}"
+        try:
+            values = json.loads(metadata)
+        except (ValueError, RecursionError) as error:
+            raise InputError(where, f"is not JSON ({error})") from None
+        if not isinstance(values, dict):
+            raise InputError(where, "expected a JSON object")
+        return _described(where, values, kind)
+    if kind is None:
+        raise InputError(path, f"does not say what it gives, expected {path.name}.json or metadata {PROPERTY}")
+    return DEFAULTS[kind]
+
+
+def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Description:
+    kinds = _kinds(where, values, wanted)
+    if wanted is not None and wanted not in kinds:
+        raise InputError(where, f"gives {', '.join(kinds)}, expected {wanted}")
+    usual = DEFAULTS[next(iter(kinds))]  # whichever is wanted: one forward serves them all
+    known = {field.name for field in fields(Description)}
+    usual_values = {"mean": list(usual.mean), "std": list(usual.std), "crop": usual.crop}
+    given = {key: value for key, value in values.items() if key in known}
+    description = from_json(Description, {**usual_values, **given, "kinds": kinds}, str(where))
+    if min(description.std) <= 0:
+        raise InputError(f"{where} -> std", f"{str(list(description.std))[:40]}, expected numbers above 0")
+    return description
+
+
+def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Mapping[Kind, Any]:
+    several = values.get("kinds")
+    if several is None:
+        single = values.get("kind", wanted)
+        several = {} if single is None else {single: []}
+    if not isinstance(several, Mapping) or not several:
+        raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
+    for kind in several:
+        if kind not in KINDS:
+            raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
+    if len(several) > 1 and not all(several.values()):
+        raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
+    return several
 
 
 def read_model(path: Path) -> Any:

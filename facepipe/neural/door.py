@@ -10,8 +10,7 @@ from facepipe.neural.options import AttachOptions as Options
 if TYPE_CHECKING:
     from facepipe.neural.attach import AttachedNeuralRig
     from facepipe.parts import FaceParts
-    from facepipe.rig.neural_encoder import NeuralEncoder
-    from facepipe.rig.neural_rig import NeuralRig
+    from facepipe.rig.neural_rig import NeuralEncoder, NeuralRig
 
 NAME = "neural rigs"
 FORMER = {"facepipe.processors.neural_rig": ("facepipe.neural",)}

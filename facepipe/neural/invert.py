@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -12,13 +13,263 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
-from facepipe.neural.inverse_frames import Frames, ShapeData, SkinnedData
+from facepipe.geometry.bounded_least_squares import Box, Data, Settled, Smoothness, settle
 from facepipe.neural.options import InvertNeuralRigOptions
-from facepipe.rig.neural_rig import NeuralRig, from_default, share_limits, values_of, with_orthonormal_shapes
+from facepipe.rig.neural_rig import (
+    NeuralRig,
+    SkinnedPoints,
+    from_default,
+    output_derivatives,
+    share_limits,
+    values_of,
+    with_orthonormal_shapes,
+    with_points,
+)
 
-_RIDGE = 1e-12  # of the trace: what has no answer has a small one
+_POSES = 3  # where points are weighed, the first at rest
+_BUSY_POSE = 0.3  # share of the controls that are moved in the others
+_EVEN = 0.2  # share of the points that are taken evenly
+_SMALL_RIDGE = 1e-6  # of the mean diagonal: what no point shows counts as little
+ENOUGH = 1e-5  # of ranges: a smaller step ends it
+_AT_ONCE = 64  # frames
+_WINDOW = 120  # frames of a clip that are solved together; those before are known
+_FEW = 8  # frames, of which none can be said to be worse than the others
+_WORSE = 3.0  # times the median of the costs, by those at rest
+_SAME = 0.01  # of a cost: another start that ends so near was in the same valley
+_BUSY = 0.5  # share of the controls that a random start moves
+_SMALL = 1e-4  # mm^2 that are no reason to start again: a hundredth of a millimetre
+_STEP_RIDGE = 1e-12  # of the trace: what has no answer has a small one
 _DECIMALS = 9  # of shares of ranges: steps end long before, and what comes after is of the order of sums
 _ANYWHERE = 1.0 / np.sqrt(12.0)  # standard deviation of a control that may be anywhere in its range
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeData:
+    """Of a rig without bones: its shapes are orthonormal, so that distances of activations are those of points.
+
+    Mean over the points of squared distances, mm^2; unknowns are shares of ranges from defaults.
+    """
+
+    rig: NeuralRig
+    activations: FloatArray  # (f, r) of the shapes nearest to the targets
+    left: FloatArray  # (f,) squares that no sum of shapes makes
+
+    @classmethod
+    def from_targets(cls, rig: NeuralRig, points: FloatArray) -> ShapeData:
+        """Of targets (f, n, 3)."""
+        shapes = rig.shapes.reshape(len(rig.shapes), -1)
+        activations, squares = np.empty((len(points), len(shapes))), np.empty(len(points))
+        for number, frame in enumerate(points):
+            moved = (frame - rig.rest).ravel()
+            activations[number] = shapes @ moved
+            squares[number] = moved @ moved
+        left = np.maximum(squares - np.square(activations).sum(axis=1), 0.0)
+        return cls(rig=rig, activations=activations, left=left)
+
+    def cost(self, x: FloatArray, frames: IntArray) -> FloatArray:
+        """(k,) mm^2 of (k, c)."""
+        off = _outputs(self.rig, x) - self.activations[frames]
+        return np.asarray((np.square(off).sum(axis=1) + self.left[frames]) / len(self.rig.rest))
+
+    def normal(self, x: FloatArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(k, c) derivatives and (k, c, c) second ones, those of Gauss and Newton."""
+        outputs, by_control = output_derivatives(self.rig, x)
+        across, scale = np.swapaxes(by_control, 1, 2), 2.0 / len(self.rig.rest)
+        off = outputs - self.activations[frames]
+        return scale * (across @ off[..., None])[..., 0], scale * (across @ by_control)
+
+
+class SkinnedData:
+    """Of a rig with bones: distances and derivatives of all points, second derivatives of some that stand for all.
+
+    Some are drawn by how much they say of the controls (leverage), and weighed by how rarely they are drawn.
+    Source: Drineas, Mahoney and Muthukrishnan, "Sampling algorithms for l2 regression and applications", SODA 2006.
+    """
+
+    def __init__(self, rig: NeuralRig, points: FloatArray, some: int) -> None:
+        """
+        :param points: (f, n, 3) targets
+        :param some: points for second derivatives
+        """
+        assert rig.bones is not None
+        self.rig, self._targets = rig, points
+        self._all = SkinnedPoints(rig, rig.bones)
+        chosen, weights = self._chosen(some)
+        own = with_points(rig, chosen)
+        assert own.bones is not None
+        self._some, self._weights = SkinnedPoints(own, own.bones), np.sqrt(weights)
+
+    def cost(self, x: FloatArray, frames: IntArray) -> FloatArray:
+        """(k,) mm^2 of (k, c)."""
+        costs = np.empty(len(x))
+        for number, outputs in enumerate(_outputs(self.rig, x)):
+            off = self.rig.deformed(outputs) - self._targets[frames[number]]
+            costs[number] = np.square(off).sum() / len(off)
+        return costs
+
+    def normal(self, x: FloatArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(k, c) derivatives and (k, c, c) second ones, those of Gauss and Newton, nearly."""
+        slopes, matrices = np.empty_like(x), np.empty((len(x), x.shape[1], x.shape[1]))
+        scale = 2.0 / len(self.rig.rest)
+        for number in range(len(x)):
+            outputs, by_control = (
+                output_derivative[0] for output_derivative in output_derivatives(self.rig, x[number : number + 1])
+            )
+            off = self.rig.deformed(outputs) - self._targets[frames[number]]
+            slopes[number] = scale * by_control.T @ self._all.gradient(outputs, off)
+            by_point = self._some.derivatives(outputs) * self._weights
+            moved = by_control.T @ by_point.reshape(len(by_point), -1)
+            matrices[number] = scale * (moved @ moved.T)
+        return slopes, matrices
+
+    def _chosen(self, some: int) -> tuple[IntArray, FloatArray]:
+        """Points, and for how many each counts."""
+        count = len(self.rig.rest)
+        if count <= some:
+            return np.arange(count), np.ones(count)
+        shares = np.full(count, _EVEN / count)
+        ends, controls = share_limits(self.rig.controls), len(self.rig.controls)
+        random = np.random.default_rng(0)
+        for pose in range(_POSES):
+            x = random.uniform(*ends) * (random.random(controls) < (_BUSY_POSE if pose else 0.0))
+            outputs, by_control = (output_derivative[0] for output_derivative in output_derivatives(self.rig, x[None]))
+            moved = (by_control.T @ self._all.derivatives(outputs).reshape(len(outputs), -1)).reshape(len(x), 3, -1)
+            shares += (1.0 - _EVEN) / _POSES * _leverage(moved)
+        places = (np.arange(some) + 0.5) / some * shares.sum()
+        chosen, times = np.unique(np.searchsorted(np.cumsum(shares), places), return_counts=True)
+        return chosen, times * shares.sum() / (some * shares[chosen])
+
+
+def _outputs(rig: NeuralRig, x: FloatArray) -> FloatArray:
+    from scipy.special import expit
+
+    units = x @ rig.hidden.T + rig.hidden_bias
+    return np.asarray(x @ rig.linear + (units * expit(units)) @ rig.last.T + rig.last_bias)
+
+
+def _leverage(moved: FloatArray) -> FloatArray:
+    """(n,) shares of the points in what is known of the controls, of (c, 3, n) how they move the points."""
+    flat = moved.reshape(len(moved), -1)
+    matrix = flat @ flat.T
+    matrix += _SMALL_RIDGE * max(float(np.trace(matrix)) / len(matrix), 1e-30) * np.eye(len(matrix))
+    shown = (flat * np.linalg.solve(matrix, flat)).sum(axis=0).reshape(3, -1).sum(axis=0)
+    return np.asarray(shown / max(float(shown.sum()), 1e-30))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frames:
+    """Targets, and what is asked of their controls; x is how far these are from defaults, in shares of ranges."""
+
+    rig: NeuralRig
+    data: Data
+    options: InvertNeuralRigOptions
+
+    def settled(
+        self, count: int, start: FloatArray | None, blocks: IntArray | None, done: Callable[[], object]
+    ) -> tuple[FloatArray, float]:
+        """(f, c) x, and the mean number of steps.
+
+        :param count: of frames
+        :param done: called once for each frame
+        """
+        rest = np.zeros((count, len(self.box.lower)))
+        settled = self._each(rest if start is None else start, np.arange(count), done)
+        random, again = np.random.default_rng(self.options.seed), np.arange(count)
+        still = self.data.cost(rest, again)
+        for attempt in range(1, self.options.starts):
+            again = np.intersect1d(again, self._worse(settled.cost, still))
+            shape = (len(again), rest.shape[1])
+            other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
+            near = _nearest_good(again, count)
+            if attempt == 1 and start is not None:
+                other = rest[again]
+            elif attempt == 1 and blocks is not None and len(near):
+                other = settled.x[near]
+            tried = self._each(other, again)
+            # Two starts that end at one cost are taken to have found the minimum: only other frames are tried again.
+            apart = np.abs(tried.cost - settled.cost[again]) > _SAME * settled.cost[again]
+            settled, again = _better(settled, tried, again), again[apart]
+        if blocks is None or self.options.smoothness == 0.0:
+            return settled.x, float(settled.steps.mean())
+        x, steps = settled.x, settled.steps
+        for rows, before in _windows(np.asarray(blocks)):
+            clip = self._settle(x[rows], rows, Smoothness(weight=self.options.smoothness, before=x[before]))
+            x[rows] = clip.x
+            steps[rows] += clip.steps
+        return x, float(steps.mean())
+
+    @cached_property
+    def box(self) -> Box:
+        """Limits of x."""
+        lower, upper = share_limits(self.rig.controls)
+        return Box(lower=lower, upper=upper, l1=self.options.l1)
+
+    def _each(self, start: FloatArray, frames: IntArray, done: Callable[[], object] = lambda: None) -> Settled:
+        """Each on its own."""
+        batches = []
+        for first in range(0, len(frames), _AT_ONCE):
+            rows = slice(first, first + _AT_ONCE)
+            batches.append(self._settle(start[rows], frames[rows]))
+            for _ in frames[rows]:
+                done()
+        if not batches:
+            return Settled(x=start, cost=np.zeros(0), steps=np.zeros(0, np.int64))
+        return Settled(
+            x=np.concatenate([batch.x for batch in batches]),
+            cost=np.concatenate([batch.cost for batch in batches]),
+            steps=np.concatenate([batch.steps for batch in batches]),
+        )
+
+    def _settle(self, start: FloatArray, frames: IntArray, smoothness: Smoothness | None = None) -> Settled:
+        data = _Some(data=self.data, frames=frames)
+        return settle(data, start, self.box, smoothness=smoothness, steps=self.options.steps, enough=ENOUGH)
+
+    def _worse(self, cost: FloatArray, still: FloatArray) -> IntArray:
+        """Frames that may be in a poor valley.
+
+        :param still: (f,) costs at rest: what moves further is less well met
+        """
+        share = cost / np.maximum(still, 1e-30)
+        usual = _WORSE * float(np.median(share)) if len(cost) >= _FEW else 0.0
+        return np.flatnonzero((share > usual) & (cost > _SMALL))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Some:
+    """The data of some frames, by their numbers among themselves."""
+
+    data: Data
+    frames: IntArray
+
+    def cost(self, x: FloatArray, frames: IntArray) -> FloatArray:
+        return self.data.cost(x, self.frames[frames])
+
+    def normal(self, x: FloatArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
+        return self.data.normal(x, self.frames[frames])
+
+
+def _nearest_good(again: IntArray, count: int) -> IntArray:
+    """Of each frame to start again: the nearest of those that are not; none where all are."""
+    good = np.setdiff1d(np.arange(count), again)
+    if not len(good):
+        return good
+    return np.asarray(good[np.abs(good[None, :] - again[:, None]).argmin(axis=1)])
+
+
+def _better(before: Settled, again: Settled, rows: IntArray) -> Settled:
+    """Some frames replaced where the other is better; steps of both count."""
+    x, cost, steps = before.x.copy(), before.cost.copy(), before.steps.copy()
+    better = again.cost < cost[rows]
+    x[rows[better]], cost[rows[better]] = again.x[better], again.cost[better]
+    steps[rows] += again.steps
+    return Settled(x=x, cost=cost, steps=steps)
+
+
+def _windows(blocks: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Frames that are solved together, and the two known ones before them, clip by clip."""
+    for clip in np.split(np.arange(len(blocks)), np.flatnonzero(np.diff(blocks)) + 1):
+        for first in range(0, len(clip), _WINDOW):
+            yield clip[first : first + _WINDOW], clip[max(first - 2, 0) : first]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +437,7 @@ def _control_reports(names: list[str], matrices: FloatArray, off: FloatArray, ou
     """
     count = len(names)
     sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
-    ridge = _RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
+    ridge = _STEP_RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
     inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(count))
     own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
     free = np.sqrt(max(outputs - count, 1))

@@ -42,10 +42,10 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
     encoder: bool = option(True, "start from the rig's encoder, if it has one")
 
     def write(self, job: Job) -> InverseReport:
-        from facepipe.neural.frames_of_stages import read_targets
         from facepipe.neural.invert import InvertNeuralRig
         from facepipe.neural.neural_rig_file import load_neural_rig
-        from facepipe.stage.author_controls import save_controls
+        from facepipe.neural.read_motion import read_targets
+        from facepipe.stage.controls_over_time import save_controls
 
         rig = load_neural_rig(self.rig)
         targets = read_targets(self.target, rig)

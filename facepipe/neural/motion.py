@@ -14,7 +14,7 @@ from facepipe.core.names import first_names
 from facepipe.neural.options import FrameBlocksOptions
 from facepipe.rig import Rig
 from facepipe.rig.neural_rig import Control
-from facepipe.stage.read_controls import Clip, read_clips
+from facepipe.stage.controls_over_time import Clip, read_clips
 from facepipe.verbs.whole_faces import Topology
 
 _OUTSIDE = 1e-6  # of a control's range: what rounding may take a value beyond its limits

@@ -15,8 +15,7 @@ from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json
 from facepipe.rig import Rig
-from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
-from facepipe.rig.neural_rig import Control, NeuralRig
+from facepipe.rig.neural_rig import Control, EncoderLayer, NeuralEncoder, NeuralRig
 from facepipe.verbs.array_file import Content, read_arrays, write_arrays
 
 KIND = "facepipe neural rig 1"

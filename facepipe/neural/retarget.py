@@ -12,15 +12,33 @@ from facepipe.core.arrays import FloatArray, IntArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
-from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.geometry.deformation_transfer import Transfer, spread
 from facepipe.geometry.ridge import Examples
-from facepipe.neural.carried_rig import Subject, carried
+from facepipe.geometry.shape_basis import motion_basis
 from facepipe.neural.invert import InvertNeuralRig
-from facepipe.neural.options import RetargetOptions
-from facepipe.neural.retarget_network import learned_by_network
-from facepipe.rig.neural_jacobian import with_points
-from facepipe.rig.neural_rig import NeuralRig, from_default, with_basis
+from facepipe.neural.options import RetargetOptions, SampleMotionOptions
+from facepipe.neural.sample_motion import plan
+from facepipe.neural.train_neural_rig import output_metric, skinned_moves
+from facepipe.parts import FaceParts
+from facepipe.rig import Rig, build
+from facepipe.rig.bone_coefficients import CHANNELS
+from facepipe.rig.neural_rig import (
+    NeuralRig,
+    bones_in,
+    from_default,
+    most_influences,
+    output_reach,
+    with_basis,
+    with_influences,
+    with_points,
+)
+from facepipe.verbs.whole_faces import MILLIMETRES, Topology, whole_points, world_to_world
 
+_INPUTS = 256  # coordinates of a deformation, at most
+_SMALLEST = 1e-3  # of the largest deviation: less is no coordinate
+_SAMPLES = SampleMotionOptions(spread=4000, sweep=4, together=1000)
+_WIDTH = 256  # of the network's layers
+_UNITS, _STEPS, _PATIENCE, _SPARSITY = 128, 4000, 1000, 0.05  # of the one layer that stands for it
 _Way = Callable[[FloatArray], FloatArray]  # (n, 3) of (n, 3)
 _NOISES = 10.0 ** np.arange(-3.0, 1.01, 0.25)  # millimetres
 _GAIN_NOISES = 10.0 ** np.arange(-3.0, 1.01)  # millimetres
@@ -29,6 +47,139 @@ _GAIN_STEPS = 3  # of Gauss and Newton: bones turn points, which is nearly strai
 _GAIN_DOUBT = 0.01  # what a squared change of a gain costs, in squares of the noise at a point
 _GAIN_CHANGE = 1e-4  # of a gain: how points answer to it
 _LEAST_TURN = 1e-3  # of what a control does most to a bone coefficient: less is rounding of the training
+
+
+def learned_by_network(
+    base: NeuralRig, values: FloatArray, moved: FloatArray, *, noise: float, steps: int, tolerance: float, most: int
+) -> NeuralRig:
+    """The carried rig with what frames of the subject are beyond it, as one neural rig again.
+
+    Inputs of the network are principal coordinates of the carried rig's deformations, over all that its controls do;
+    outputs those of `moved`. Units of one layer learn of samples what it adds, since two layers are no neural rig.
+
+    :param values: (f, c) controls of the frames
+    :param moved: (f, n, 3) millimetres beyond the carried rig, before bones
+    :param noise: strength at first, in the root mean square of the coordinates' deviations
+    :param tolerance: millimetres that the shapes may leave, RMS
+    :param most: shapes
+    """
+    from facepipe.neural.learning.deformation_network import train_deformation_network
+
+    sampled, _ = plan(base.controls, _SAMPLES)
+    moves = base.shapes if base.bones is None else skinned_moves(base.bones, base.shapes, base.channels)
+    metric = output_metric(moves, base.rest, np.zeros((0, 3), np.int64), 0.0)
+    middle, axes, deviations = _coordinates(base.outputs(sampled) @ metric)
+    own_shapes, amounts = motion_basis(moved, tolerance, most)
+    network = train_deformation_network(
+        (base.outputs(values) @ metric - middle) @ axes,
+        amounts,
+        deviations,
+        width=_WIDTH,
+        steps=steps,
+        noise=noise,
+        seed=0,
+    )
+    added = network((base.outputs(sampled) @ metric - middle) @ axes)
+    both = _with_units(base, own_shapes, sampled, added)
+    return with_basis(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
+
+
+def _with_units(base: NeuralRig, own_shapes: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:
+    """The rig with shapes (q, n, 3), and units for their activations (f, q) at values (f, c)."""
+    from facepipe.rig.torch.distil import Samples, train
+
+    x, count = from_default(base.controls, values), len(base.shapes)
+    watched = np.arange(len(x)) % 10 == 0
+    parts = [Samples(inputs=x[rows], outputs=added[rows]) for rows in (~watched, watched)]
+    trained = train(
+        *parts, width=_UNITS, activation="silu", seed=0, steps=_STEPS, patience=_PATIENCE, sparsity=_SPARSITY
+    )
+    parted = (base.last[:count], base.last[count:])
+    before, after = np.zeros((len(own_shapes), len(base.hidden))), np.zeros((len(base.last), _UNITS))
+    last = [
+        np.concatenate([parted[0], before, parted[1]]),
+        np.insert(after, [count] * len(own_shapes), trained.last, axis=0),
+    ]
+    return replace(
+        base,
+        shapes=np.concatenate([base.shapes, own_shapes]),
+        linear=np.concatenate([base.linear[:, :count], trained.linear, base.linear[:, count:]], axis=1),
+        hidden=np.concatenate([base.hidden, trained.hidden]),
+        hidden_bias=np.concatenate([base.hidden_bias, trained.hidden_bias]),
+        last=np.concatenate(last, axis=1),
+        last_bias=np.concatenate([base.last_bias[:count], trained.last_bias, base.last_bias[count:]]),
+    )
+
+
+def _coordinates(outputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(o,) mean of outputs (f, o), (o, i) orthonormal axes of most spread, and (i,) deviations along them."""
+    middle = outputs.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(outputs - middle, full_matrices=False)
+    deviations = sizes / np.sqrt(len(outputs))
+    kept = int(np.count_nonzero(deviations[:_INPUTS] > _SMALLEST * deviations[0]))
+    return middle, axes[:kept].T, deviations[:kept]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """A face that has no rig of its own yet."""
+
+    where: str
+    topology: Topology
+    rest: FloatArray  # (n, 3) millimetres, Y up
+    bones: Rig | None  # of its skeleton, in millimetres; None without joints
+
+    @classmethod
+    def of(cls, parts: FaceParts, where: str) -> Subject:
+        """The subject of a face stage."""
+        rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+        bones = bones_in(rig, to) if rig.joints else None
+        return cls(where=where, topology=Topology.of(parts), rest=whole_points(parts), bones=bones)
+
+    def checked(self, rig: NeuralRig) -> Subject:
+        """The same.
+
+        :raises TopologyError: other meshes or joints than those of the rig
+        """
+        if self.topology.digest != rig.topology:
+            raise TopologyError(self.where, "other meshes than those of the neural rig, expected its topology")
+        joints = () if self.bones is None else self.bones.joints
+        if rig.bones is not None and joints != rig.bones.joints:
+            expected = f"expected the rig's {len(rig.bones.joints)} (facepipe skin --from gives a face another's)"
+            raise TopologyError(self.where, f"{len(joints)} joints that are not those of the neural rig, {expected}")
+        return self
+
+
+def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
+    """The rig on the subject: its own rest and bones, and shapes that take over the deformation.
+
+    Translations of bones are brought to the subject's size.
+
+    :raises TopologyError: other meshes or joints than those of the rig
+    """
+    subject.checked(rig)
+    bones = None
+    if rig.bones is not None and subject.bones is not None:
+        bones = with_influences(subject.bones, most_influences(rig.bones))
+    rest = subject.rest if bones is None else bones.points
+    transfer = Transfer(rest, subject.topology.triangles, np.zeros(len(rest), bool))
+    sizes = output_reach(rig)[: len(rig.shapes)]
+    shapes = np.empty_like(rig.shapes)
+    for number, (shape, size) in enumerate(zip(rig.shapes, sizes, strict=True)):
+        there = rig.rest + size * shape
+        shapes[number] = (transfer.solve(rig.rest[None], there[None]) - rest) / size
+    scale = np.ones(len(rig.shapes) + len(rig.channels))
+    moves = rig.channels[:, 1] < CHANNELS.index("rx")
+    scale[len(rig.shapes) :][moves] = spread(rest) / spread(rig.rest)
+    scaled = replace(
+        rig,
+        rest=rest,
+        bones=bones,
+        linear=rig.linear * scale,
+        last=rig.last * scale[:, None],
+        last_bias=rig.last_bias * scale,
+    )
+    return with_basis(scaled, shapes, np.zeros((len(rig.controls), *rest.shape)), 0.0, len(shapes))
 
 
 @dataclass(frozen=True, kw_only=True)

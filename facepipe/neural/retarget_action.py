@@ -35,10 +35,9 @@ class Retarget(RetargetOptions, FileAction["RetargetReport"]):
     )
 
     def write(self, job: Job) -> RetargetReport:
-        from facepipe.neural.carried_rig import Subject
         from facepipe.neural.neural_rig_file import load_neural_rig, save_neural_rig
         from facepipe.neural.read_motion import read_subject_frames
-        from facepipe.neural.retarget import RetargetNeuralRig
+        from facepipe.neural.retarget import RetargetNeuralRig, Subject
         from facepipe.stage import open_face
 
         rig = load_neural_rig(self.rig)

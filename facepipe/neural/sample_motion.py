@@ -19,10 +19,9 @@ from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.neural_rig import Control, bones_in, coefficients_in
 from facepipe.stage import Face
+from facepipe.stage.controls_over_time import read_clips
 from facepipe.stage.point_cache import save_point_cache
-from facepipe.stage.read_controls import read_clips
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
-from facepipe.verbs.whole_faces import Topology
+from facepipe.verbs.whole_faces import MILLIMETRES, Topology, world_to_world
 
 _WHOLE = FrameBlocksOptions(block=1_000_000, margin=0)  # clips are cut where they are learned from
 _APART = 3.0  # time codes from a clip's last frame to the next one's first: readers take more than 2.5 for an end

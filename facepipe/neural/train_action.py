@@ -126,7 +126,7 @@ class Train(
 
     def _over_time(self) -> bool:
         """Whether to learn from samples on the stage."""
-        from facepipe.stage.read_controls import is_recorded
+        from facepipe.stage.controls_over_time import is_recorded
 
         if self.learn_from != "auto" or self.clips:
             return self.learn_from == "samples"

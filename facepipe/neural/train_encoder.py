@@ -2,35 +2,88 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import AnyArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.point_choice import well_placed
 from facepipe.geometry.ridge import ridge
-from facepipe.neural.checkpoint import Checkpoint
 from facepipe.neural.motion import Motion
 from facepipe.neural.options import HEADS, TrainEncoderOptions
-from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
-from facepipe.rig.neural_rig import inputs
+from facepipe.rig.neural_rig import EncoderLayer, NeuralEncoder, inputs
+from facepipe.verbs.array_file import Content, read_arrays, write_arrays
 
 if TYPE_CHECKING:
-    from facepipe.neural.learning.encoder_fit import EncoderSamples
-    from facepipe.neural.learning.encoder_network import EncoderSize
+    from facepipe.neural.learning.encoder_fit import EncoderSamples, EncoderSize
 
-
+KIND = "facepipe neural rig training 2"
+_NAMES = ("numbers", "random")
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
 _CANDIDATES = 2048  # points that those of the encoder are chosen from
 _SEEN_WITH = 0.3  # mm of noise that points are chosen for: with much less, those of one place would do
 _CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
 _STILL = 1e-6  # mm: a point that moves no further does not move
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """One part of a training's file: of these frames, with these options. Parts don't touch each other."""
+
+    path: Path
+    part: str
+    key: str  # digest of frames and options
+
+    @classmethod
+    def for_training(cls, path: Path, part: Literal["rig", "encoder"], motion: Motion, options: Any) -> Checkpoint:
+        """:param options: a dataclass of plain values"""
+        digest = hashlib.sha256(json.dumps(dataclasses.asdict(options), sort_keys=True).encode())
+        for array in (motion.values, motion.points, motion.blocks, motion.coefficients):
+            digest.update(b"" if array is None else np.ascontiguousarray(array).data)
+        return cls(path=path, part=part, key=digest.hexdigest())
+
+    def state(self) -> Mapping[str, AnyArray] | None:
+        """What was kept last; None where nothing was yet.
+
+        :raises InputError: a damaged file, or one of other frames or options
+        """
+        file = self._file()
+        key = _keys(file).get(self.part)
+        if key is None:
+            return None
+        if key != self.key:
+            what = f"a training of other frames or options ({self.part})"
+            raise InputError(self.path, f"{what}, expected these (or another file)")
+        prefix = f"{self.part}."
+        arrays = {name.removeprefix(prefix): one for name, one in file.arrays.items() if name.startswith(prefix)}
+        lacking = [name for name in _NAMES if name not in arrays]
+        if lacking:
+            raise InputError(self.path, f"lacks {prefix}{lacking[0]}, expected a training")
+        return arrays
+
+    def keep(self, state: Mapping[str, AnyArray]) -> None:
+        """Write, whole or not at all; the other parts stay as they are."""
+        file, prefix = self._file(), f"{self.part}."
+        others = {name: one for name, one in file.arrays.items() if not name.startswith(prefix)}
+        arrays = {f"{prefix}{name}": one for name, one in state.items()}
+        write_arrays(self.path, KIND, {"keys": {**_keys(file), self.part: self.key}}, others | arrays)
+
+    def _file(self) -> Content:
+        return read_arrays(self.path, KIND) if self.path.exists() else Content({}, {})
+
+
+def _keys(file: Content) -> dict[str, str]:
+    keys = file.content.get("keys")
+    return keys if isinstance(keys, dict) else {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +170,7 @@ class TrainEncoder:
 
 def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, EncoderSize]:
     """Whole points in the order of the sequence, and the network for them: all tokens have as many points."""
-    from facepipe.neural.learning.encoder_network import EncoderSize
+    from facepipe.neural.learning.encoder_fit import EncoderSize
 
     moving = np.flatnonzero(np.abs(motion.points - motion.rest).max(axis=(0, 2)) > _STILL)
     if not len(moving):

@@ -9,24 +9,198 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
-from facepipe.neural.checkpoint import Checkpoint
+from facepipe.geometry.gradient_system import cotangent_weights, incidence
+from facepipe.geometry.shape_basis import local_basis, motion_basis
 from facepipe.neural.motion import Motion
 from facepipe.neural.options import TrainNeuralRigOptions
-from facepipe.neural.output_basis import OutputBasis
-from facepipe.neural.straight_models import Straight, best_blendshapes, ridge, straight_rig
+from facepipe.neural.train_encoder import Checkpoint
+from facepipe.rig import Rig, rest_coefficients
+from facepipe.rig.bone_coefficients import coefficient_derivatives
 from facepipe.rig.neural_rig import NeuralRig, from_default, with_influences
 
 if TYPE_CHECKING:
     from facepipe.neural.train_encoder import EncoderReport
-    from facepipe.rig.torch.network_fit import Samples, Trained
+    from facepipe.rig.torch.distil import Samples, Trained
 
-
+_MOVES = 1e-9  # of a coefficient over all frames; less is rounding
+_FIRM = 1e-6  # of the mean square: outputs that do the same are separated by their size
+_PENALTIES = 10.0 ** np.arange(-8.0, 3.0, 0.5)  # of the largest singular value's square
 _WATCHED = 0.1  # of the frames to learn
 _STRAIGHT_MM = 1e-3  # more than blendshapes may be off where there is nothing to learn beside them
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputBasis:
+    """Shapes of what bones leave, and bones; squares of outputs times the metric are errors of points."""
+
+    rest: FloatArray  # (n, 3) millimetres
+    shapes: FloatArray  # (r, n, 3) orthonormal
+    channels: IntArray  # (m, 2) joint, coefficient
+    metric: FloatArray  # (r + m, r + m) lower triangular; of `output_metric`
+
+    @classmethod
+    def from_motion(cls, motion: Motion, tolerance: float, most: int, detail: float) -> OutputBasis:
+        """The basis of a motion.
+
+        :param tolerance: millimetres that the shapes may leave, RMS
+        :param most: shapes
+        :param detail: what an error of differential coordinates counts beside one of points
+        """
+        bones = motion.bones
+        rest = motion.rest if bones is None else bones.points
+        moves = shapes = local_basis(motion_basis(_morphs(motion, rest), tolerance, most)[0])
+        channels = np.zeros((0, 2), np.int64)
+        if bones is not None and motion.coefficients is not None:
+            channels = np.argwhere(np.ptp(motion.coefficients, axis=0) > _MOVES)
+            moves = skinned_moves(bones, shapes, channels)
+            kept = np.abs(moves[len(shapes) :]).any(axis=(1, 2))  # what moves no point needs no output
+            channels, moves = channels[kept], np.concatenate([moves[: len(shapes)], moves[len(shapes) :][kept]])
+        metric = output_metric(moves, motion.rest, motion.topology.triangles, detail)
+        return cls(rest=rest, shapes=shapes, channels=channels, metric=metric)
+
+    def outputs(self, motion: Motion) -> FloatArray:
+        """(f, r + m) of the frames, times the metric."""
+        flat = self.shapes.reshape(len(self.shapes), -1)
+        activations = _morphs(motion, self.rest).reshape(len(motion.values), -1) @ flat.T.astype(np.float32)
+        if motion.coefficients is None:
+            return np.asarray(activations @ self.metric)
+        moved = motion.coefficients - rest_coefficients(motion.coefficients.shape[1])
+        return np.concatenate([activations, moved[:, self.channels[:, 0], self.channels[:, 1]]], axis=1) @ self.metric
+
+
+def _morphs(motion: Motion, rest: FloatArray) -> FloatArray:
+    """(f, n, 3) float32: offsets from rest before bones move them."""
+    morphs = np.empty(motion.points.shape, np.float32)
+    for frame in range(len(morphs)):
+        morphs[frame] = motion.morphed(frame) - rest
+    return morphs
+
+
+def output_metric(moves: FloatArray, rest: FloatArray, triangles: IntArray, detail: float) -> FloatArray:
+    """(o, o) lower triangular C: ``|outputs C|^2`` is the squared error over all points, to first order.
+
+    Differential coordinates of a point are its offset from the mean of its neighbours (Sorkine, "Differential
+    Representations for Mesh Processing", 2006); they show dents that distances hardly do.
+
+    :param moves: (o, n, 3) what a unit of each output moves
+    :param detail: what an error of differential coordinates counts beside one of points
+    """
+    flat = moves.reshape(len(moves), -1)
+    products = flat @ flat.T
+    if detail > 0.0 and len(triangles):
+        edges = cotangent_weights(rest, triangles)[0]
+        ends = incidence(edges, len(rest))
+        degree = np.maximum(np.bincount(edges.ravel(), minlength=len(rest)), 1)
+        bends = ends.T @ (ends @ moves.transpose(1, 0, 2).reshape(len(rest), -1)) / degree[:, None]
+        bends = bends.reshape(len(rest), len(moves), 3).transpose(1, 0, 2).reshape(len(moves), -1)
+        products += detail * bends @ bends.T
+    return np.asarray(np.linalg.cholesky(products + _FIRM * np.trace(products) / len(products) * np.eye(len(products))))
+
+
+def skinned_moves(bones: Rig, shapes: FloatArray, channels: IntArray) -> FloatArray:
+    """(r + m, n, 3) what a unit of each shape's activation and of each bone coefficient moves at rest.
+
+    :param shapes: (r, n, 3) before the bones
+    :param channels: (m, 2) joint, coefficient
+    """
+    matrices = bones.skinning_matrices(bones.rest)[:, :3]
+    turned = (bones.influences @ matrices.reshape(-1, 12)).reshape(-1, 3, 4)[:, :, :3]
+    return np.concatenate([np.einsum("nij,rnj->rni", turned, shapes), _bone_moves(bones, channels)])
+
+
+def _bone_moves(bones: Rig, channels: IntArray) -> FloatArray:
+    worlds = bones.joint_worlds(bones.rest)
+    by_own = bones.rest[:, None] @ coefficient_derivatives(rest_coefficients(len(bones.joints)))
+    parents = np.concatenate([worlds, bones.parent_world[None]])[bones.parents]  # -1: what roots hang under
+    below = _below(bones)
+    moves = np.empty((len(channels), len(bones.points), 3))
+    for number, (joint, channel) in enumerate(channels):
+        moved_joints = below[joint]
+        turn = parents[joint] @ by_own[joint, channel] @ np.linalg.inv(worlds[joint])
+        matrices = (turn @ worlds[moved_joints] @ bones.inverse_bind[moved_joints])[:, :3]
+        blended = (bones.influences[:, moved_joints] @ matrices.reshape(len(moved_joints), 12)).reshape(-1, 3, 4)
+        moves[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
+    return moves
+
+
+def _below(bones: Rig) -> list[IntArray]:
+    """Of each joint: itself and all under it."""
+    is_below = np.eye(len(bones.joints), dtype=bool)
+    for joint in range(len(bones.joints) - 1, -1, -1):
+        if bones.parents[joint] >= 0:
+            is_below[bones.parents[joint]] |= is_below[joint]
+    return [np.flatnonzero(row) for row in is_below]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Straight:
+    """``rest + [x, 1] shapes`` of x, the controls from their defaults."""
+
+    motion: Motion  # that it was fitted to
+    shapes: FloatArray  # (c + 1, 3n) millimetres
+
+    def points(self, values: FloatArray) -> FloatArray:
+        """(n, 3) of (c,) values."""
+        row = np.append(from_default(self.motion.controls, values), 1.0)
+        return np.asarray(self.motion.rest + (row @ self.shapes).reshape(-1, 3))
+
+
+def best_blendshapes(motion: Motion) -> Straight:
+    """One blendshape a control, and an offset, of least squared error on all frames."""
+    deltas = (motion.points - motion.rest).reshape(len(motion.values), -1)
+    return Straight(motion=motion, shapes=np.linalg.lstsq(_rows(motion), deltas, rcond=None)[0])
+
+
+def ridge(motion: Motion, tolerance: float, most: int) -> Straight:
+    """Ridge regression from the controls to principal components; its penalty by generalised cross-validation.
+
+    Source: Golub, Heath, Wahba, Generalized cross-validation as a method for choosing a good ridge parameter (1979).
+
+    :param tolerance: millimetres that the components may leave, RMS
+    :param most: components
+    """
+    components, activations = motion_basis(motion.points - motion.rest, tolerance, most)
+    left, sizes, right = np.linalg.svd(_rows(motion), full_matrices=False)
+    along = left.T @ activations
+    best, least = np.zeros_like(sizes), np.inf
+    for penalty in _PENALTIES * sizes[0] ** 2:
+        kept = sizes**2 / (sizes**2 + penalty)
+        # |(I - A) y|^2 / trace(I - A)^2, with A = U diag(kept) U^T: one decomposition serves every penalty
+        off = np.sum(activations**2) - np.sum((1.0 - (1.0 - kept[:, None]) ** 2) * along**2)
+        score = off / (len(left) - kept.sum()) ** 2 if len(left) > kept.sum() else np.inf
+        if score < least:
+            best, least = kept / np.where(sizes > 0.0, sizes, 1.0), score
+    weights = right.T @ (best[:, None] * along)
+    return Straight(motion=motion, shapes=weights @ components.reshape(len(components), -1))
+
+
+def _rows(motion: Motion) -> FloatArray:
+    x = from_default(motion.controls, motion.values)
+    return np.concatenate([x, np.ones((len(x), 1))], axis=1)
+
+
+def straight_rig(motion: Motion, basis: OutputBasis) -> NeuralRig:
+    """The map of least squared error on all frames, which is 0 where the controls are at their defaults."""
+    inputs = from_default(motion.controls, motion.values)
+    outputs = basis.outputs(motion) @ np.linalg.inv(basis.metric)
+    count = outputs.shape[1]
+    return NeuralRig(
+        controls=motion.controls,
+        rest=basis.rest,
+        shapes=basis.shapes,
+        linear=np.linalg.lstsq(inputs, outputs, rcond=None)[0],
+        hidden=np.zeros((0, len(motion.controls))),
+        hidden_bias=np.zeros(0),
+        last=np.zeros((count, 0)),
+        last_bias=np.zeros(count),
+        topology=motion.topology.digest,
+        bones=motion.bones,
+        channels=basis.channels,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +263,7 @@ class TrainNeuralRig:
             it goes on from there if it is there, and gives the same. Whoever is done with it removes it
         :raises InputError: no control that moves, a single block of frames, or a checkpoint of another training
         """
-        from facepipe.rig.torch.network_fit import train
+        from facepipe.rig.torch.distil import train
         from facepipe.rig.torch.one_thread import best_device
 
         options, still = self.options, motion.constant
@@ -152,7 +326,7 @@ def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, M
 
 
 def _samples(motion: Motion, basis: OutputBasis) -> Samples:
-    from facepipe.rig.torch.network_fit import Samples
+    from facepipe.rig.torch.distil import Samples
 
     return Samples(inputs=from_default(motion.controls, motion.values), outputs=basis.outputs(motion))
 

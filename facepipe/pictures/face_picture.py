@@ -18,10 +18,8 @@ from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, View, portrait
 from facepipe.pictures.draw import draw
 from facepipe.pictures.heatmap import HeatMap
-from facepipe.pictures.landmarks import draw_landmarks
-from facepipe.pictures.lighting import Studio
-from facepipe.pictures.portrait import Portrait
-from facepipe.pictures.regions import RegionColors, draw_legend, legend_width
+from facepipe.pictures.lighting import Portrait, Studio
+from facepipe.pictures.overlay import RegionColors, draw_landmarks, draw_legend, legend_width
 from facepipe.pictures.scene import Scene, build_scene, world_points
 from facepipe.pictures.shade import Shader
 

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.pictures.heatmap import HeatMap, colors, ticks
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
+from facepipe.geometry.colors import from_srgb
+from facepipe.geometry.rasterise import rasterise, screen_triangles
+from facepipe.parts import FaceParts, all_regions
+from facepipe.pictures.camera import Camera
+from facepipe.pictures.heatmap import NO_VALUE, HeatMap, colors, ticks
+from facepipe.pictures.scene import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -15,6 +24,20 @@ if TYPE_CHECKING:
 
 PAPER = (250, 250, 251)
 INK = (38, 40, 46)
+DOT = (226, 40, 52)
+HIDDEN = 0.35  # opacity of landmarks behind the surface
+# sRGB: the colours of Okabe and Ito but black, made for colour-blind readers; then each time the one that, in OKLab, is
+# farthest from those before and from NO_VALUE as full, deutan and protan sight see them.
+PALETTE = (
+    np.array(
+        [
+            (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0),
+            (204, 121, 167), (119, 0, 34), (119, 255, 255), (68, 34, 136), (0, 0, 255), (119, 85, 102),
+        ]
+    )
+    / 255.0
+)  # fmt: skip
+NONE = "no region"
 
 
 def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
@@ -96,3 +119,191 @@ def _upright(image: Image, text: str, right: float, middle: float, chosen: FreeT
     turned = mask.transpose(Images.Transpose.ROTATE_90)
     place = round(right - turned.width), round(middle - turned.height / 2)
     image.paste(Images.new("RGB", turned.size, INK), place, turned)
+
+
+def draw_landmarks(
+    image: Image, parts: FaceParts, scene: Scene, camera: Camera, scheme: str, *, numbered: bool = True
+) -> None:
+    """Dots with numbers at the landmarks of a scheme; those behind the surface are faint.
+
+    :raises InputError: no mesh has the scheme
+    """
+    from PIL import Image as Images
+    from PIL import ImageDraw
+
+    points, numbers = landmark_points(parts, scheme)
+    screen = camera.project(scene.points)
+    where = screen[points, :2] / screen[points, 3:]
+    seen = _visible(scene, screen, points, image.size)
+    radius = max(1.6, image.width / 260)
+    pixels = np.asarray(image, dtype=np.float64).copy()
+    for (x, y), clear in zip(where, seen, strict=True):
+        _disc(pixels, x, y, radius + max(0.7, radius * 0.3), (255, 255, 255), 0.9 if clear else HIDDEN / 2)
+        _disc(pixels, x, y, radius, DOT, 1.0 if clear else HIDDEN)
+    image.paste(Images.fromarray((pixels + 0.5).astype(np.uint8)))
+    if not numbered:
+        return
+    pen, letters = ImageDraw.Draw(image), font(max(8.0, image.width / 72))
+    shown = np.flatnonzero(seen)
+    texts = [str(numbers[each]) for each in shown]
+    widths = np.array([letters.getlength(text) for text in texts])
+    for text, (x, y) in zip(texts, _label_centers(where, where[shown], widths, radius), strict=True):
+        pen.text(
+            (x, y), text, fill=INK, font=letters, anchor="mm",
+            stroke_width=max(1, round(image.width / 700)), stroke_fill=(255, 255, 255),
+        )  # fmt: skip
+
+
+def _label_centers(dots: FloatArray, places: FloatArray, widths: FloatArray, radius: float) -> FloatArray:
+    """(m, 2) where to centre the labels of the dots at `places` (m, 2): on the side with the most room around it."""
+    turns = np.arange(12) * np.pi / 6
+    taken = [*dots]
+    centers = np.zeros((len(places), 2))
+    for number, (place, width) in enumerate(zip(places, widths, strict=True)):
+        reach = radius * 2.2 + np.stack([width / 2 * np.abs(np.cos(turns)), radius * np.abs(np.sin(turns))], axis=1)
+        choices = place + reach * np.stack([np.cos(turns), -np.sin(turns)], axis=1)
+        apart = np.linalg.norm(choices[:, None] - np.array(taken)[None], axis=2)
+        # Crowding falls off steeply; the first, to the right, wins where all sides are free.
+        crowding = (np.maximum(apart, 1.0) ** -3).sum(axis=1)
+        centers[number] = choices[np.argmin(np.round(crowding * radius**3, 3))]
+        taken.append(centers[number])
+    return centers
+
+
+def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
+    """Points (l,) of all meshes' landmarks of a scheme, and their numbers within it.
+
+    :raises InputError: no mesh has the scheme
+    """
+    points, numbers, start = [], [], 0
+    for mesh in parts.meshes:
+        if scheme in mesh.landmarks:
+            indices = np.asarray(mesh.landmarks[scheme].indices, dtype=np.int64)
+            points.append(indices + start)
+            numbers.append(np.arange(len(indices)))
+        start += len(mesh.points)
+    if not points:
+        known = sorted({name for mesh in parts.meshes for name in mesh.landmarks})
+        raise InputError(f"{parts.name} -> landmarks", unknown(scheme, known, "scheme"))
+    return np.concatenate(points), np.concatenate(numbers)
+
+
+def _visible(scene: Scene, screen: FloatArray, points: IntArray, size: tuple[int, int]) -> BoolArray:
+    """(l,) points with nothing opaque clearly in front of them."""
+    width, height = size
+    solid = scene.triangles[~scene.see_through]
+    nearness = rasterise(screen_triangles(screen, solid), width, height).nearness
+    at = screen[points, :2] / screen[points, 3:]
+    column = np.clip(np.floor(at[:, 0]), 0, width - 1).astype(np.int64)
+    row = np.clip(np.floor(at[:, 1]), 0, height - 1).astype(np.int64)
+    depth = screen[points, 3]
+    slack = 0.02 * float(np.ptp(screen[np.unique(scene.triangles), 3])) if len(scene.triangles) else 0.0
+    return np.asarray(nearness[row, column] * (depth - slack) <= 1.0)
+
+
+def _disc(pixels: FloatArray, x: float, y: float, radius: float, color: tuple[int, int, int], opacity: float) -> None:
+    """Blend a smooth-edged disc into (h, w, 3) pixels."""
+    height, width = pixels.shape[:2]
+    left, right = max(0, int(x - radius - 2)), min(width, int(x + radius + 3))
+    top, bottom = max(0, int(y - radius - 2)), min(height, int(y + radius + 3))
+    if right <= left or bottom <= top:
+        return
+    columns, rows = np.arange(left, right) + 0.5 - x, np.arange(top, bottom) + 0.5 - y
+    cover = np.clip(radius + 0.5 - np.hypot(columns[None, :], rows[:, None]), 0, 1)[..., None] * opacity
+    pixels[top:bottom, left:right] += (np.array(color) - pixels[top:bottom, left:right]) * cover
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionColors:
+    """Regions to paint on the face, the first one in the first colour of `PALETTE`.
+
+    :raises InputError: no regions, or negative values
+    """
+
+    masks: dict[str, FloatArray] = field(repr=False)  # region -> (n,) mask over the points of all meshes in mesh order
+
+    def __post_init__(self) -> None:
+        if not self.masks:
+            raise InputError("regions", "none on the face, expected some to draw")
+        for name, mask in self.masks.items():
+            if np.min(mask, initial=0.0) < 0:
+                raise InputError(f"regions -> {name}", "negative values, expected 0 to 1")
+
+    @classmethod
+    def from_parts(cls, parts: FaceParts) -> RegionColors:
+        """All regions of a face, by name.
+
+        :raises InputError: it has none
+        """
+        return cls(masks=all_regions(parts.meshes))
+
+    @property
+    def table(self) -> FloatArray:
+        """(n, k) masks."""
+        return np.stack([np.asarray(mask, dtype=np.float64) for mask in self.masks.values()], axis=1)
+
+    @property
+    def entries(self) -> list[tuple[str, FloatArray]]:
+        """Names and sRGB colours for the legend; grey for points without region, where there are any."""
+        colors = region_colors(len(self.masks))
+        bare = (self.table.sum(axis=1) <= 0).any()
+        return [*zip(self.masks, colors, strict=True), *([(NONE, np.array(NO_VALUE))] if bare else [])]
+
+    @property
+    def colors(self) -> FloatArray:
+        """(n, 3) linear colours of the points."""
+        table = self.table
+        total = table.sum(axis=1, keepdims=True)
+        mixed = (table / np.where(total > 0, total, 1.0)) @ from_srgb(region_colors(len(self.masks)))
+        return np.where(total > 0, mixed, from_srgb(np.array(NO_VALUE)))
+
+
+def region_colors(count: int) -> FloatArray:
+    """(count, 3) sRGB colours in 0..1; beyond the palette darker and lighter rounds of it."""
+    rounds, place = np.divmod(np.arange(count), len(PALETTE))
+    depth = (rounds + 1) // 2  # 0, 1, 1, 2, 2 ...
+    target = np.where(rounds % 2 == 1, 0.0, 1.0)[:, None]
+    share = (1 - 0.6**depth)[:, None]
+    return np.asarray(PALETTE[place] * (1 - share) + target * share)
+
+
+def legend_width(regions: RegionColors, size: int) -> int:
+    """Pixels at the right that the legend takes: at most two fifths of the picture."""
+    letters = _letters(regions, size)
+    widest = max(font(letters).getlength(name) for name, _ in regions.entries)
+    return round(min(widest + letters * 3.4, size * 0.4))
+
+
+def draw_legend(image: Image, regions: RegionColors) -> None:
+    """Swatches with names at the right side; what finds no room is counted below."""
+    from PIL import ImageDraw
+
+    size, entries = image.width, regions.entries
+    letters = _letters(regions, size)
+    step, room = letters * 1.7, int(size * 0.92 / (letters * 1.7))
+    shown = entries if len(entries) <= room else entries[: room - 1]
+    left, right = size - legend_width(regions, size) + letters * 0.6, size - letters * 0.5
+    top = (size - step * (len(shown) + (len(shown) < len(entries)))) / 2
+    pen, line = ImageDraw.Draw(image), max(1, round(letters / 14))
+    for number, (name, color) in enumerate(shown):
+        y = top + step * (number + 0.5)
+        box = (round(left), round(y - letters * 0.5), round(left + letters), round(y + letters * 0.5))
+        pen.rectangle(box, fill=tuple(int(value) for value in color * 255 + 0.5), outline=INK, width=line)
+        at = left + letters * 1.6
+        pen.text((at, y), _shortened(name, letters, right - at), fill=INK, font=font(letters), anchor="lm")
+    if len(shown) < len(entries):
+        text = f"and {len(entries) - len(shown)} more"
+        pen.text((left, top + step * (len(shown) + 0.5)), text, fill=INK, font=font(letters), anchor="lm")
+
+
+def _letters(regions: RegionColors, size: int) -> float:
+    """Height of the letters that lets all names stand below each other, or the least that can be read."""
+    return max(8.0, min(text_size(size), size * 0.92 / 1.7 / len(regions.entries)))
+
+
+def _shortened(name: str, letters: float, room: float) -> str:
+    if font(letters).getlength(name) <= room:
+        return name
+    while name and font(letters).getlength(f"{name}...") > room:
+        name = name[:-1]
+    return f"{name}..."

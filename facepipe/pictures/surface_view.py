@@ -13,8 +13,7 @@ from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangles
 from facepipe.pictures.camera import Camera
-from facepipe.pictures.landmarks import DOT
-from facepipe.pictures.overlay import INK, font
+from facepipe.pictures.overlay import DOT, INK, font
 
 if TYPE_CHECKING:
     from PIL.Image import Image

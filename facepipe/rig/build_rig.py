@@ -10,8 +10,7 @@ from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
-from facepipe.rig.activation import Curve, curves
-from facepipe.rig.rig import Rig, Target
+from facepipe.rig.rig import Curve, Rig, Target, curves
 
 _Sculpt = tuple[str, int, Curve, npt.NDArray[np.int32], FloatArray]
 

@@ -10,9 +10,8 @@ from facepipe.core.arrays import BoolArray, IntArray
 from facepipe.core.errors import FacepipeError
 from facepipe.core.reports import Report
 from facepipe.declare import check_ranges, option
-from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.polygons import merge_points, point_normals
-from facepipe.geometry.scan_surface import SurfaceReport, clean_surface
+from facepipe.geometry.scan_surface import SurfaceReport, clean_surface, cloud_normals
 from facepipe.scans import Scan
 
 

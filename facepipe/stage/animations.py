@@ -16,9 +16,8 @@ from facepipe.parts import Animation, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
 from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute
-from facepipe.stage.differences import same
 from facepipe.stage.prims import author_name, editable, free_path
-from facepipe.stage.values import to_floats, to_quatf, to_vec3f, to_vec3h
+from facepipe.stage.values import same, to_floats, to_quatf, to_vec3f, to_vec3h
 
 _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "joints": ("joints", list),

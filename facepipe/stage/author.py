@@ -21,8 +21,7 @@ from facepipe.stage.files import check_suffix, new_stage, relative_path, save_la
 from facepipe.stage.materials import author_materials, textures_of
 from facepipe.stage.photos import author_photo_changes, check_photos
 from facepipe.stage.skeleton import author_limits, author_recipe, author_skeleton
-from facepipe.stage.slider_network import author_slider_network, check_face_network
-from facepipe.stage.sliders import author_sliders, check_sliders
+from facepipe.stage.sliders import author_slider_network, author_sliders, check_face_network, check_sliders
 from facepipe.stage.textures import TextureFolder, texture_home
 
 

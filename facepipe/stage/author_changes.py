@@ -17,15 +17,13 @@ from facepipe.parts import BoneLimits, FaceParts, Mesh, Recipe, Skeleton, Slider
 from facepipe.stage.animations import author_animation_changes
 from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
 from facepipe.stage.author_mesh import author_mesh_changes, author_other_mesh, author_point_values, check_mesh_change
-from facepipe.stage.differences import require_same, same
 from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.skeleton import author_limits, author_recipe
-from facepipe.stage.slider_network import author_network_change, check_face_network
-from facepipe.stage.sliders import author_sliders, check_sliders
-from facepipe.stage.values import to_matrices
+from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
+from facepipe.stage.values import require_same, same, to_matrices
 
 
 def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:

@@ -13,10 +13,9 @@ from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import Blendshape, Inbetween
 from facepipe.stage.api_schemas import put
-from facepipe.stage.differences import same
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.prims import author_name, editable, label
-from facepipe.stage.values import floats, ints, to_ints, to_vec3f
+from facepipe.stage.values import floats, ints, same, to_ints, to_vec3f
 
 MOST_INBETWEENS = 100  # of a shape: each is a curve through the weights of all
 

@@ -6,21 +6,141 @@ takes all variants and payloads, and instances in full.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pxr import Ar, Pcp, Sdf
+import numpy as np
+from pxr import Ar, Pcp, Sdf, Usd, UsdSkel
 
 from facepipe.core.errors import InputError
-from facepipe.stage.guard import USD_ERRORS
+from facepipe.core.policy.bounds import Budget, same_file
+from facepipe.stage.assets import file_of
+from facepipe.stage.guard import UNREADABLE, USD_ERRORS
 from facepipe.stage.layer_files import MOST_LEVELS, LayerTable, open_layer
 
+MOST_SCHEMAS = 1250  # on a prim, and the root of the squares of all lists of them: USD takes up to 3 us for each square
+MOST_STEPS = 1000  # properties that lead on, from one to all that it leads to, each as often as USD comes there
+_FEW_SCHEMAS = 10
+_EVERYTHING = Usd.TraverseInstanceProxies(Usd.PrimAllPrimsPredicate)
+_FREE_BYTES, _PER_BYTE = 1 << 23, 8  # of the arrays of a face together: these, and as many for each byte of its layers
+_KINDS_COUNTED = ("Mesh", "BlendShape", "SkelAnimation", "Skeleton", "GeomSubset", "SkelRoot")
+_SCALAR_BYTES = {"bool": 1, "half": 2, "int": 4, "uint": 4, "float": 4, "string": 8, "token": 8, "quatf": 16}  # bytes
+_DEFAULT = Usd.TimeCode.Default()
 MOST_COMPOSED = 250_000  # opinions that arcs add, beyond two a written prim; each costs USD some 10 us and 1 kB
 MOST_LAYERS = 4096  # of a stage
 MOST_SUBLAYERS = 500  # of a layer, those below them included, as often as they come
 _ROOT = Sdf.Path.absoluteRootPath
+
+
+def check_counts(where: object, stage: Usd.Stage) -> None:
+    """Look through a stage without composing what its prims are.
+
+    :raises InputError: too many API schemas, joints too deep, or properties that lead through too many others or back
+        to themselves
+    """
+    root = stage.GetPseudoRoot()
+    _check_schemas(where, root)
+    steps: dict[Sdf.Path, int] = {}
+    for path in root.FindAllAttributeConnectionPaths(_EVERYTHING):
+        if path.IsPropertyPath():
+            _check_steps(where, stage, path, steps)
+    for prim in Usd.PrimRange(root, _EVERYTHING):
+        if prim.IsA(UsdSkel.Skeleton):
+            _check_joints(where, prim)
+        for relationship in prim.GetAuthoredRelationships():
+            _check_steps(where, stage, relationship.GetPath(), steps)
+
+
+def _check_schemas(where: object, root: Usd.Prim) -> None:
+    lists: set[tuple[str, ...]] = set()
+    squares = 0
+    for prim in Usd.PrimRange(root, _EVERYTHING):
+        applied = tuple(prim.GetPrimTypeInfo().GetAppliedAPISchemas())
+        if len(applied) > _FEW_SCHEMAS and applied not in lists:
+            lists.add(applied)
+            squares += len(applied) ** 2
+            if squares > MOST_SCHEMAS**2:
+                found = f"{len(applied)} API schemas here and {sum(map(len, lists)) - len(applied)} on other prims"
+                raise InputError(f"{where} -> {prim.GetPath()}", f"{found}, expected at most {MOST_SCHEMAS}")
+
+
+def _check_joints(where: object, prim: Usd.Prim) -> None:
+    try:
+        joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() or ()
+        deepest = max((str(joint).count("/") for joint in joints), default=0)
+    except UNREADABLE:
+        return  # its reader reports that
+    if deepest >= MOST_LEVELS:
+        raise InputError(f"{where} -> {prim.GetPath()}.joints", f"nests joints more than {MOST_LEVELS} deep")
+
+
+def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[Sdf.Path, int]) -> None:
+    """Follow a property as USD does, which goes several ways to one and the same several times.
+
+    :param steps: of the properties that were followed; filled in
+    """
+    # a list instead of recursion, which a long chain of connections would end at Python's limit
+    todo, begun = [start], set()
+    while todo:
+        path = todo[-1]
+        if path in steps:
+            todo.pop()
+        elif path not in begun:
+            begun.add(path)
+            onward = _onward(stage, path)
+            if any(following in begun and following not in steps for following in onward):
+                raise InputError(f"{where} -> {path}", "leads back to itself, expected an end")
+            todo.extend(onward)
+        else:
+            onward = _onward(stage, path)
+            steps[path] = 1 + sum(steps[following] for following in onward) if onward else 0
+            if steps[path] > MOST_STEPS:
+                raise InputError(f"{where} -> {path}", f"leads through more than {MOST_STEPS} properties")
+
+
+def _onward(stage: Usd.Stage, path: Sdf.Path) -> list[Sdf.Path]:
+    found = stage.GetPropertyAtPath(path)
+    paths = found.GetConnections() if isinstance(found, Usd.Attribute) else found.GetTargets() if found else []
+    return [target for target in paths if target.IsPropertyPath()]
+
+
+def check_arrays(prims: Sequence[Usd.Prim], where: object) -> None:
+    """:raises InputError: arrays far beyond what the files of the stage hold; one that is made in memory has any"""
+    stage = prims[0].GetStage() if prims else None
+    layers = [] if stage is None else [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
+    if any(layer.anonymous for layer in layers):
+        return
+    budget = Budget(_FREE_BYTES, _PER_BYTE)
+    for layer in layers:
+        file = file_of(layer.realPath)
+        if file.is_file():
+            budget.grant(os.stat(file).st_size, same_file(file))  # noqa: PTH116
+    for prim in prims:
+        if prim.GetTypeName() in _KINDS_COUNTED:
+            for size in _sizes(prim):
+                budget.spend(size, lambda what: InputError(where, what))
+
+
+def _sizes(prim: Usd.Prim) -> Iterator[int]:
+    """Bytes of each array of a prim; of an animation, all time samples, and else one, as no more is read."""
+    for attribute in prim.GetAuthoredAttributes():
+        if not attribute.GetTypeName().isArray:
+            continue
+        times = attribute.GetNumTimeSamples()
+        try:
+            value = attribute.Get(Usd.TimeCode.EarliestTime() if times else _DEFAULT)
+        except UNREADABLE:
+            continue  # its reader reports that
+        yield (max(times, 1) if prim.IsA(UsdSkel.Animation) else 1) * _bytes(value, attribute.GetTypeName())
+
+
+def _bytes(value: Any, kind: Sdf.ValueTypeName) -> int:
+    if value is None or not hasattr(value, "__len__"):
+        return 0
+    return len(value) * _SCALAR_BYTES.get(str(kind.scalarType), np.asarray(kind.scalarType.defaultValue).nbytes)
 
 
 class _Count(NamedTuple):

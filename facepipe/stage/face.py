@@ -39,15 +39,14 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.array_counts import check_arrays
+from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, open_stage, over
 from facepipe.stage.guard import errors_below, usd_errors
 from facepipe.stage.materials import Images, read_material
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
-from facepipe.stage.slider_network import check_face_network, read_slider_network
-from facepipe.stage.sliders import read_sliders
+from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
 
 if TYPE_CHECKING:
     import trimesh

@@ -17,9 +17,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdUtils
 from facepipe.core.atomic import replacing, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
 from facepipe.core.policy.paths import is_below
-from facepipe.stage.composition import checked_layers, composable_layers
+from facepipe.stage.composition import check_counts, checked_layers, composable_layers
 from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
-from facepipe.stage.stage_counts import check_counts
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
 _METADATA = (

@@ -18,7 +18,7 @@ from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Mesh
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.api_schemas import is_applied
-from facepipe.stage.author_controls import author_controls
+from facepipe.stage.controls_over_time import author_controls
 from facepipe.stage.files import check_suffix, check_units, new_stage, open_stage, save_layer
 from facepipe.stage.guard import errors_below, reads_prim
 from facepipe.stage.prims import prims_below

@@ -15,8 +15,7 @@ from pxr import Ar, Sdf
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import PHOTO_SUFFIXES
-from facepipe.core.policy.named import path_named
-from facepipe.core.policy.paths import check_copied, check_model, real_path
+from facepipe.core.policy.paths import check_copied, check_model, path_named, real_path
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
 from facepipe.parts import Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics

@@ -15,9 +15,8 @@ from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.geometry.polygons import components
 from facepipe.geometry.texels import Texels
 from facepipe.heads.people import Look
-from facepipe.pictures.photo_light import harmonics
-from facepipe.textures.observed import GREY, Exposure
-from facepipe.textures.seen_skin import step
+from facepipe.pictures.lighting import harmonics
+from facepipe.textures.seen_skin import GREY, Exposure, step
 from facepipe.textures.skin_surface import SkinSurface
 
 # landmarks of the lips' outer rims, and those across from them

@@ -12,8 +12,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.images import open_image
 from facepipe.geometry.colors import from_srgb
 from facepipe.parts import Material, Mesh, TextureInput
-from facepipe.textures.observed import GREY, Exposure
-from facepipe.textures.seen_skin import step
+from facepipe.textures.seen_skin import GREY, Exposure, step
 from facepipe.textures.skin_surface import SkinSurface
 
 # lengths are shares of the eyes' distance

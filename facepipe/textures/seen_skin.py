@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
-from facepipe.core.arrays import BoolArray, Float32Array, FloatArray
+from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from facepipe.geometry.colors import from_srgb
+from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.networks.masks import FaceMask, face_mask
 from facepipe.parts import PhotoView
+from facepipe.pictures.lighting import PhotoLight, returned
 from facepipe.textures.skin_surface import SkinSurface
 
 _JUMP = 0.07  # of the eyes' distance, in depth: an edge
@@ -21,6 +24,11 @@ _OPENING = (0.004, 0.02)  # the same off eyes, teeth and the mouth's inside
 _FACING = (0.10, 0.40)  # cosine to the viewer
 _FRAME = 4.0  # pixels off the photo's border
 _FACE = (0.3, 0.7)  # share of a pixel that is face, by the network of masks
+GREY = np.array([0.2126, 0.7152, 0.0722])  # brightness of linear light
+DARKEST = 0.004  # linear: of texels and photos, below which a ratio means nothing
+_DIM = (0.03, 0.15)  # of the light where much arrives: where confidence begins, where it is full
+_AROUND = 0.35  # of the eyes' distance, off an eye's middle
+_BLOWN = (0.955, 0.995)  # sRGB: full confidence up to here, none from here
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,3 +129,152 @@ def _distance(marked: BoolArray) -> Float32Array:
     if not marked.any():
         return np.full(marked.shape, 1e6, np.float32)
     return np.asarray(distance_transform_edt(~marked), np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """Texels of one texture that a photo shows."""
+
+    place: IntArray  # (k,) into the texels of the surface
+    ratio: Float32Array  # (k, 3) natural logarithm of the colour over the template's
+    trust: Float32Array  # (k,) 0..1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """A photo, where its camera stood, and its light on a face."""
+
+    pixels: Float32Array  # (h, w, 3) sRGB 0..1
+    seen: SeenSkin
+    light: PhotoLight
+    points: FloatArray  # (n, 3) of the skin, camera coordinates
+    normals: FloatArray  # (n, 3) unit
+    facing: FloatArray  # (n,) cosine between them and the direction to the viewer
+    trust: FloatArray  # (n,) 0..1, by geometry
+    white: FloatArray  # (n, 3) linear light that white matt points show
+    all_points: FloatArray  # of all meshes, as `points`
+    all_white: FloatArray  # as `white`
+    eye_whites: FloatArray | None = None  # (3,) logarithms of what whites of eyes show over that, where any are seen
+
+    def light_around(self, span: slice) -> FloatArray:
+        """(3,) median light of the skin around some points of all meshes: what lids let through is hardly known."""
+        off = np.linalg.norm(self.points - self.all_points[span].mean(axis=0), axis=1)
+        near = (off < _AROUND * self.seen.eye_distance) & (self.trust > 0)
+        return np.asarray(np.median(self.white[near], axis=0)) if near.any() else np.ones(3)
+
+    @property
+    def eye_pixels(self) -> float:
+        """Pixels of the photo between the eyes."""
+        return self.seen.eye_distance * self.view.focal / float(np.median(-self.points[:, 2]))
+
+    @property
+    def clarity(self) -> float:
+        """Pixels between the eyes, less where the skin is in little light."""
+        lit = self.white[self.trust > 0]
+        bright = float(np.median(lit @ GREY)) if len(lit) else 0.0
+        return self.eye_pixels * min(1.0, bright)
+
+    @property
+    def view(self) -> PhotoView:
+        """The photo's camera and light."""
+        return self.seen.view
+
+
+def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: FloatArray) -> Exposure:
+    """What a photo shows of the skin.
+
+    :param points: (n, 3) world points of all meshes as they are in the photo
+    """
+    seen = seen_skin(skin, view, pixels, points)
+    everything = to_camera(view, points)
+    normals = point_normals(everything, skin.opaque)
+    whole = PhotoLight.on_points(view, everything, normals, skin.opaque)
+    light = PhotoLight(view=view, hidden=whole.hidden[skin.span], arriving=whole.arriving[skin.span])
+    local, own = everything[skin.span], normals[skin.span]
+    places, depth = to_pixels(view, local)
+    facing = (own * _unit(-local)).sum(axis=1)
+    trust = seen.confidence(places, depth, facing) * skin.outside
+    white = whole.white(normals, whole.hidden, whole.arriving)
+    return Exposure(
+        pixels=pixels,
+        seen=seen,
+        light=light,
+        points=local,
+        normals=own,
+        facing=facing,
+        trust=trust,
+        white=white[skin.span],
+        all_points=everything,
+        all_white=white,
+    )
+
+
+def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArray) -> Observed:
+    """What a photo shows of one of the skin's textures.
+
+    :param template: (m, 3) linear colours of the texture's texels
+    """
+    texels = skin.textures[number].texels
+    near = (photo.trust > 0) | _beside(skin, photo.trust > 0)
+    place = np.flatnonzero(near[texels.corners].any(axis=1))
+    part = texels.taken(place)
+    local = part.carried(photo.points)
+    normals = _unit(part.carried(photo.normals))
+    towards_eye = _unit(-local)
+    pixels, depth = to_pixels(photo.view, local)
+    trust = photo.seen.confidence(pixels, depth, (normals * towards_eye).sum(axis=1))
+    trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
+    kept = np.flatnonzero(trust > 0)
+    place, part, normals, towards_eye, pixels, trust = (
+        place[kept],
+        part.taken(kept),
+        normals[kept],
+        towards_eye[kept],
+        pixels[kept],
+        trust[kept],
+    )
+    shown = sampled(photo.pixels, pixels, _spacing(part.at, pixels))
+    hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
+    white = photo.light.white(normals, hidden, arriving)
+    linear = from_srgb(np.clip(shown, 0, 1))
+    glint = np.minimum(photo.light.mirrored(normals, towards_eye, arriving), 0.4 * linear)
+    bright = float(np.quantile(photo.white[photo.trust > 0] @ GREY, 0.8))
+    trust = trust * step(white @ GREY / bright, *_DIM) * (1 - step(shown.max(axis=1), *_BLOWN) * 0.9)
+    floor = np.maximum(white, _DIM[0] * bright)
+    matt = np.maximum(linear - glint, DARKEST) / floor
+    ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(template[place])
+    return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
+
+
+def _beside(skin: SkinSurface, marked: BoolArray) -> BoolArray:
+    """(n,) points next to marked ones (n,)."""
+    beside = np.zeros(len(marked), bool)
+    for one, other in (skin.edges.T, skin.edges.T[::-1]):
+        beside[one[marked[other]]] = True
+    return beside
+
+
+def _spacing(at: IntArray, pixels: FloatArray) -> float:
+    """Pixels of the photo from one texel to the next."""
+    neighbours = np.flatnonzero(np.diff(at) == 1)
+    if not len(neighbours):
+        return 1.0
+    return float(np.median(np.linalg.norm(pixels[neighbours + 1] - pixels[neighbours], axis=1)))
+
+
+def sampled(pixels: Float32Array, places: FloatArray, spacing: float) -> Float32Array:
+    """(m, 3) of a photo (h, w, 3) at places (m, 2), cubic, blurred where texels are wider than its pixels."""
+    if not len(places):
+        return np.zeros((0, 3), np.float32)
+    low = np.maximum(np.floor(places.min(axis=0)).astype(int) - 8, 0)
+    high = np.ceil(places.max(axis=0)).astype(int) + 8
+    part = pixels[low[1] : high[1], low[0] : high[0]]
+    if spacing > 1.2:
+        part = gaussian_filter(part, (0.45 * spacing, 0.45 * spacing, 0))
+    at = np.stack([places[:, 1] - low[1] - 0.5, places[:, 0] - low[0] - 0.5]).astype(np.float32)
+    channels = [map_coordinates(part[..., channel], at, order=3, mode="nearest") for channel in range(3)]
+    return np.stack(channels, axis=1).astype(np.float32)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

@@ -15,11 +15,12 @@ from facepipe.core.images import open_image
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.geometry.polygons import edges, point_areas, point_normals, triangulate
-from facepipe.geometry.texels import Texels, texels_of
-from facepipe.geometry.texture_fill import membrane
+from facepipe.geometry.texels import Texels, membrane, texels_of
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
 from facepipe.pictures.occlusion import visible_sky
+from facepipe.stage import Face
+from facepipe.stage.materials import author_opacity
 
 SCHEME = "multipie68"
 LEFT = (*range(17, 22), *range(36, 42), 31, 48, 3, 6)  # landmarks whose mirrors are known
@@ -27,6 +28,8 @@ RIGHT = (*range(26, 21, -1), 45, 44, 43, 42, 47, 46, 35, 54, 13, 10)
 _SKY_RESOLUTION = 256  # map pixels
 _OPEN = 0.15  # share of the sky: insides of mouth, nostrils and eye sockets see less
 _SAME = 0.03  # of the eyes' distance: a mirrored point may lie so far from another
+_BROWS = slice(17, 27)  # landmarks
+_REACH = 0.25  # of the eyes' distance: cards of brows lie so near to them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,3 +217,24 @@ def mirrored_points(points: FloatArray, landmarks: IntArray) -> IntArray:
     distance, nearest = cKDTree(points).query(image)
     reach = _SAME * eye_distance(points[landmarks])
     return np.where(distance <= reach, nearest, -1)
+
+
+def hide_brow_cards(face: Face, skin: SkinSurface) -> tuple[str, ...]:
+    """Make cards that lie on the brows transparent, within `Face.deriving`; their materials."""
+    cards = brow_cards(face, skin)
+    for prim in cards:
+        author_opacity(face.stage.GetPrimAtPath(prim), 0.0)
+    return tuple(material.name for material in cards.values())
+
+
+def brow_cards(face: Face, skin: SkinSurface) -> dict[str, Material]:
+    """The materials of cards that lie on the brows, by their prims."""
+    rest = transformed(skin.mesh.points, skin.mesh.transform)
+    brows, reach = rest[skin.landmarks[_BROWS]], _REACH * skin.eye_distance(rest)
+    near = {
+        mesh.material
+        for mesh in face.meshes
+        if cKDTree(brows).query(transformed(mesh.points, mesh.transform))[0].max() < reach
+    }
+    cut = {one.name: one for one in face.materials if one.name in near and isinstance(one.opacity, TextureInput)}
+    return {prim: cut[name] for prim, name in face.material_names.items() if name in cut}

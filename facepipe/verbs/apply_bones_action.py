@@ -43,8 +43,7 @@ class ApplyCoefficients(StageAction["ApplyBonesReport"]):
 
     def author(self, face: Face, job: Job) -> ApplyBonesReport:
         from facepipe.payload import decode
-        from facepipe.verbs.apply_bones import ApplyBones
-        from facepipe.verbs.bone_payload import payload_bytes
+        from facepipe.verbs.apply_bones import ApplyBones, payload_bytes
 
         recipe, data = job.recipe(), payload_bytes(self.coefficients)
         content = decode(data, face.skeleton.joints, self.coefficients)

@@ -17,10 +17,9 @@ from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.blend.normals import blend_normals, normal_offsets
+from facepipe.verbs.blend.result import blend_normals, normal_offsets
 from facepipe.verbs.blend.rigs import blend_skeletons, rebase_animations
-from facepipe.verbs.same_topology import check_spaces
-from facepipe.verbs.whole_faces import to_millimetres
+from facepipe.verbs.whole_faces import check_spaces, to_millimetres
 
 _STILL_MM = 1e-4  # points that a shape moves by less stay where they are
 _STILL = 1e-9  # of the face's size: rounding

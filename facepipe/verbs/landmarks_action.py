@@ -32,7 +32,7 @@ class AuthorLandmarks(StageAction["LandmarksReport"]):
     mesh: str | None = option(None, "mesh they lie on (default: the one with most points)")
 
     def author(self, face: Face, job: Job) -> LandmarksReport:
-        from facepipe.importers.landmark_file import read_landmarks
+        from facepipe.importers.obj import read_landmarks
         from facepipe.stage.skeleton import author_recipe
         from facepipe.verbs.landmarks import LandmarksReport, mesh_of, set_landmarks
 

@@ -40,8 +40,7 @@ class AuthorRegions(MapSampling, StageAction["RegionsReport"]):
     def author(self, face: Face, job: Job) -> RegionsReport:
         from facepipe.core.images import read_png
         from facepipe.stage.skeleton import author_recipe
-        from facepipe.verbs.region_legend import read_legend
-        from facepipe.verbs.regions import SetRegions
+        from facepipe.verbs.regions import SetRegions, read_legend
 
         recipe = job.recipe()
         set_regions = SetRegions(

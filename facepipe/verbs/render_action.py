@@ -10,20 +10,33 @@ examples:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
-from facepipe.declare import option, source
+from facepipe.declare import BONE_HELP, named_numbers, option, source
 from facepipe.kinds import FileAction, Job, action
-from facepipe.verbs.posed import Posed
 
 if TYPE_CHECKING:
     from facepipe.core.arrays import FloatArray
     from facepipe.pictures import HeatMap
     from facepipe.stage import Face
+
+_NUMBERS: dict[str, Any] = {"parse": named_numbers, "kept": False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posed:
+    """Base of actions that pose a face."""
+
+    weights: Mapping[str, float] = option(dict, "shape weight", flag="--set", metavar="SHAPE=WEIGHT", **_NUMBERS)
+    bones: Mapping[str, float] = option(dict, BONE_HELP, flag="--bone", metavar="JOINT:CHANNEL=VALUE", **_NUMBERS)
+    sliders: Mapping[str, float] = option(
+        dict, "slider value, over those that are set", flag="--slider", metavar="SLIDER=VALUE", **_NUMBERS
+    )
 
 
 @action("render", "draw a face")

@@ -34,8 +34,7 @@ from tongue import tongue_out
 
 from facepipe.geometry.polygons import back_of_border
 from facepipe.heads.asset import unpacked
-from facepipe.importers.ict import REGIONS, head_regions
-from facepipe.importers.ict_topology import LANDMARKS, MATERIALS
+from facepipe.importers.ict import LANDMARKS, MATERIALS, REGIONS, head_regions
 
 ROOT = Path(__file__).parents[2]
 LICENCES = {"ict_facekit/LICENSE": "LICENSE.ICT-FaceKit.txt", "makehuman/LICENSE.ASSETS.md": "LICENSE.MakeHuman.md"}

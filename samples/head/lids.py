@@ -12,8 +12,8 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 from skeleton import Skeleton
 
-from facepipe.heads.controls import MEET
-from facepipe.importers.ict_topology import MATERIALS
+from facepipe.heads.assembly import MEET
+from facepipe.importers.ict import MATERIALS
 
 RINGS = 13  # 0 behind the margin, 1 to 4 the margin, then out over the lid
 _LASHES = 3  # the ring where margins meet

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from masks import MASKS, masks
 from measure_table import MEASURES, SPOTS, Measure
 
-from facepipe.geometry.differences import cotangent_weights, incidence
+from facepipe.geometry.gradient_system import cotangent_weights, incidence
 from facepipe.geometry.polygons import point_areas, point_triangles
 from facepipe.geometry.vectors import to_segment
 

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.importers.ict import face_materials, shape_name
-from facepipe.importers.ict_model import read_model
-from facepipe.importers.ict_topology import EXPRESSIONS, PARTS
+from facepipe.importers.ict import EXPRESSIONS, PARTS, face_materials, read_model, shape_name
 
 LAST = "Eyeball right"  # of the parts that are kept; then come tear film, lashes and shadow meshes
 KEPT = PARTS[: 1 + [part.title for part in PARTS].index(LAST)]

@@ -18,7 +18,7 @@ from model import KEPT, Floats, Ints, Model
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import SMALLEST_SHARE, heat_weights, influences, normalised
 from facepipe.importers import load
-from facepipe.importers.ict_topology import LANDMARKS
+from facepipe.importers.ict import LANDMARKS
 from facepipe.parts import FaceParts
 from facepipe.verbs.skin.from_face import from_face
 from facepipe.verbs.skin.surface import Surface, surface_of

@@ -18,7 +18,7 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.warp import fit_warp
 from facepipe.importers.makehuman import landmark_points
-from facepipe.importers.makehuman_data import MakeHumanData, read_data
+from facepipe.importers.makehuman_rig import MakeHumanData, read_data
 
 FACE = 9409  # points of the face of ICT-FaceKit
 RIDGE = 10.0  # cm^2 of squared motion, summed over the face's points, that a squared standard deviation is worth

@@ -25,7 +25,7 @@ from facepipe.checks import validate
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import save_parts
-from facepipe.stage.differences import same
+from facepipe.stage.values import same
 
 pytestmark = [pytest.mark.gate, pytest.mark.slow, needs_blender]
 

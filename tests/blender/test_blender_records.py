@@ -14,7 +14,7 @@ from facepipe_blender.record import Kept, keep, kept_in
 from faces import tiny_face
 
 from facepipe.core.errors import SchemaError
-from facepipe.stage.differences import same
+from facepipe.stage.values import same
 
 KEPT = Kept(
     parts=tiny_face(),

@@ -11,8 +11,8 @@ from faces import replace_mesh, tiny_face
 
 from facepipe.hosting.edited_face import edited_face
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Recipe, Slider
-from facepipe.rig.activation import curves
-from facepipe.stage.differences import same
+from facepipe.rig.rig import curves
+from facepipe.stage.values import same
 
 
 def before() -> FaceParts:

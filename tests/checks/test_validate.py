@@ -23,14 +23,14 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 import facepipe
 from facepipe import parts as p
 from facepipe.checks import CHECKS, validate, validate_stage
-from facepipe.checks.usd_registry import available, register
+from facepipe.checks.checks import available, register
 from facepipe.core.errors import InputError
 from facepipe.core.reading import digest
 from facepipe.importers import load
 from facepipe.neural import save_neural_rig
 from facepipe.stage import Face, save_parts
 from facepipe.stage.neural_rig_link import author_neural_rig_link
-from facepipe.stage.slider_network import author_slider_network
+from facepipe.stage.sliders import author_slider_network
 
 NAN = float("nan")
 RIGS = tempfile.TemporaryDirectory()  # of neural rigs that stages link

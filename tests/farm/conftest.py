@@ -14,10 +14,8 @@ from places import REPOSITORY
 
 from facepipe.core.policy import children
 from facepipe.farm import child
-from facepipe.farm.batch import batch
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import read_plan
-from facepipe.farm.report import BatchReport
+from facepipe.farm.batch import BatchReport, batch
+from facepipe.farm.plan import RunOptions, read_plan
 
 Runner = Callable[..., BatchReport]
 

@@ -24,7 +24,7 @@ from places import SUPPORT
 from textures import COLORS, picture, textured
 
 from facepipe.core.locks import try_lock
-from facepipe.farm import cluster
+from facepipe.farm import child
 from facepipe.farm.batch import batch
 from facepipe.farm.plan import read_plan
 from facepipe.parts import Material
@@ -152,7 +152,7 @@ def test_a_cluster_that_says_nothing_more_is_given_up(
     show: Path, run_plan: Runner, farm: Farm, expected: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, lost: str
 ) -> None:
     for name, seconds in {"_LOOK": 0.1, "_ABSENT": 2.0, "_PATIENCE": 1.0}.items():  # minutes
-        monkeypatch.setattr(cluster, name, seconds)
+        monkeypatch.setattr(child, name, seconds)
     (show / "plan.toml").write_text(SLOW)
     worker = farm.worker()
 

@@ -23,11 +23,9 @@ from farm_cluster import Farm, children, farm_in, until
 
 from facepipe.core import __version__
 from facepipe.core.errors import InputError
-from facepipe.farm import cluster
-from facepipe.farm.batch import batch
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import read_plan
-from facepipe.farm.report import BatchReport
+from facepipe.farm import child
+from facepipe.farm.batch import BatchReport, batch
+from facepipe.farm.plan import RunOptions, read_plan
 
 pytest.importorskip("distributed")
 FACEPIPE = [sys.executable, "-m", "facepipe"]
@@ -200,7 +198,7 @@ def test_a_cluster_that_vanishes_is_a_line_and_the_next_run_does_the_rest(show: 
 
 
 def test_a_cluster_that_is_not_there_is_a_line(show: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 0.1)
+    monkeypatch.setattr(child, "_CONNECT", 0.1)
     (show / "plan.toml").write_text(PLAN)
     code, out, err = command(capsys, "batch", show / "plan.toml", "--cluster", "tcp://127.0.0.1:9")
     assert (code, out, err.count("\n")) == (2, "", 1)

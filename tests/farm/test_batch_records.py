@@ -18,8 +18,7 @@ from conftest import PLAN, Runner
 from trespass import trespassing
 
 from facepipe.core.errors import InputError
-from facepipe.core.policy.paths import Trust, private_folder, trusting
-from facepipe.core.policy.urls import Reach, typed_roots
+from facepipe.core.policy.paths import Reach, Trust, private_folder, trusting, typed_roots
 from facepipe.farm.batch import batch
 from facepipe.farm.contents import Contents
 from facepipe.farm.ledger import FILE, is_outcome, is_record, ledger_in, parsed

@@ -13,8 +13,7 @@ from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
 from facepipe.farm.batch import batch
-from facepipe.farm.options import RunOptions
-from facepipe.farm.plan import each, read_plan
+from facepipe.farm.plan import RunOptions, each, read_plan
 from facepipe.farm.table import read_table
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facepipe.geometry.differences import LARGEST_COTANGENT, SMALLEST_COTANGENT, cotangent_weights
+from facepipe.geometry.gradient_system import LARGEST_COTANGENT, SMALLEST_COTANGENT, cotangent_weights
 
 _ROOT = np.sqrt(3.0)
 

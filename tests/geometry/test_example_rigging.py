@@ -10,10 +10,8 @@ from solids import sheet_and_tetrahedron
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
-from facepipe.geometry.example_rigging.detail import dealt_out
-from facepipe.geometry.example_rigging.examples import examples_of
-from facepipe.geometry.example_rigging.field_solve import solve_fields
-from facepipe.geometry.example_rigging.field_system import FieldSystem
+from facepipe.geometry.example_rigging.field_solve import FieldSystem, examples_of, solve_fields
+from facepipe.geometry.example_rigging.split import dealt_out
 
 SIZE = 13
 SHEET = SIZE * SIZE  # points 0..168: a sheet of 120 mm; then a loose tetrahedron, and a point in no triangle

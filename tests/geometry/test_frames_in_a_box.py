@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facepipe.geometry.frames_in_a_box import Box
+from facepipe.geometry.bounded_least_squares import Box
 
 
 def test_ways_end_at_0_and_at_the_limits_and_a_small_slope_does_not_leave_0() -> None:

@@ -12,9 +12,16 @@ from hypothesis import strategies as st
 from solvers import SOLVERS
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.differences import cotangent_weights, edge_vectors, incidence
 from facepipe.geometry.factor import Solver, factorise
-from facepipe.geometry.gradient_system import Bridges, GradientSystem, joint_bridges, part_bridges
+from facepipe.geometry.gradient_system import (
+    Bridges,
+    GradientSystem,
+    cotangent_weights,
+    edge_vectors,
+    incidence,
+    joint_bridges,
+    part_bridges,
+)
 from facepipe.geometry.polygons import components, edges, point_triangles
 
 SIZE = 7

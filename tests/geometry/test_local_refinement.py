@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from facepipe.core.errors import FitError
 from facepipe.geometry.change_smoothness import BlockSystem, ChangeSmoothness, Groups, pairs_within
+from facepipe.geometry.deformation_transfer import Neighbours, TriangleChanges
 from facepipe.geometry.factor import factorise
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, ScanTarget, View
 from facepipe.geometry.similarity import Similarity
-from facepipe.geometry.triangle_frames import Neighbours, TriangleChanges
 
 AT_HOME = Similarity(rotation=np.eye(3), translation=np.zeros(3))
 _NO_ANCHORS = Anchors.at_points(np.zeros(1, np.int64), np.full((1, 3), np.nan))

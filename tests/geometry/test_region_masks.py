@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facepipe.geometry.polygons import edges
-from facepipe.geometry.region_masks import normalise_masks, smooth_masks
+from facepipe.geometry.region_map import normalise_masks, smooth_masks
 
 
 def _strip(count: int, first: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from facepipe.geometry.registration import (
     register,
 )
 from facepipe.geometry.registration.step import Membrane, Pull, solve_step
-from facepipe.geometry.registration.target import Matches
+from facepipe.geometry.registration.surface import Matches
 from facepipe.geometry.similarity import Similarity, fit_similarity
 
 _HEAD = 14062  # points of the ICT head: face, neck, sockets

@@ -12,9 +12,8 @@ from scan_files import volume
 from solids import ball
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.polygons import point_normals
-from facepipe.geometry.scan_surface import CleanSurface, clean_surface
+from facepipe.geometry.scan_surface import CleanSurface, clean_surface, cloud_normals
 
 Array = np.ndarray[Any, Any]
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facepipe.geometry.simplex_fit import SimplexFit, fit_simplex
+from facepipe.geometry.bounded_least_squares import SimplexFit, fit_simplex
 
 ProblemArrays = tuple[np.ndarray, np.ndarray, int, int]
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.geometry.texels import Texels, texels_of
-from facepipe.geometry.texture_fill import KnownOffsets, completed, membrane, spread
+from facepipe.geometry.texels import KnownOffsets, Texels, completed, membrane, spread, texels_of
 
 SIZE = 64
 CELLS = 12  # along the strip, of which each half is on a texture of its own

@@ -15,7 +15,7 @@ import pytest
 from command_line import exit_code
 from engine_faces import FACES, LAYOUTS, LIMITS
 from engines import RUNNERS, File, godot_project, godot_server
-from facepipe_gltf.engines import ENGINES
+from facepipe_gltf.options import ENGINES
 from node import HERE, node_packages
 from pages import blocks
 from places import REPOSITORY

@@ -15,7 +15,7 @@ import pytest
 from engine_faces import FACES, LAYOUTS, LIMITS, Case, cases
 from engines import RUNNERS, godot_project, run_godot
 from facepipe_gltf import Options
-from facepipe_gltf.engines import ENGINES, check_engine, renamed
+from facepipe_gltf.options import ENGINES, check_engine, renamed
 from gltf_builder import Builder
 
 from facepipe.core.errors import InputError

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failed
-from facepipe_gltf.engines import ENGINES
-from facepipe_gltf.influences import integer_weights
+from facepipe_gltf.encoding import integer_weights
+from facepipe_gltf.options import ENGINES
 from faces import replace_mesh, tiny_face
 from gltf_export import (
     TOLERANCE,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from engines import RUNNERS, File, Pose
-from facepipe_gltf.engines import ENGINES
+from facepipe_gltf.options import ENGINES
 from gltf_reader import Gltf, read
 from level_faces import MILLIMETRES, face_with_lips
 from node import three_load, validate

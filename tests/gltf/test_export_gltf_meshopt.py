@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failed
-from facepipe_gltf import Options, export, meshopt
+from facepipe_gltf import Options, document, export
 from facepipe_gltf import validate as check
 from faces import tiny_face
 from gltf_export import Parts, random_weights
@@ -88,7 +88,7 @@ def test_engines_that_cannot_read_it(engine: str, tmp_path: Path, capsys: pytest
 def test_what_is_missing_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(meshopt, "_PROGRAM", meshopt._PROGRAM.replace("meshoptimizer/", "no-such-package/"))
+    monkeypatch.setattr(document, "_PROGRAM", document._PROGRAM.replace("meshoptimizer/", "no-such-package/"))
     assert "npm install --global meshoptimizer" in export_refused(["--meshopt"], tmp_path, capsys)
     monkeypatch.setenv("PATH", str(tmp_path))
     assert "needs node" in export_refused(["--meshopt"], tmp_path, capsys)
@@ -112,12 +112,12 @@ def test_it_is_read_back_as_the_plain_file_is(tmp_path: Path) -> None:
 
 
 def test_a_coder_that_loses_something_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    honest = meshopt._run
+    honest = document._run
 
     def lossy(request: bytes) -> bytes:
         return honest(request)[:-1] + b"\x7f"
 
-    monkeypatch.setattr(meshopt, "_run", lossy)
+    monkeypatch.setattr(document, "_run", lossy)
     with pytest.raises(ExportError, match="when decoded again"):
         export(Parts(tiny_face()), tmp_path / "face.glb", Options(meshopt=True))
     assert not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ import pytest
 
 from facepipe.core.arrays import FloatArray
 from facepipe.heads import make
-from facepipe.heads.controls import bone_sliders
+from facepipe.heads.assembly import bone_sliders
 from facepipe.stage import Face
 
 

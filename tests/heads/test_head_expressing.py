@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facepipe.heads import make
-from facepipe.heads.expressions import VISEMES
+from facepipe.heads.assembly import VISEMES
 from facepipe.stage import Face
 
 

@@ -12,8 +12,8 @@ from masks import masks
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.heads import make
+from facepipe.heads.assembly import directions, identity_sliders
 from facepipe.heads.asset import arrays, asset
-from facepipe.heads.controls import directions, identity_sliders
 from facepipe.stage import Face
 
 MM = 10.0  # of a centimetre

@@ -188,8 +188,8 @@ def test_what_a_file_says_passes_the_check_that_the_page_has(field: Any) -> None
 OPENED = {
     "it comes with facepipe, or is the machine's": """
         facepipe.registry:manifest facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
-        facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.controls:bone_sliders
-        facepipe.heads.controls:identity_sliders facepipe.heads.surfaces:picture_of
+        facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.assembly:bone_sliders
+        facepipe.heads.assembly:identity_sliders facepipe.heads.surfaces:picture_of
         facepipe.networks.masks:own_network facepipe.rig.conventions:_tables
         facepipe.stage.api_schemas:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
@@ -199,8 +199,8 @@ OPENED = {
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
         facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
         facepipe.verbs.blend.blend_action:BlendFaces.check
-        facepipe.scanning.database.info_action:DatabaseInfo.look
-        facepipe.neural.checkpoint:Checkpoint._file
+        facepipe.scanning.database.actions:DatabaseInfo.look
+        facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
         facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos
         facepipe.photo.frames.clip:_most_pixels facepipe.stage.files:check_stage_file
@@ -219,7 +219,7 @@ OPENED = {
         facepipe.stage.files:_without_times facepipe.stage.levels:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
-        facepipe_web.assets:write_assets facepipe_web.server:_Handler._file
+        facepipe_web.viewer:write_assets facepipe_web.server:_Handler._file
         """,
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
@@ -227,7 +227,7 @@ OPENED = {
         facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
         facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
-        facepipe.stage.array_counts:check_arrays
+        facepipe.stage.composition:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
         facepipe.cooking.graph:Node.below facepipe.cooking.graph:Node.lost facepipe.hosting.host_face:recipe_from

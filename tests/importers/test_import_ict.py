@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from import_data import arrays, damaged, packed, refused, shared, wrong_array
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.importers import ict_topology as topology
+from facepipe.importers import ict as topology
 from facepipe.importers import load
 from facepipe.importers.ict import Options, read
 from facepipe.parts import FaceParts, Mesh

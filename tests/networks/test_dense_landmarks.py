@@ -16,7 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.networks import FoundFace, find_landmarks
 from facepipe.networks.files import DenseLandmarkSession, dense_landmark_model, landmark_model
 from facepipe.photo.descent.landmark_rig import dense_points
-from facepipe.photo.fit.gaze import pupil_points
+from facepipe.photo.fit.author import pupil_points
 
 pytestmark = pytest.mark.needs_torch
 

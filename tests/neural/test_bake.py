@@ -29,8 +29,8 @@ from facepipe.neural.sample_motion import BakeMotion
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import slide
 from facepipe.stage import save_parts
-from facepipe.stage.read_controls import ControlTrack, is_recorded
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.stage.controls_over_time import ControlTrack, is_recorded
+from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 FEW = ("--spread", 12, "--sweep", 5, "--together", 6)
 WHOLE = FrameBlocksOptions(block=1000, margin=0)

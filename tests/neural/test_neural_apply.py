@@ -18,7 +18,7 @@ from facepipe.neural import save_neural_rig
 from facepipe.rig import slide
 from facepipe.stage.neural_rig_link import read_neural_rig_link
 from facepipe.stage.recipes import recipe_of
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 
 @pytest.mark.parametrize("kind", ["bones", "points", "points without joints"])

@@ -22,7 +22,7 @@ from facepipe.rig import (
     slide,
 )
 from facepipe.rig.neural_rig import NeuralRig, with_influences
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 PLACES: tuple[tuple[Literal["Y", "Z"], float], ...] = (("Y", 0.01), ("Z", 1.0), ("Z", 0.001))
 

@@ -20,7 +20,7 @@ from facepipe.neural import (
     TrainEncoderOptions,
     TrainNeuralRig,
 )
-from facepipe.neural.checkpoint import KIND
+from facepipe.neural.train_encoder import KIND
 from facepipe.stage import save_parts
 from facepipe.verbs.array_file import read_arrays, write_arrays
 

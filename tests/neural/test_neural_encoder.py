@@ -29,8 +29,7 @@ from facepipe.neural import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.rig.neural_encoder import NeuralEncoder
-from facepipe.rig.neural_rig import NeuralRig, inputs
+from facepipe.rig.neural_rig import NeuralEncoder, NeuralRig, inputs
 from facepipe.stage import save_parts
 
 pytestmark = pytest.mark.needs_torch
@@ -120,7 +119,7 @@ def test_the_numbering_of_points_changes_nothing(motion: Motion) -> None:
 
 
 def test_torch_and_numpy_agree(motion: Motion, trained: TrainedEncoder) -> None:
-    from facepipe.neural.learning.encoder_network import LAYER, evaluate
+    from facepipe.neural.learning.encoder_fit import LAYER, evaluate
 
     encoder = trained.encoder
     names = ("point", "point_bias", "feature", "feature_bias", "token", "places", "reduce", "reduce_bias")

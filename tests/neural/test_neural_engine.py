@@ -21,7 +21,7 @@ from facepipe.neural import load_neural_rig, save_neural_rig, with_neural_rig
 from facepipe.rig import build
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 __all__ = ["writing", "written"]
 

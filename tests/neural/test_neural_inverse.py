@@ -13,14 +13,15 @@ from neural_training import turning_face
 
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.neural import InvertNeuralRig, InvertNeuralRigOptions, load_neural_rig, save_neural_rig
-from facepipe.neural.inverse_frames import ShapeData, SkinnedData
+from facepipe.neural.invert import ShapeData, SkinnedData
 from facepipe.rig import Rig, build
-from facepipe.rig.neural_jacobian import SkinnedPoints, output_derivatives
 from facepipe.rig.neural_rig import (
     Control,
     NeuralRig,
+    SkinnedPoints,
     bones_in,
     from_default,
+    output_derivatives,
     share_limits,
     values_of,
     with_orthonormal_shapes,

@@ -17,14 +17,13 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 import facepipe
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.neural import Motion, ReadClips, TrainEncoder, TrainEncoderOptions, save_neural_rig
-from facepipe.neural.frames_of_stages import read_targets
+from facepipe.neural.read_motion import read_targets
 from facepipe.parts import Animation
 from facepipe.rig import rest_coefficients
 from facepipe.rig.neural_rig import Control, NeuralRig, share_limits, values_of
 from facepipe.stage import save_parts
 from facepipe.stage.animation_source import play
-from facepipe.stage.author_controls import save_controls
-from facepipe.stage.read_controls import read_controls
+from facepipe.stage.controls_over_time import read_controls, save_controls
 from facepipe.verbs.whole_faces import Topology
 
 TOPOLOGY = Topology.of(turning_face())

@@ -22,7 +22,7 @@ from facepipe.neural import (
     TrainNeuralRigOptions,
     with_neural_rig,
 )
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
+from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 __all__ = ["torch", "writing", "written"]
 

@@ -23,9 +23,8 @@ from facepipe.neural import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.neural.carried_rig import Subject, carried
 from facepipe.neural.options import RetargetOptions
-from facepipe.neural.retarget import RetargetNeuralRig, with_own_gains
+from facepipe.neural.retarget import RetargetNeuralRig, Subject, carried, with_own_gains
 from facepipe.rig.neural_rig import NeuralRig
 from facepipe.stage import save_parts
 

@@ -27,8 +27,7 @@ from facepipe.neural import (
     save_neural_rig,
     with_neural_rig,
 )
-from facepipe.neural.output_basis import output_metric, skinned_moves
-from facepipe.neural.straight_models import best_blendshapes, ridge
+from facepipe.neural.train_neural_rig import best_blendshapes, output_metric, ridge, skinned_moves
 from facepipe.parts import FaceParts
 from facepipe.rig import CHANNELS, build, rest_coefficients, slide
 from facepipe.stage import save_parts
@@ -212,7 +211,7 @@ def test_unskinning_is_the_way_back(motion: Motion) -> None:
 
 def test_a_network_of_few_inputs_a_unit_is_not_misled_by_the_others() -> None:
     """Of twenty controls two act together: with sparse units, few frames are enough to see that."""
-    from facepipe.rig.torch.network_fit import Samples, train
+    from facepipe.rig.torch.distil import Samples, train
 
     random = np.random.default_rng(0)
     inputs = random.random((900, 20)) * (random.random((900, 20)) < 0.5)

@@ -10,11 +10,10 @@ import pytest
 from small_head import make
 from with_torch import tensor, torch
 
-from facepipe.photo.renderer.antialias import Outline, antialias, mesh_edges
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.face_model import PointNormals
 from facepipe.photo.renderer.light import ambient, distant, shade
-from facepipe.photo.renderer.rasterise import barycentrics, interpolate, rasterise
-from facepipe.photo.renderer.surfaces import PointNormals
+from facepipe.photo.renderer.rasterise import Outline, antialias, barycentrics, interpolate, mesh_edges, rasterise
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.scene import Scene, build_scene
 

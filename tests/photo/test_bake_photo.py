@@ -26,7 +26,7 @@ from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.photo.texture import BakePhotoReport
 from facepipe.rig import build
 from facepipe.stage import Face
-from facepipe.textures.observed import sampled
+from facepipe.textures.seen_skin import sampled
 from facepipe.textures.skin_surface import LEFT, RIGHT, mirrored_points, skin_of
 
 LIGHT_SKIN, DARK_SKIN = 0, 5  # seeds

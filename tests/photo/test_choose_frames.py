@@ -23,10 +23,8 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.colors import to_srgb
 from facepipe.photo.frames import clip as clips
 from facepipe.photo.frames import search
-from facepipe.photo.frames.choice import choose, relative_sharpness
-from facepipe.photo.frames.clip import Clip
-from facepipe.photo.frames.frame_colors import srgb_picture
-from facepipe.photo.frames.look import Look
+from facepipe.photo.frames.clip import Clip, srgb_picture
+from facepipe.photo.frames.search import Look, choose, relative_sharpness
 
 av = pytest.importorskip("av")
 
@@ -302,12 +300,12 @@ def test_a_clip_that_breaks_off_later_leaves_no_folder(
     clip: tuple[Path, list[Shot]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Found when its frames are written."""
-    from facepipe.photo.frames import frame_files
+    from facepipe.photo.frames import search
 
     def broken(*_: object) -> list[str]:
         raise InputError("clip.mp4", "is damaged")
 
-    monkeypatch.setattr(frame_files, "_refused", broken)
+    monkeypatch.setattr(search, "_refused", broken)
     with pytest.raises(InputError, match="is damaged"):
         facepipe.choose_frames(clip[0], out=tmp_path / "frames", count=1)
     assert not list(tmp_path.iterdir())

@@ -20,14 +20,13 @@ from with_torch import torch
 
 from facepipe import heads
 from facepipe.networks.crops import sample_crop
-from facepipe.networks.description import CLASSES
+from facepipe.networks.onnx_file import CLASSES
 from facepipe.parts import FaceParts
 from facepipe.photo.features.extractor import Extractor, load_extractor
 from facepipe.photo.renderer.camera import Camera
-from facepipe.photo.renderer.face_model import FaceModel, Look
+from facepipe.photo.renderer.face_model import FaceModel, Look, opaque_surfaces
 from facepipe.photo.renderer.light import ambient, distant
 from facepipe.photo.renderer.rasterise import rasterise
-from facepipe.photo.renderer.surfaces import opaque_surfaces
 from facepipe.pictures.camera import portrait
 
 pytestmark = pytest.mark.needs_torch

@@ -15,7 +15,7 @@ from with_torch import torch
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import ARCFACE_TEMPLATE, TEMPLATE
-from facepipe.networks.description import (
+from facepipe.networks.onnx_file import (
     CELEBAMASK,
     CLASSES,
     DEFAULT_SIZES,

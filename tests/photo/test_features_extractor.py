@@ -16,7 +16,7 @@ from with_torch import torch
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.geometry.face_crops import TEMPLATE, arcface_crop, face_crop
-from facepipe.networks.description import CELEBAMASK, CLASSES, class_matrix, describe
+from facepipe.networks.onnx_file import CELEBAMASK, CLASSES, class_matrix, describe
 from facepipe.photo.features.extractor import load_extractor
 
 pytestmark = pytest.mark.needs_torch

@@ -9,8 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.face_crops import TEMPLATE
-from facepipe.photo.features.extractor import Extractor, load_extractor
-from facepipe.photo.features.likeness import similarity
+from facepipe.photo.features.extractor import Extractor, load_extractor, similarity
 
 pytestmark = pytest.mark.needs_torch
 

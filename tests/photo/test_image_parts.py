@@ -10,9 +10,9 @@ from with_torch import tensor, torch
 
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.face_model import PointNormals, bilinear
 from facepipe.photo.renderer.light import ambient, basis, distant, shade
-from facepipe.photo.renderer.surfaces import PointNormals, bilinear
-from facepipe.pictures import textures
+from facepipe.pictures import scene
 from facepipe.pictures.camera import portrait
 
 pytestmark = pytest.mark.needs_torch
@@ -124,7 +124,7 @@ def test_textures_as_those_of_pictures(wrap_s: str, wrap_t: str) -> None:
     rng = np.random.default_rng(0)
     texels, uv = rng.random((5, 7, 3)).astype(np.float32), rng.uniform(-1.5, 2.5, (200, 2)).astype(np.float32)
     found = bilinear(torch.tensor(texels), torch.tensor(uv), wrap_s, wrap_t).numpy()
-    np.testing.assert_allclose(found, textures.bilinear(texels, uv, wrap_s, wrap_t), atol=2e-5)
+    np.testing.assert_allclose(found, scene.bilinear(texels, uv, wrap_s, wrap_t), atol=2e-5)
 
 
 def test_textures_have_gradients_in_texels_and_places() -> None:

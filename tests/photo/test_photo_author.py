@@ -28,12 +28,12 @@ from facepipe.core import tokens
 from facepipe.core.errors import FitError, InputError
 from facepipe.parts import FaceParts, Material, Recipe, Slider
 from facepipe.performing import read_kept, recipe_to
-from facepipe.photo.descent.result import FittedCamera, FittedView, PhotoFit
+from facepipe.photo.descent.subject import FittedCamera, FittedView, PhotoFit
 from facepipe.photo.fit import AuthorPhotoFit, FitPhoto, Photo
 from facepipe.photo.fit.author import clipping_range
 from facepipe.photo.renderer.camera import Camera
 from facepipe.stage import Face, save_parts
-from facepipe.stage.differences import same
+from facepipe.stage.values import same
 from facepipe.verbs.sliders import SetSliders
 
 pytestmark = pytest.mark.needs_torch

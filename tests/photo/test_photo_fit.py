@@ -23,12 +23,10 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import quarter_turned
 from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.photo.descent.descent import descend
-from facepipe.photo.descent.fit import fit_photos, pose_space
-from facepipe.photo.descent.fit_input import check_photos
+from facepipe.photo.descent.fit import UprightPhotos, check_photos, fit_photos, pose_space
 from facepipe.photo.descent.landmark_fit import State
-from facepipe.photo.descent.result import PhotoFit
-from facepipe.photo.descent.upright import UprightPhotos
-from facepipe.photo.descent.view_image import project
+from facepipe.photo.descent.subject import PhotoFit
+from facepipe.photo.descent.working_photo import project
 from facepipe.photo.features.extractor import load_extractor
 from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.light import shade

@@ -19,7 +19,7 @@ from import_data import refused, shared
 from scipy.spatial.transform import Rotation
 
 from facepipe.core.errors import InputError
-from facepipe.importers.ict_topology import LANDMARKS
+from facepipe.importers.ict import LANDMARKS
 from facepipe.photo.fit import (
     Landmarks68,
     Photo,

@@ -21,8 +21,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import CONTOUR, LandmarkRig, front_axes, landmark_points
-from facepipe.photo.descent.pose import FOCAL, PoseSpace
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.subject import FOCAL, PoseSpace, Subject
 from facepipe.photo.renderer.camera import Camera
 from facepipe.pictures import camera as render_camera
 from facepipe.rig import slide

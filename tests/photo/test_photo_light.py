@@ -12,8 +12,7 @@ from with_torch import torch
 
 from facepipe.photo.descent.descent import descend
 from facepipe.photo.descent.joint_loss import single
-from facepipe.photo.descent.lighting import in_better_light, lit, relight, renew_shadows
-from facepipe.photo.descent.seen_surface import SeenSurface
+from facepipe.photo.descent.lighting import SeenSurface, in_better_light, lit, relight, renew_shadows
 from facepipe.photo.descent.shadows import Shadows
 from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo.options import PhotoFitOptions

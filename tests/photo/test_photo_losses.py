@@ -14,7 +14,7 @@ from with_torch import tensor, torch
 
 from facepipe.photo.descent.joint_loss import FeatureLosses, attributes, color_loss, content, identity
 from facepipe.photo.descent.landmark_fit import Priors
-from facepipe.photo.descent.pose import FOCAL
+from facepipe.photo.descent.subject import FOCAL
 from facepipe.photo.features.extractor import Extractor, load_extractor
 
 pytestmark = pytest.mark.needs_torch

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from with_torch import tensor, torch
 
 from facepipe.photo.descent.landmark_fit import Minimum, Quadratic, levenberg_marquardt
-from facepipe.photo.descent.pose import FOCAL, PoseSpace
+from facepipe.photo.descent.subject import FOCAL, PoseSpace
 from facepipe.photo.descent.working_photo import WorkingPhoto, to_linear, to_srgb
 from facepipe.photo.renderer.camera import Camera
 

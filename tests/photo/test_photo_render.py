@@ -10,9 +10,8 @@ from baked_face import camera_at, light, person, small_person, view_of, with_car
 
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, PhotoView
-from facepipe.photo.pictures.photo_render import photo_render
-from facepipe.pictures.lighting import Samples
-from facepipe.pictures.photo_light import PhotoLights
+from facepipe.photo.pictures.photo_pictures import photo_render
+from facepipe.pictures.lighting import PhotoLights, Samples
 from facepipe.rig import build
 
 SIZE = 520  # pixels
@@ -36,8 +35,8 @@ def test_it_is_what_the_fit_sees(parts: FaceParts) -> None:
     """Another renderer: edges, textures and shadows are sampled otherwise."""
     from scipy.spatial.transform import Rotation
 
-    from facepipe.photo.descent.result import FittedCamera, FittedView
-    from facepipe.photo.descent.view_image import view_image
+    from facepipe.photo.descent.subject import FittedCamera, FittedView
+    from facepipe.photo.descent.working_photo import view_image
     from facepipe.photo.renderer.face_model import FaceModel
 
     view = view_of(camera_at(build(parts).points, 0.2, SMALL), "photo", SMALL)

@@ -12,9 +12,9 @@ from with_torch import tensor
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
-from facepipe.photo.descent.result import FittedCamera, FittedView, PhotoFit
+from facepipe.photo.descent.subject import FittedCamera, FittedView, PhotoFit
 from facepipe.photo.fit import Photo
-from facepipe.photo.fit.report_folder import report_sheet
+from facepipe.photo.fit.report import report_sheet
 from facepipe.photo.pictures.photo_report import photo_page
 from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.light import DARK

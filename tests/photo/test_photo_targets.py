@@ -243,19 +243,19 @@ def test_the_face_is_what_a_viewer_sees(face: tuple[FaceParts, Rig]) -> None:
 
 
 def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: list[RecoveryTarget]) -> None:
-    from facepipe.photo.descent import result
+    from facepipe.photo.descent import subject
     from facepipe.photo.renderer.light import DARK
 
     parts, rig = face
     target = smiling[0]
-    camera = result.FittedCamera(
+    camera = subject.FittedCamera(
         rotation=Rotation.from_matrix(target.camera.axes).as_rotvec(),
         translation=-target.camera.axes @ target.camera.eye,
         focal=target.camera.focal,
         center=target.camera.center,
     )
     assert pixels(render_camera(camera), target.points) == pytest.approx(pixels(target.camera, target.points))
-    view = result.FittedView(
+    view = subject.FittedView(
         expressions=target.expressions,
         camera=camera,
         light=np.zeros((9, 3)),
@@ -264,7 +264,7 @@ def test_the_truth_itself_has_no_error(face: tuple[FaceParts, Rig], smiling: lis
         targets=target.landmarks,
         landmark_error=0.0,
     )
-    fit = result.PhotoFit(
+    fit = subject.PhotoFit(
         sliders=target.sliders, views=(view,), tint={}, history=(), kept=0, steps=0, stopped="iterations"
     )
     found = recovery(parts, rig, target, fit)

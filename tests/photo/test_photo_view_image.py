@@ -11,8 +11,8 @@ from with_torch import torch
 
 from facepipe.photo.descent.descent import Descent, Unknowns
 from facepipe.photo.descent.fit import fit_result
-from facepipe.photo.descent.result import FittedView
-from facepipe.photo.descent.view_image import view_image
+from facepipe.photo.descent.subject import FittedView
+from facepipe.photo.descent.working_photo import view_image
 from facepipe.photo.renderer.light import DARK
 
 pytestmark = pytest.mark.needs_torch

@@ -21,18 +21,15 @@ from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
 from facepipe.photo.amortised.graph import start_graph, start_metadata
 from facepipe.photo.amortised.guess import Guess, load_start
-from facepipe.photo.amortised.losses import POSE_MEAN, POSE_STD, PictureLoss, relative_pose
 from facepipe.photo.amortised.network import SIZE, Output, held
-from facepipe.photo.amortised.pictures import HEAD, Picture
-from facepipe.photo.amortised.pose import CropSpace
+from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture
 from facepipe.photo.amortised.renders import Portraits, random_people
-from facepipe.photo.amortised.training import Trained, train_start
+from facepipe.photo.amortised.training import POSE_MEAN, POSE_STD, PictureLoss, Trained, relative_pose, train_start
 from facepipe.photo.descent.fit import fit_photos, pose_space
 from facepipe.photo.descent.joint_loss import single
 from facepipe.photo.descent.landmark_fit import State
 from facepipe.photo.descent.landmark_rig import LandmarkRig
-from facepipe.photo.descent.pose import FOCAL
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.subject import FOCAL, Subject
 from facepipe.photo.fit import FitPhoto
 from facepipe.photo.options import PhotoFitOptions, StartOptions
 from facepipe.photo.renderer.face_model import FaceModel, Look

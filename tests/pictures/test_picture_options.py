@@ -12,8 +12,7 @@ from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.camera import Camera, portrait
-from facepipe.pictures.lighting import Light, Studio
-from facepipe.pictures.portrait import PORTRAIT
+from facepipe.pictures.lighting import PORTRAIT, Light, Studio
 
 GREY = Material(name="Grey", diffuse_color=(0.5, 0.5, 0.5), roughness=1.0)
 NO_LIGHT = Studio(lights=(), sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))

@@ -11,10 +11,9 @@ from faces import grid_mesh
 from facepipe.geometry.colors import from_srgb
 from facepipe.parts import FaceParts, Material, Mesh
 from facepipe.pictures import PictureOptions, picture
-from facepipe.pictures.lighting import Samples
+from facepipe.pictures.draw import open_share, spread
+from facepipe.pictures.lighting import PORTRAIT, Portrait, Samples, Softbox, filmic
 from facepipe.pictures.occlusion import depth_map
-from facepipe.pictures.portrait import PORTRAIT, Portrait, Softbox, filmic
-from facepipe.pictures.scatter import open_share, spread
 
 WHITE = (1.0, 1.0, 1.0)
 DARK = Softbox(direction=(0.0, 0.0, 1.0), color=(0.0, 0.0, 0.0), size=(0.2, 0.2))

@@ -19,10 +19,10 @@ from facepipe.geometry.rasterise import barycentrics, rasterise, screen_triangle
 from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, Texture, TextureInput, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import portrait
+from facepipe.pictures.draw import hidden
 from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
-from facepipe.pictures.layers import hidden
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
-from facepipe.pictures.textures import bilinear
+from facepipe.pictures.scene import bilinear
 
 
 def screen_points(xyw: Iterable[Sequence[float]]) -> np.ndarray:

@@ -27,7 +27,7 @@ from agreement import (
     rig_is_usdskel,
     saved,
 )
-from facepipe_gltf.engines import ENGINES, renamed
+from facepipe_gltf.options import ENGINES, renamed
 from node import three_load
 
 from facepipe.heads import make

@@ -22,7 +22,7 @@ from facepipe.parts import Animation, FaceParts
 from facepipe.rig import build, coefficient_matrices
 from facepipe.rig.neural_rig import bones_in
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.fit_bones.checks import check_rig
+from facepipe.verbs.fit_bones.limits import check_rig
 
 
 def dual_face() -> FaceParts:

@@ -26,7 +26,7 @@ from facepipe.rig import (
     sample_weights,
     slide,
 )
-from facepipe.rig.activation import curves
+from facepipe.rig.rig import curves
 from facepipe.rig.trs import compose, decompose, quaternions
 from facepipe.stage import Face
 

@@ -17,8 +17,7 @@ from facepipe.core.errors import InputError
 from facepipe.importers import load
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.torch.fixed_matrix import FixedMatrix
-from facepipe.rig.torch.rig import DifferentiableRig
+from facepipe.rig.torch.rig import DifferentiableRig, FixedMatrix
 
 pytestmark = pytest.mark.needs_torch
 

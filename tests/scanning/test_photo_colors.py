@@ -17,8 +17,8 @@ from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.similarity import Similarity, fit_similarity
 from facepipe.scanning.photos import PhotoCamera, ScanPhotos, ScanPhotosOptions
 from facepipe.scanning.photos.depth import pixel_rays
-from facepipe.scanning.photos.photo_colors import PhotoColors
-from facepipe.scanning.texture.scan_samples import scan_samples
+from facepipe.scanning.photos.scan import PhotoColors
+from facepipe.scanning.texture import scan_samples
 from facepipe.scans import Scan
 
 LENS = (-0.11, 0.05, 0.002, -0.003)

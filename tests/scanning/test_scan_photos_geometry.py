@@ -23,16 +23,19 @@ from facepipe.scanning.photos import (
     ScanPhotosOptions,
     triangulate,
 )
+from facepipe.scanning.photos.depth import RectifiedView, _sampled, depth_map, disparities, rectify
 from facepipe.scanning.photos.photos import Photo
-from facepipe.scanning.photos.stereo import RectifiedView, _sampled, depth_map, disparities, rectify
 from facepipe.scanning.photos.structure import (
     Structure,
     _structure,
     _triangulated,
+    choose_pairs,
     colmap_module,
     find_structure,
+    find_subject,
+    move_camera,
+    upright,
 )
-from facepipe.scanning.photos.subject import choose_pairs, find_subject, move_camera, upright
 from facepipe.scanning.photos.surface import Cloud, _normals, clean, make_surface
 
 FloatArray = npt.NDArray[np.floating]

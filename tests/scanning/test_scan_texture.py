@@ -29,10 +29,16 @@ from facepipe.importers.scan_landmarks import write_scan_landmarks
 from facepipe.parts import FaceParts, Mesh, TextureInput
 from facepipe.scanning.database import create_database, save_database
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scanning.texture import ScanTextures, bake_scan, lay_on
-from facepipe.scanning.texture.scan_baking import under_hair
-from facepipe.scanning.texture.scan_relief import baked_relief, is_finer, median_edge
-from facepipe.scanning.texture.scan_samples import scan_samples
+from facepipe.scanning.texture import (
+    ScanTextures,
+    bake_scan,
+    baked_relief,
+    is_finer,
+    lay_on,
+    median_edge,
+    scan_samples,
+    under_hair,
+)
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.textures.bake import Baker

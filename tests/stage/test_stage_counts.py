@@ -20,8 +20,8 @@ from facepipe.importers import load
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.stage import Face, open_face, save_parts
 from facepipe.stage.blendshapes import MOST_INBETWEENS
+from facepipe.stage.composition import MOST_STEPS
 from facepipe.stage.files import open_stage
-from facepipe.stage.stage_counts import MOST_STEPS
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
 

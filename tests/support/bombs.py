@@ -109,7 +109,7 @@ def texture(data: Callable[[], bytes]) -> Callable[[Path], Words]:
 
     def build(folder: Path) -> Words:
         from facepipe.parts import Texture
-        from facepipe.pictures.textures import decode
+        from facepipe.pictures.scene import decode
 
         return lambda: decode(Texture(name="skin.png", data=data()), 512)
 
@@ -208,8 +208,8 @@ def reading(reader: str, file: str) -> Callable[[Path], Words]:
         from facepipe_gltf.raw import RawDocument
 
         from facepipe.core.reading import digest
-        from facepipe.importers.landmark_file import read_landmarks
         from facepipe.importers.npz import array_names
+        from facepipe.importers.obj import read_landmarks
 
         path = folder / file
         if not path.exists():
@@ -311,7 +311,7 @@ def table(data: bytes) -> Callable[[Path], Words]:
 
 def objects(folder: Path) -> Words:
     """JSON of many values."""
-    from facepipe.importers.landmark_file import read_landmarks
+    from facepipe.importers.obj import read_landmarks
 
     (folder / "a.json").write_bytes(b"[" + b"{}," * 3_000_000 + b"0]")
     return lambda: read_landmarks(folder / "a.json", 5)

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from facepipe.geometry.contacts import Contact, Sheet
 from facepipe.geometry.polygons import point_triangles
-from facepipe.importers.ict import shape_name
-from facepipe.importers.ict_topology import EXPRESSIONS
+from facepipe.importers.ict import EXPRESSIONS, shape_name
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
 from facepipe.rig.conventions import ARKIT_SHAPES

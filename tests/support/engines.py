@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from blender_python import PYTHON, blender
-from facepipe_gltf.engines import ENGINES, renamed
+from facepipe_gltf.options import ENGINES, renamed
 from gltf_reader import Gltf, read, trs_matrix
 from node import run_node
 

@@ -716,7 +716,7 @@ def read_cameras() -> None:
 
 
 def read_markers() -> None:
-    from facepipe.scanning.photos.triangulation import read_markers as read
+    from facepipe.scanning.photos.cameras import read_markers as read
 
     read(Path("markers.json"))
 

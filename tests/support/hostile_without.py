@@ -177,10 +177,10 @@ def _changed(file: str, old: str, new: str) -> Site:
     return Site(str(path), text[: text.find(old)].count("\n") + 1, old, new)
 
 
-_RECORDS = _changed("facepipe/core/policy/urls.py", "return bool(checked(name, self._urls))", "return True")
+_RECORDS = _changed("facepipe/core/policy/paths.py", "return bool(checked(name, self._urls))", "return True")
 _WRITABLE = _changed("facepipe/cooking/graph.py", "and is_writable(nodes[key].path, roots):", ":")
 _LOCK = _changed("facepipe/core/locks.py", "os.open(file, _FLAGS | os.O_CREAT if", "os.open(file, 1 | os.O_CREAT if")
-_LIBRARY = _changed("facepipe/importers/materials_mtl.py", "        if not is_file(path):", "        if False:")
+_LIBRARY = _changed("facepipe/importers/wavefront.py", "        if not is_file(path):", "        if False:")
 _NAMES_OF_LEDGERS = _changed("facepipe/farm/ledger.py", "return path.stat().st_nlink > 1", "return False")
 _REASONS = _changed("facepipe/farm/ledger.py", 'known = {"error"} if', "known = set() if")
 _DIGITS = _changed("facepipe/farm/ledger.py", "if len(text.lstrip", "if False and len(text.lstrip")

@@ -113,14 +113,14 @@ def _one_scan() -> None:
 
 def _one_look() -> None:
     """A face that turns in two frames, and nothing to say against it."""
-    from facepipe.photo.frames import frame_files, search
-    from facepipe.photo.frames.look import Look
+    from facepipe.photo.frames import search
+    from facepipe.photo.frames.search import Look
 
     known = {"pitch": 0.0, "sharpness": 1.0, "lids": 0.1, "lips": 0.0, "error": 1.0}
     looks = tuple(Look(number=i, time=0.1 * i, yaw=0.5 * i, **known) for i in range(2))
     seen = search.Looks(looks=looks, tried=2, frames=2, seconds=0.1)
     search.looks_in = lambda clip, done: seen
-    frame_files._refused = lambda file: []
+    search._refused = lambda file: []
 
 
 def _one_face() -> None:

@@ -18,11 +18,9 @@ import facepipe
 from facepipe.neural import load_neural_rig, save_neural_rig
 from facepipe.parts import FaceParts, Slider
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.neural_encoder import EncoderLayer, NeuralEncoder
-from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, share_limits, values_of
+from facepipe.rig.neural_rig import Control, EncoderLayer, NeuralEncoder, NeuralRig, bones_in, share_limits, values_of
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.same_topology import MILLIMETRES, world_to_world
-from facepipe.verbs.whole_faces import Topology, whole_points
+from facepipe.verbs.whole_faces import MILLIMETRES, Topology, whole_points, world_to_world
 
 CONTROLS = (
     Control(name="jaw"),

@@ -15,9 +15,8 @@ from facepipe.photo.descent.fit import priors_of
 from facepipe.photo.descent.joint_loss import JointLoss, single
 from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import front_axes, landmark_points
-from facepipe.photo.descent.pose import FOCAL, PoseSpace
 from facepipe.photo.descent.shadows import Shadows
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.subject import FOCAL, PoseSpace, Subject
 from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
 from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.face_model import FaceModel, Look

@@ -19,7 +19,7 @@ from facepipe.pictures.occlusion import ambient_occlusion
 from facepipe.rig import Rig, build
 
 if TYPE_CHECKING:
-    from facepipe.photo.descent.result import FittedCamera, PhotoFit
+    from facepipe.photo.descent.subject import FittedCamera, PhotoFit
 
 FloatArray = npt.NDArray[np.floating]
 BoolArray = npt.NDArray[np.bool_]

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from facepipe.photo.descent.landmark_fit import State
-    from facepipe.photo.descent.pose import PoseSpace
-    from facepipe.photo.descent.subject import Subject
+    from facepipe.photo.descent.subject import PoseSpace, Subject
     from facepipe.pictures.camera import Camera
 
 FloatArray = npt.NDArray[np.floating]

@@ -19,8 +19,7 @@ from facepipe.importers import ict, makehuman
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import Face
 from facepipe.verbs.skin import JointSet, JointSpec, SkinFace, SkinReport
-from facepipe.verbs.skin.features import eyeballs_of
-from facepipe.verbs.skin.surface import surface_of
+from facepipe.verbs.skin.surface import eyeballs_of, surface_of
 
 Array = np.ndarray[Any, Any]
 

@@ -15,8 +15,7 @@ from facepipe import heads
 from facepipe.core.arrays import IntArray
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build
-from facepipe.verbs.lod.decimate import Surface
-from facepipe.verbs.lod.wedges import Wedges, mesh_of, wedges_of
+from facepipe.verbs.lod.decimate import Surface, Wedges, mesh_of, wedges_of
 
 _TRIANGLES, _SKIN_SHARE = 6000, 0.6
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, shift
 
 from facepipe.geometry.texels import Texels
-from facepipe.textures.observed import GREY, Observed
-from facepipe.textures.registered import registered
+from facepipe.textures.bake import registered
+from facepipe.textures.seen_skin import GREY, Observed
 
 SIZE = 192
 TEXEL = 1 / 100  # of the eyes' distance

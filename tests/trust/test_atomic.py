@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from places import SUPPORT, names
 
-from facepipe.core import atomic, hidden_folders, locks, placing
+from facepipe.core import atomic, locks, placing
 from facepipe.core.atomic import apart, collect, hidden_folder, replacing, replacing_folder, together, write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
@@ -358,7 +358,7 @@ def test_a_journal_goes_on_only_over_what_its_writer_saw(old: Path, disturbed: b
 def test_a_journal_is_gone_before_its_lock_is(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else another process would go on with what is half removed."""
     path, seen, close = journaled(old, []), [], os.close
-    held = hidden_folders.claim(path)
+    held = placing.claim(path)
 
     def closed(descriptor: int) -> None:
         seen.append((path / ".facepipe-journal").exists())
@@ -366,7 +366,7 @@ def test_a_journal_is_gone_before_its_lock_is(old: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(os, "close", closed)
     assert held is not None
-    hidden_folders.remove(held)
+    placing.remove(held)
     assert seen[0] is False
     assert not path.exists()
 
@@ -458,4 +458,4 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (code, f"facepipe: {word}\n")
         assert not list(tmp_path.iterdir())
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    assert not hidden_folders._live
+    assert not placing._live

@@ -20,7 +20,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.importers import load
 from facepipe.parts import TextureInput
-from facepipe.pictures.textures import decode
+from facepipe.pictures.scene import decode
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
 from facepipe.stage.materials import textures_of

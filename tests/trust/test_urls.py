@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from facepipe.core.errors import InputError
-from facepipe.core.policy.urls import checked, placed
+from facepipe.core.policy.paths import checked, placed
 
 ROOTS = ("s3://show/a/", "gs://other")
 

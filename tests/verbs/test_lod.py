@@ -24,7 +24,7 @@ from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import components, edges, point_triangles
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.lod.cards import _lengthwise, cards_of
+from facepipe.verbs.lod.decimate import _lengthwise, cards_of
 
 COUNTS = (1200, 500, 200)
 

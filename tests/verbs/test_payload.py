@@ -32,8 +32,7 @@ from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.payload import MAX_VALUES, PayloadContent, Precision, decode, encode, read_header
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.apply_bones import ApplyBones
-from facepipe.verbs.bone_payload import write_payload
+from facepipe.verbs.apply_bones import ApplyBones, write_payload
 
 JOINTS = tuple(f"root/joint{i}" for i in range(11))
 TOLERANCE = 1e-5  # of the head height

@@ -30,10 +30,9 @@ from facepipe.geometry.region_map import region_masks
 from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
 from facepipe.pictures.heatmap import NO_VALUE
-from facepipe.pictures.regions import region_colors
+from facepipe.pictures.overlay import region_colors
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.region_legend import RegionLegend, read_legend
-from facepipe.verbs.regions import SetRegions
+from facepipe.verbs.regions import RegionLegend, SetRegions, read_legend
 
 RED, GREEN, BLUE = COLORS[:3]
 Array = np.ndarray[Any, Any]

@@ -11,12 +11,11 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import distinct_rows
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe_gltf.read import morphs
-from facepipe_gltf.read import weld as welds
+from facepipe_gltf.read import morphs as welds
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.names import Names
+from facepipe_gltf.read.morphs import Weld
 from facepipe_gltf.read.primitives import Geometry, Vertices
-from facepipe_gltf.read.values import Value
-from facepipe_gltf.read.weld import Weld
+from facepipe_gltf.read.values import Names, Value
 
 
 def _landmarks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, Landmarks]:

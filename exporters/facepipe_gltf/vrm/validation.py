@@ -13,7 +13,7 @@ import numpy as np
 from facepipe.core.reports import Finding
 from facepipe.records import Json
 from facepipe_gltf import validation as gltf
-from facepipe_gltf.mesh_validation import primitives_of, targets
+from facepipe_gltf.mesh_validation import Problem, primitives_of, targets
 from facepipe_gltf.raw import (
     RawDocument,
     as_list,
@@ -24,7 +24,6 @@ from facepipe_gltf.raw import (
     path_above,
     world_matrices,
 )
-from facepipe_gltf.skin_validation import Problem
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
 from facepipe_gltf.vrm.meta import EXTENSION, problems

@@ -7,10 +7,11 @@ One policy for all that reads a stage, a recipe or a project of somebody else's.
 from __future__ import annotations
 
 import os
+import posixpath
 import re
 import stat
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ _MOST_STEPS = 1000  # of a path, through links
 PREFIX = ".facepipe-"  # of the names of files and folders that are there while others are written
 OWN = Path(__file__).parents[2]  # networks and tables that come with facepipe
 _CODE = (".pt2", ".pt", ".pth", ".ckpt", ".pkl", ".pickle", ".joblib")  # files that run code as they are loaded
+SCHEMES = {"s3": "s3fs", "gs": "gcsfs", "memory": "fsspec"}  # -> package that it needs
+_URL = re.compile(rf"({'|'.join(SCHEMES)})://[A-Za-z0-9][A-Za-z0-9._-]*(/[^/\\:*?\"<>|#@\x00-\x1f]+)*")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,3 +210,107 @@ def check_model(path: Path) -> None:
 
 def _shown(folders: Iterable[Path]) -> str:
     return ", ".join(dict.fromkeys(map(str, folders)))
+
+
+def is_url(name: str) -> bool:
+    """Whether a name is no path, of whatever kind it is."""
+    return "://" in name
+
+
+def placed(folder: str | Path, path: str) -> str:
+    """A path, from a folder where it is relative, in its shortest form; either can be a URL."""
+    whole = path if is_url(path) or Path(path).is_absolute() else f"{folder}/{path}"
+    scheme, mark, rest = whole.rpartition("://")
+    return f"{scheme}{mark}{posixpath.normpath(rest)}" if mark else os.path.normpath(whole)
+
+
+def checked(url: str, roots: Collection[str]) -> str:
+    """A URL of a file or folder below one of the roots.
+
+    :raises InputError: it is not, or is none: of another scheme, with a key or an option in it, with ``..`` in its path
+    """
+    plain = url.rstrip("/")
+    parts = plain.split("/")
+    if not _URL.fullmatch(plain) or {".", ".."} & {*parts} or any(part.startswith(PREFIX) for part in parts):
+        shown = re.sub(r"//[^/]*@", "//...@", url)[:200]
+        raise InputError(shown, f"can't be used, expected one like {'://, '.join(SCHEMES)}://BUCKET/FOLDER/FILE")
+    if not any(f"{plain}/".startswith(f"{root.rstrip('/')}/") for root in roots):
+        shown = ", ".join(roots) or "none has a URL"
+        raise InputError(url, f"is outside the roots ({shown}), expected --root {'/'.join(parts[:3])}")
+    return plain
+
+
+def typed_roots(words: Iterable[str]) -> tuple[str, ...]:
+    """The folders of the URLs among words that the caller types: up to the first wildcard or brace."""
+    urls = [re.split(r"[*?\[{]", word)[0] for word in words if word.partition("://")[0] in SCHEMES and is_url(word)]
+    return tuple(dict.fromkeys(url.rpartition("/")[0] for url in urls))
+
+
+class Reach:
+    """Whether names in records of others lie below the roots: each is asked about before anything is looked up there.
+
+    Folders are looked at once: a record of a plan names a few in a million tasks. A hostile one names a hundred
+    thousand, and to resolve each would take five seconds.
+    """
+
+    def __init__(self, folder: Path, roots: Iterable[Path], urls: Collection[str]) -> None:
+        """:param folder: that paths are relative to"""
+        self._folder, self._roots, self._urls = folder, (*roots, OWN), urls
+        self._known = {str(folder): is_below(folder, self._roots)}
+
+    def __call__(self, name: str) -> bool:
+        """Whether a URL or a path does."""
+        if is_url(name):
+            try:
+                return bool(checked(name, self._urls))
+            except InputError:
+                return False
+        parent, last = os.path.split(os.path.join(self._folder, name))  # noqa: PTH118  (half the time)
+        if parent not in self._known:
+            self._known[parent] = self._is_plainly_below(parent) or is_below(Path(parent), self._roots)
+        plain = last not in ("", ".", "..") and "\0" not in name and not os.path.islink(f"{parent}/{last}")  # noqa: PTH114
+        return (self._known[parent] and plain) or is_below(Path(parent, last), self._roots)
+
+    def _is_plainly_below(self, folder: str) -> bool:
+        """Whether a folder lies in one that is known to be below the roots, with no link on the way."""
+        while not self._known.get(folder):
+            above, last = os.path.split(folder)
+            if last in ("", ".", "..") or os.path.islink(folder):  # noqa: PTH114  (never raises)
+                return False
+            folder = above
+        return True
+
+
+def file_named(where: object, name: str, file: Path) -> Path:
+    """The path that a text in `file` means, from its folder where it is relative.
+
+    :raises InputError: a URL, or neither below the roots of `file` nor below its folder
+    """
+    path = path_named(where, name, file)
+    check_copied(where, path, file)
+    return path
+
+
+def file_chosen(where: object, name: str, project: Path, folders: Iterable[Path]) -> Path:
+    """The path that the project file `project` chooses for an option, from its folder where it is relative.
+
+    :param folders: of the project, with its roots where the caller trusts it
+    :raises InputError: a URL, or outside of these folders and the given roots
+    """
+    # the caller shows it from elsewhere, where links before `..` would no longer be followed
+    path = Path(os.path.normpath(path_named(where, name, project)))
+    allowed = (*folders, *trust().roots)
+    if not is_below(path, allowed):
+        shown = ", ".join(dict.fromkeys(map(str, allowed)))
+        raise InputError(where, f"{path} is outside the roots ({shown}), expected --root")
+    return path
+
+
+def path_named(where: object, name: str, file: Path) -> Path:
+    """The path that a text in `file` means, for a further check.
+
+    :raises InputError: a URL
+    """
+    if is_url(name):
+        raise InputError(where, f"{name[:80]} is a URL, expected a file")
+    return file.parent / name

@@ -7,9 +7,8 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.geometry.registration.options import RegistrationOptions
     from facepipe.geometry.registration.solve import register, register_together
-    from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Shown
-    from facepipe.geometry.registration.target import ScanTarget
-    from facepipe.geometry.registration.view import Registered, View
+    from facepipe.geometry.registration.step import Registered, View
+    from facepipe.geometry.registration.surface import Anchors, DeformableSurface, ScanTarget, Shown
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -12,10 +12,16 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration.options import RegistrationOptions
-from facepipe.geometry.registration.step import Membrane, solve_model_step, solve_step
-from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Shown, means_around
-from facepipe.geometry.registration.target import ScanTarget
-from facepipe.geometry.registration.view import Demand, Registered, View, ViewState
+from facepipe.geometry.registration.step import (
+    Demand,
+    Membrane,
+    Registered,
+    View,
+    ViewState,
+    solve_model_step,
+    solve_step,
+)
+from facepipe.geometry.registration.surface import Anchors, DeformableSurface, ScanTarget, Shown, means_around
 from facepipe.geometry.similarity import Similarity
 
 

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from facepipe.photo.amortised.losses import POSE_MEAN, POSE_STD
 from facepipe.photo.amortised.network import COUNT, MEAN, SIZE, SPREAD, STD, StartNetwork
-from facepipe.photo.descent.pose import NUMBERS
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.amortised.training import POSE_MEAN, POSE_STD
+from facepipe.photo.descent.subject import NUMBERS, Subject
 from facepipe.rig.torch.graph_writer import GraphWriter
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from facepipe.photo.amortised.graph import KEY, KIND, controls
 from facepipe.photo.amortised.network import COUNT, SIZE
 from facepipe.photo.amortised.pictures import Picture
 from facepipe.photo.descent.landmark_fit import State
-from facepipe.photo.descent.pose import NUMBERS, PoseSpace
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.subject import NUMBERS, PoseSpace, Subject
 from facepipe.photo.features.onnx_module import OnnxModule
 
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from facepipe.geometry.face_crops import TEMPLATE
-from facepipe.photo.descent.pose import NUMBERS
+from facepipe.photo.descent.subject import NUMBERS
 from facepipe.rig.torch.graph_writer import Block
 from facepipe.rig.torch.one_thread import short_floats
 

@@ -10,14 +10,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
-from facepipe.photo.amortised.pictures import HEAD, Picture, Truth
-from facepipe.photo.amortised.pose import CropSpace
+from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture, Truth
 from facepipe.photo.descent.fit import pose_space
 from facepipe.photo.descent.joint_loss import single
 from facepipe.photo.descent.landmark_rig import LandmarkRig
-from facepipe.photo.descent.pose import FOCAL, PoseSpace
 from facepipe.photo.descent.shadows import shadows_of_lamp
-from facepipe.photo.descent.subject import Subject
+from facepipe.photo.descent.subject import FOCAL, PoseSpace, Subject
 from facepipe.photo.descent.working_photo import to_srgb
 from facepipe.photo.renderer.face_model import FaceModel, Look
 from facepipe.photo.renderer.light import KeyLight, ambient, distant

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from facepipe.photo.descent.landmark_fit import State
-from facepipe.photo.descent.result import Stopped
+from facepipe.photo.descent.subject import Stopped
 from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.light import DARK
 

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from facepipe.core.arrays import FloatArray
-from facepipe.networks.description import Kind
+from facepipe.core.errors import InputError
+from facepipe.geometry.landmarks import eye_distance, quarter_turned, quarters_to_upright
+from facepipe.networks.onnx_file import Kind
 from facepipe.parts import FaceParts
 from facepipe.photo.descent.descent import Descent, Unknowns, descend
-from facepipe.photo.descent.fit_input import check_confidences, check_extractors, check_photos, check_start
 from facepipe.photo.descent.joint_loss import FEATURES, JointLoss
 from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import COUNT, dense_points, front_axes, landmark_points
 from facepipe.photo.descent.lighting import in_better_light, lit, renew_shadows
-from facepipe.photo.descent.pose import PoseSpace
-from facepipe.photo.descent.result import FittedCamera, FittedView, PhotoFit
-from facepipe.photo.descent.subject import Subject
-from facepipe.photo.descent.upright import UprightPhotos
+from facepipe.photo.descent.subject import NUMBERS, FittedCamera, FittedView, PhotoFit, PoseSpace, Subject
 from facepipe.photo.descent.working_photo import WorkingPhoto
 from facepipe.photo.features.extractor import Extractor
 from facepipe.photo.options import PhotoFitOptions
@@ -29,9 +28,190 @@ from facepipe.photo.renderer.face_model import FaceModel
 from facepipe.photo.renderer.light import DARK
 from facepipe.rig.torch.one_thread import one_thread
 
+_PHOTO = "expected an array of floating-point sRGB 0 to 1"
+_LANDMARKS = "expected a finite array ({}, 2) of pixels"
+# A clockwise quarter turn: the harmonic that each of the nine comes from, and its sign (`renderer.light.basis`)
+_HARMONICS = [0, 3, 2, 1, 4, 7, 6, 5, 8]
+_SIGNS = np.array((1, -1, 1, 1, -1, -1, 1, 1, -1))
+_GRID = 1024  # to a pixel: landmarks on it are the same numbers however often they are turned
 Mask = Callable[[FloatArray, FloatArray], FloatArray]
 
 _NOT_FINITE = "the loss was not finite at step {}: the best of the steps before is kept"
+
+
+def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], dense: int = 0) -> list[FloatArray]:
+    """The landmarks in float64.
+
+    :param dense: how many the face has beside the 68
+    :raises InputError: no photo, or arrays that are no photos with a face's landmarks
+    """
+    if len(photos) == 0 or len(photos) != len(landmarks):
+        raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
+    for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
+        _check_photo(f"photo {number}", photo)
+        _check_landmarks(f"landmarks {number}", marks, dense)
+    return [np.asarray(marks, dtype=np.float64) for marks in landmarks]
+
+
+def _check_photo(where: str, photo: FloatArray) -> None:
+    _check_array(where, photo, "f", _PHOTO)
+    if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
+        raise InputError(where, f"shape {photo.shape}, expected finite (height, width, 3)")
+    if not np.isfinite(photo).all():
+        raise InputError(where, "NaN or infinity, expected finite (height, width, 3)")
+    if photo.max() > 1 or photo.min() < 0:
+        raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
+
+
+def _check_landmarks(where: str, marks: FloatArray, dense: int) -> None:
+    expected = _LANDMARKS.format(f"{COUNT} or {COUNT + dense}" if dense else COUNT)
+    _check_array(where, marks, "fiu", expected)
+    if marks.shape not in ((COUNT, 2), (COUNT + dense, 2)):
+        raise InputError(where, f"shape {marks.shape}, {expected}")
+    if not np.isfinite(marks).all():
+        raise InputError(where, f"NaN or infinity, {expected}")
+    if not eye_distance(marks) > 0:
+        raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
+
+
+def check_confidences(confidences: Sequence[FloatArray], counts: Sequence[int]) -> list[FloatArray]:
+    """The confidences of so many landmarks of each photo in float64.
+
+    :raises InputError: another number of them, or arrays that are no numbers 0 to 1
+    """
+    if len(confidences) != len(counts):
+        raise InputError("confidences", f"{len(confidences)} of {len(counts)} photos, expected one for each")
+    checked = [
+        _numbers(f"confidences {number}", each, (count,), "one for each landmark")
+        for number, (each, count) in enumerate(zip(confidences, counts, strict=True))
+    ]
+    for number, each in enumerate(checked):
+        if not 0 <= each.min() <= each.max() <= 1:
+            raise InputError(f"confidences {number}", f"values {each.min():g} to {each.max():g}, expected 0 to 1")
+    return checked
+
+
+def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> State:
+    """The same in float64.
+
+    :raises InputError: a state of another face, of another number of photos, or of what can't be
+    """
+    views = len(spaces)
+    checked = State(
+        shares=_numbers("start -> shares", start.shares, (len(subject.sliders),), "one for each free slider"),
+        expressions=_numbers(
+            "start -> expressions", start.expressions, (views, len(subject.expressions)), "photos, expressions"
+        ),
+        poses=_numbers("start -> poses", start.poses, (views, NUMBERS), "photos, numbers of a pose"),
+    )
+    for name, values in (("shares", checked.shares), ("expressions", checked.expressions)):
+        if values.size and not 0 <= values.min() <= values.max() <= 1:
+            raise InputError(f"start -> {name}", f"values {values.min():g} to {values.max():g}, expected 0 to 1")
+    for number, (space, pose) in enumerate(zip(spaces, checked.poses, strict=True)):
+        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))
+        if not (camera.translation.isfinite().all() and camera.focal.isfinite() and camera.focal > 0):
+            raise InputError(f"start -> poses -> photo {number}", "beyond every camera, expected a pose of a head")
+    return checked
+
+
+def _numbers(where: str, values: FloatArray, shape: tuple[int, ...], what: str) -> FloatArray:
+    expected = f"expected finite {shape}: {what}"
+    _check_array(where, values, "f", expected)
+    if values.shape != shape:
+        raise InputError(where, f"shape {values.shape}, {expected}")
+    if not np.isfinite(values).all():
+        raise InputError(where, f"NaN or infinity, {expected}")
+    return np.asarray(values, dtype=np.float64)
+
+
+def check_extractors(extractors: Mapping[Kind, Extractor]) -> None:
+    """:raises InputError: a network for no term of the joint loss, or one that doesn't give what it is there for"""
+    for kind, extractor in extractors.items():
+        where = f"extractors -> {kind}"
+        if kind not in FEATURES:
+            raise InputError(where, f"no term of the joint loss, expected one of {', '.join(FEATURES)}")
+        if not isinstance(extractor, Extractor) or kind not in extractor.kinds:
+            gives = (
+                f"a network of {', '.join(extractor.kinds)}"
+                if isinstance(extractor, Extractor)
+                else f"a {type(extractor).__name__}"
+            )
+            raise InputError(where, f"{gives}, expected a network of {kind} (`load_extractor`)")
+
+
+def _check_array(where: str, values: object, kinds: str, expected: str) -> None:
+    if not isinstance(values, np.ndarray):
+        raise InputError(where, f"a {type(values).__name__}, {expected}")
+    if values.dtype.kind not in kinds:
+        raise InputError(where, f"numbers of type {values.dtype}, {expected}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UprightPhotos:
+    """Photos turned counter-clockwise by quarters, each until its face is within 45 degrees of upright.
+
+    A fit carries last digits of where it starts to first ones of where it ends: a photo and the same one on its side
+    must have the same landmarks to the last digit.
+    """
+
+    photos: tuple[FloatArray, ...]  # (h, w, 3)
+    landmarks: tuple[FloatArray, ...]  # (68, 2) pixels
+    quarters: tuple[int, ...]
+
+    @classmethod
+    def from_photos(cls, photos: Sequence[FloatArray], landmarks: Sequence[FloatArray]) -> UprightPhotos:
+        """:param photos: as they are, (h, w, 3)"""
+        quarters = tuple(map(quarters_to_upright, landmarks))
+        turned = [np.ascontiguousarray(np.rot90(*pair)) for pair in zip(photos, quarters, strict=True)]
+        each = zip(landmarks, quarters, map(_size, photos), strict=True)
+        marks = tuple(np.round(quarter_turned(*one) * _GRID) / _GRID for one in each)
+        return cls(photos=tuple(turned), landmarks=marks, quarters=quarters)
+
+    def start(self, start: State) -> State:
+        """A state of the photos as they were, as one of these."""
+        poses = start.poses.copy()
+        for pose, photo, quarters in zip(poses, self.photos, self.quarters, strict=True):
+            if quarters:
+                width, height = _size(photo)
+                before, side = (height, width) if quarters % 2 else (width, height), max(width, height)
+                pose[:3] = (_about_axis(quarters) * Rotation.from_rotvec(pose[:3])).as_rotvec()
+                pose[3:5] = quarter_turned(pose[3:5] * side, quarters, before) / side
+        return replace(start, poses=poses)
+
+    def turned_back(self, views: Sequence[FittedView]) -> tuple[FittedView, ...]:
+        """Views of these, as views of the photos as they were."""
+        each = zip(views, self.quarters, map(_size, self.photos), strict=True)
+        return tuple(_turned_back(view, quarters, size) if quarters else view for view, quarters, size in each)
+
+
+def _turned_back(view: FittedView, quarters: int, size: tuple[int, int]) -> FittedView:
+    turn, camera, light = _about_axis(-quarters), view.camera, view.light
+    for _ in range(quarters):
+        light = _SIGNS[:, None] * light[_HARMONICS]
+    x, y = quarter_turned(np.array(camera.center), -quarters, size)
+    return replace(
+        view,
+        camera=FittedCamera(
+            rotation=(turn * Rotation.from_rotvec(camera.rotation)).as_rotvec(),
+            translation=turn.apply(camera.translation),
+            focal=camera.focal,
+            center=(float(x), float(y)),
+        ),
+        light=light,
+        key=np.concatenate([turn.apply(view.key[:3]), view.key[3:]]),
+        landmarks=quarter_turned(view.landmarks, -quarters, size),
+        targets=quarter_turned(view.targets, -quarters, size),
+    )
+
+
+def _about_axis(quarters: int) -> Rotation:
+    """Of camera coordinates, counter-clockwise as the photo shows it."""
+    return Rotation.from_rotvec([0.0, 0.0, quarters * np.pi / 2])
+
+
+def _size(photo: FloatArray) -> tuple[int, int]:
+    """Width and height."""
+    return photo.shape[1], photo.shape[0]
 
 
 def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
@@ -210,6 +390,6 @@ def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Pr
 def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions) -> Mapping[Kind, Extractor]:
     if given is not None:
         return given
-    from facepipe.photo.features.own import own_extractors
+    from facepipe.photo.features.extractor import own_extractors
 
     return own_extractors([kind for kind in FEATURES if getattr(options, kind)])

@@ -20,16 +20,14 @@ from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
 from facepipe.networks.crops import sample_crop
-from facepipe.networks.description import Kind
+from facepipe.networks.onnx_file import Kind
 from facepipe.photo.descent.descent import Unknowns
-from facepipe.photo.descent.landmark_errors import huber, standardised
-from facepipe.photo.descent.landmark_fit import LandmarkFit
+from facepipe.photo.descent.landmark_fit import LandmarkFit, huber, standardised
 from facepipe.photo.descent.landmark_rig import COUNT
-from facepipe.photo.descent.pose import FOCAL
 from facepipe.photo.descent.shadows import Shadows
+from facepipe.photo.descent.subject import FOCAL
 from facepipe.photo.descent.working_photo import WorkingPhoto, to_srgb
-from facepipe.photo.features.extractor import Extractor
-from facepipe.photo.features.signatures import Features
+from facepipe.photo.features.extractor import Extractor, Features
 from facepipe.photo.options import PhotoFitOptions
 from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.face_model import FaceModel, Look

@@ -18,7 +18,6 @@ from torch.nn.functional import normalize
 from facepipe.photo.descent.descent import Adam, Unknowns
 from facepipe.photo.descent.joint_loss import JointLoss, color_loss, single
 from facepipe.photo.descent.landmark_fit import State
-from facepipe.photo.descent.seen_surface import SeenSurface
 from facepipe.photo.descent.shadows import (
     Shadows,
     shadows_of_harmonics,
@@ -28,8 +27,12 @@ from facepipe.photo.descent.shadows import (
     visibility,
 )
 from facepipe.photo.descent.working_photo import to_srgb
+from facepipe.photo.renderer.camera import Camera, rotation_matrices
+from facepipe.photo.renderer.face_model import FaceModel
 from facepipe.photo.renderer.light import DARK, KeyLight, ambient, basis, hue_cost, shade
+from facepipe.photo.renderer.rasterise import Raster, barycentrics, facing, interpolate, rasterise
 
+_SHOWN = 0.5
 _ROUNDS = 4
 OUTLIER = 0.06  # of linear light, beyond which pixels hardly count: shadows, highlights, hair over the brow
 _RIDGE = (1e-5, *(1e-3,) * 3, *(4e-3,) * 5, 1e-3, 1e-6)  # keeps harmonics that few normals show small
@@ -42,6 +45,50 @@ _OUTLIER = 0.1  # of linear light: wider than shadows and highlights, which show
 _SHINE = (0.1, 2.0)  # of a lamp to begin with
 _COVERED = 0.3  # cost without a lamp from which on pixels show hair, clothes or make-up rather than a face's shading
 _STEPS, _RATE, _SLOWEST = 60, 0.05, 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenSurface:
+    """The covered pixels, p of them, without gradients."""
+
+    raster: Raster
+    triangles: Tensor  # (t, 3) of the face
+    weights: Tensor  # (p, 3) barycentric coordinates
+    normals: Tensor  # (p, 3) unit, camera coordinates, towards the viewer's side
+    towards_eye: Tensor  # (p, 3) unit
+    colors: Tensor  # (p, 3) linear, of the face's own materials
+    materials: Tensor  # (p,) numbers into the names of the face's colours
+
+    @classmethod
+    def from_camera(cls, model: FaceModel, points: Tensor, camera: Camera, face: Tensor) -> SeenSurface:
+        """:param points: (n, 3) world points
+        :param face: (h, w) share of face in each pixel of the picture that the camera is for: where it is little,
+            something else covers the surface
+        """
+        with torch.no_grad():
+            local, triangles = camera.to_camera(points), model.outline.triangles
+            screen = camera.to_pixels(local)
+            raster = rasterise(screen, triangles, *face.shape)
+            shown = face.reshape(-1)[raster.pixels] > _SHOWN
+            raster = replace(raster, pixels=raster.pixels[shown], triangles=raster.triangles[shown])
+            weights = barycentrics(screen, triangles, raster)
+            normals = model.normals(points) @ rotation_matrices(camera.rotation).mT
+            normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
+            return cls(
+                raster=raster,
+                triangles=triangles,
+                weights=weights,
+                normals=normalize(normals, dim=1),
+                towards_eye=normalize(-interpolate(local, triangles, raster, weights), dim=1),
+                colors=model.colors(raster, weights),
+                materials=model.colors.materials[raster.triangles],
+            )
+
+    def at_pixels(self, values: Tensor) -> Tensor:
+        """(p, ...) what points (n, ...) have, interpolated."""
+        flat = values if values.ndim > 1 else values[:, None]
+        found = interpolate(flat, self.triangles, self.raster, self.weights)
+        return found if values.ndim > 1 else found[:, 0]
 
 
 def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tuple[Tensor, Tensor]:

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 
 from facepipe.core.errors import InputError
 from facepipe.networks.onnx_file import array, opset
-from facepipe.photo.features.node import Node, Operator, whole
-from facepipe.photo.features.operators import OPERATORS
+from facepipe.photo.features.operators import OPERATORS, Node, Operator, whole
 
 MOST = 1 << 29  # numbers that all nodes together make of one picture
 _SMALL = 1000

@@ -21,9 +21,9 @@ from facepipe.photo.fit.photo_landmarks import Landmarks68, mediapipe_landmarks,
 from facepipe.photo.options import MODELS
 
 if TYPE_CHECKING:
-    from facepipe.networks.description import Kind
+    from facepipe.networks.onnx_file import Kind
     from facepipe.photo.descent.landmark_fit import State
-    from facepipe.photo.descent.result import PhotoFit
+    from facepipe.photo.descent.subject import PhotoFit
     from facepipe.photo.features.extractor import Extractor
     from facepipe.photo.fit.fit_photo_action import FitPhoto
     from facepipe.photo.fit.person_model import IdentityReport, PersonModel
@@ -51,7 +51,7 @@ class Fitted:
     @cached_property
     def sheet(self) -> PhotoSheet:
         """What the report page shows of it."""
-        from facepipe.photo.fit.report_folder import report_sheet
+        from facepipe.photo.fit.report import report_sheet
 
         return report_sheet(self.parts, self.fit, self.inputs.photos)
 
@@ -91,7 +91,7 @@ def _extractors(action: FitPhoto) -> Mapping[Kind, Extractor]:
     missing = [kind for kind in MODELS.values() if kind not in given and getattr(action, kind)]
     if not missing or not action.iterations:
         return given
-    from facepipe.photo.features.own import own_extractors
+    from facepipe.photo.features.extractor import own_extractors
 
     return {**own_extractors(missing), **given}
 

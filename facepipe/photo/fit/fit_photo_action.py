@@ -161,8 +161,8 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
     def author(self, face: Face, job: Job) -> PhotoFitReport:
         from facepipe.photo.fit.author import AuthorPhotoFit
         from facepipe.photo.fit.fit_face import Fitted, fit_face, fit_person, read_inputs
-        from facepipe.photo.fit.likeness import sliders_at_limit, unseen_regions, with_similarities
         from facepipe.photo.fit.person_model import person_model
+        from facepipe.photo.fit.report import sliders_at_limit, unseen_regions, with_similarities
         from facepipe.stage import Face
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
@@ -200,7 +200,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
 
     def write_report(self, face: Face, report: PhotoFitReport, path: Path) -> None:
         """The folder of the report."""
-        from facepipe.photo.fit.report_folder import write_folder
+        from facepipe.photo.fit.report import write_folder
 
         write_folder(path, report.fitted, report)
 

@@ -17,15 +17,14 @@ from scipy.spatial import cKDTree
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
-from facepipe.geometry.boxed_qp import BoxedQuadratic
+from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
 from facepipe.registry import databases
 from facepipe.rig import Rig, build, slide
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
-from facepipe.verbs.same_topology import MILLIMETRES, in_order, world_to_world
-from facepipe.verbs.whole_faces import to_millimetres, whole_points
+from facepipe.verbs.whole_faces import MILLIMETRES, in_order, to_millimetres, whole_points, world_to_world
 
 REACH = 3.0  # standard deviations of a mode that a person may have
 SCHEME = "multipie68"

@@ -28,7 +28,7 @@ from facepipe.declare import option, source
 from facepipe.kinds import FolderAction, Job, action
 
 if TYPE_CHECKING:
-    from facepipe.photo.frames.report import ChosenFramesReport
+    from facepipe.photo.frames.search import ChosenFramesReport
 
 
 @action("choose-frames", "choose frames of a short video as photos of a person")
@@ -44,10 +44,8 @@ class ChooseFrames(FolderAction["ChosenFramesReport"]):
 
     def write(self, job: Job) -> ChosenFramesReport:
         from facepipe.core.atomic import replacing_folder, write_bytes
-        from facepipe.photo.frames.choice import choose
         from facepipe.photo.frames.clip import Clip
-        from facepipe.photo.frames.frame_files import write_frames
-        from facepipe.photo.frames.search import looks_in, moments
+        from facepipe.photo.frames.search import choose, looks_in, moments, write_frames
 
         clip = Clip.of(self.clip)
         with job.watch("look for the face", moments(clip)) as bar:

@@ -4,19 +4,240 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
 import torch
+from scipy import sparse
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.parts import FaceParts
-from facepipe.photo.renderer.antialias import Outline, antialias
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import TopologyError
+from facepipe.core.images import open_image, pixels
+from facepipe.geometry.colors import from_srgb
+from facepipe.geometry.polygons import triangulate
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
 from facepipe.photo.renderer.light import KeyLight, shade
-from facepipe.photo.renderer.rasterise import barycentrics, facing, interpolate, rasterise
-from facepipe.photo.renderer.surfaces import PointNormals, SurfaceColors, opaque_surfaces
+from facepipe.photo.renderer.rasterise import (
+    Outline,
+    Raster,
+    antialias,
+    barycentrics,
+    facing,
+    interpolate,
+    rasterise,
+    take,
+)
 from facepipe.rig import build
-from facepipe.rig.torch.rig import DifferentiableRig
+from facepipe.rig.torch.rig import DifferentiableRig, FixedMatrix
+
+_Wrap = Literal["repeat", "mirror", "clamp"]
+
+
+class PointNormals:
+    """Unit normals of the points of one topology, area-weighted, as `facepipe.geometry.polygons.point_normals`."""
+
+    def __init__(
+        self,
+        triangles: IntArray,
+        point_count: int,
+        *,
+        dtype: torch.dtype = torch.float32,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """:param triangles: (t, 3) point numbers, counter-clockwise outside"""
+        triangles = np.asarray(triangles, dtype=np.int64)
+        owners = np.repeat(np.arange(len(triangles)), 3)
+        entries = (np.ones(len(owners)), (triangles.ravel(), owners))
+        incidence = sparse.csr_array(entries, shape=(point_count, len(triangles)))
+        self._triangles = torch.as_tensor(triangles, device=device)
+        self._incidence = FixedMatrix(incidence, dtype, device)
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """(n, 3) unit normals of points (n, 3); (0, 1, 0) at points of no triangle with an area."""
+        corners = take(points, self._triangles)
+        areas = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        summed = self._incidence @ areas
+        square = (summed * summed).sum(dim=1, keepdim=True)
+        flat = square < torch.finfo(square.dtype).tiny
+        up = summed.new_tensor([0.0, 1.0, 0.0])
+        return torch.where(flat, up, summed / torch.where(flat, torch.ones_like(square), square).sqrt())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surfaces:
+    """Triangles of all meshes, points numbered in mesh order."""
+
+    triangles: IntArray  # (t, 3) point numbers, counter-clockwise outside
+    materials: IntArray  # (t,) into `names`
+    names: tuple[str, ...]  # of the materials; "" for surfaces without one
+    colors: FloatArray  # (m, 3) linear, of each material; (1, 1, 1) where it has a texture
+    textures: tuple[TextureInput | None, ...]  # (m,) diffuse textures
+    uv: FloatArray  # (u, 2) texture coordinates, v up
+    uv_corners: IntArray  # (t, 3) rows of `uv`
+
+
+def opaque_surfaces(parts: FaceParts) -> Surfaces:
+    """Everything with an opacity of 1; what lets light through, like corneas and lashes on cards, is left out.
+
+    :raises TopologyError: a mesh refers to materials that are not there
+    """
+    materials = (Material(name=""), *parts.materials)
+    number = {material.name: i for i, material in enumerate(materials)}
+    pieces = []
+    uv: list[FloatArray] = [np.zeros((1, 2))]
+    first = 0
+    for mesh in parts.meshes:
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        chosen = _materials(mesh, number)[faces]
+        opaque = np.array([material.opacity == 1.0 for material in materials])[chosen]
+        corners, chosen = corners[opaque], chosen[opaque]
+        points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
+        pieces.append((points + first, chosen, _uv_rows(mesh, corners, points, materials, chosen, uv)))
+        first += len(mesh.points)
+    pieces.append((np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64)))
+    triangles, of_triangle, uv_corners = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    textures = tuple(one.diffuse_color if isinstance(one.diffuse_color, TextureInput) else None for one in materials)
+    plain = [(1.0, 1.0, 1.0) if isinstance(one.diffuse_color, TextureInput) else one.diffuse_color for one in materials]
+    return Surfaces(
+        triangles=triangles,
+        materials=of_triangle,
+        names=tuple(material.name for material in materials),
+        colors=np.array(plain, dtype=np.float64),
+        textures=textures,
+        uv=np.concatenate(uv),
+        uv_corners=uv_corners,
+    )
+
+
+def _materials(mesh: Mesh, number: dict[str, int]) -> IntArray:
+    """(faces,) material of each face."""
+    bound = [(mesh.material or "", np.arange(len(mesh.face_vertex_counts)))]
+    bound += [
+        (material_face.material, np.asarray(material_face.faces, dtype=np.int64))
+        for material_face in mesh.material_faces
+    ]
+    materials = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
+    for name, faces in bound:
+        if name not in number:
+            raise TopologyError(mesh.name, f"material '{name}' is not among the face's materials")
+        materials[faces] = number[name]
+    return materials
+
+
+def _uv_rows(
+    mesh: Mesh,
+    corners: IntArray,
+    points: IntArray,
+    materials: tuple[Material, ...],
+    materials_used: IntArray,
+    table: list[FloatArray],
+) -> IntArray:
+    """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
+    rows = np.zeros(corners.shape, dtype=np.int64)
+    for uv_set in mesh.uv_sets:
+        used = [i for i, one in enumerate(materials) if _reads(one, uv_set.name)]
+        chosen = np.isin(materials_used, used)
+        within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
+        rows[chosen] = within[chosen] + sum(map(len, table))
+        table.append(np.asarray(uv_set.values, dtype=np.float64))
+    return rows
+
+
+def _reads(material: Material, uv_set: str) -> bool:
+    return isinstance(material.diffuse_color, TextureInput) and material.diffuse_color.uv_set == uv_set
+
+
+def bilinear(texels: Tensor, uv: Tensor, wrap_s: _Wrap = "repeat", wrap_t: _Wrap = "repeat") -> Tensor:
+    """(m, c) values of texels (h, w, c), top row first, at UVs (m, 2) with v up.
+
+    The same lookup as the pictures of `facepipe.pictures`: texel centres are half a texel inside.
+    """
+    height, width, channels = texels.shape
+    x = uv[:, 0] * width - 0.5
+    y = (1 - uv[:, 1]) * height - 0.5
+    left, above = x.detach().floor(), y.detach().floor()
+    fx, fy = (x - left)[:, None], (y - above)[:, None]
+    columns = [_wrap(left.long() + step, width, wrap_s) for step in (0, 1)]
+    rows = [_wrap(above.long() + step, height, wrap_t) * width for step in (0, 1)]
+    flat = texels.reshape(-1, channels)
+    upper, lower = (
+        torch.lerp(take(flat, row + columns[0]), take(flat, row + columns[1]), fx.expand(-1, channels)) for row in rows
+    )
+    return torch.lerp(upper, lower, fy.expand(-1, channels))
+
+
+def _wrap(index: Tensor, size: int, mode: _Wrap) -> Tensor:
+    if mode == "clamp":
+        return index.clamp(0, size - 1)
+    if mode == "mirror":
+        folded = index % (2 * size)
+        return torch.where(folded < size, folded, 2 * size - 1 - folded)
+    return index % size
+
+
+class SurfaceColors:
+    """Linear diffuse colours: one a material, or a texture."""
+
+    def __init__(self, surfaces: Surfaces, largest: int, dtype: torch.dtype, device: torch.device | str) -> None:
+        """
+        :param largest: pixels a side beyond which textures are halved
+        :raises InputError: a texture that can't be read as an image
+        """
+        self.names = surfaces.names
+        self.colors = torch.as_tensor(surfaces.colors, dtype=dtype, device=device)
+        self.textures: dict[str, Tensor] = {}
+        self._inputs = {
+            i: source for i, source in enumerate(surfaces.textures) if source and (surfaces.materials == i).any()
+        }
+        for i, source in self._inputs.items():
+            self.textures[self.names[i]] = torch.as_tensor(_linear_texels(source, largest), dtype=dtype, device=device)
+        self.materials = torch.as_tensor(surfaces.materials, device=device)
+        self._uv = torch.as_tensor(surfaces.uv, dtype=dtype, device=device)
+        self._corners = torch.as_tensor(surfaces.uv_corners, device=device)
+
+    def __call__(
+        self, raster: Raster, weights: Tensor, tint: Tensor | None = None, textures: Mapping[str, Tensor] | None = None
+    ) -> Tensor:
+        """(p, 3) colours at the covered pixels.
+
+        :param weights: (p, 3) barycentric coordinates
+        :param tint: (m, 3) what the colour of each material is multiplied by
+        :param textures: (h, w, 3) linear texels instead of a material's own, by its name
+        """
+        material = self.materials[raster.triangles]
+        result = take(self.colors if tint is None else self.colors * tint, material)
+        images = {**self.textures, **(textures or {})}
+        for number, source in self._inputs.items():
+            pixels = (material == number).nonzero()[:, 0]
+            if not len(pixels):
+                continue
+            part = Raster(
+                height=raster.height,
+                width=raster.width,
+                pixels=raster.pixels[pixels],
+                triangles=raster.triangles[pixels],
+                nearness=raster.nearness,
+            )
+            uv = interpolate(self._uv, self._corners, part, weights.index_select(0, pixels))
+            texels = bilinear(images[self.names[number]], uv, source.wrap_s, source.wrap_t)
+            factor = torch.ones_like(result).index_copy(0, pixels, texels)
+            result = result * factor
+        return result
+
+
+def _linear_texels(source: TextureInput, largest: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """(h, w, 3) linear colours of a texture's input, top row first: 8-bit sRGB decoded (IEC 61966-2-1).
+
+    :raises InputError: the bytes are not an image that can be read
+    """
+    where = f"texture {source.texture.name}"
+    image = open_image(source.texture.image(), where)
+    texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
+    table = from_srgb(np.arange(256) / 255.0)
+    return np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32))
 
 
 @dataclass(frozen=True, kw_only=True)

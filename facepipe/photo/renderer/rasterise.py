@@ -7,16 +7,20 @@ come from `facepipe.photo.renderer.antialias`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from facepipe.core.arrays import IntArray
 from facepipe.geometry import rasterise as geometry
+from facepipe.geometry.polygons import components, distinct_edges
 from facepipe.photo.renderer.camera import NEAR
 
 FAR_OUT = 1e6  # pixels from the corner of the image beyond which positions lose their meaning
+_ROUNDING = 1e-5  # of nearness; what is behind an edge is farther than this
 
 
 def take(table: Tensor, rows: Tensor) -> Tensor:
@@ -128,3 +132,222 @@ def expand(counts: Tensor) -> tuple[Tensor, Tensor]:
     """For counts (2, 3): owners 0 0 1 1 1 and steps 0 1 0 1 2."""
     owner = torch.repeat_interleave(counts)
     return owner, torch.arange(len(owner), device=counts.device) - (counts.cumsum(0) - counts).gather(0, owner)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intersections:
+    """Pairs of pixels that show parts which change order between the centres."""
+
+    inside: Tensor  # (k,) pixel number
+    outside: Tensor  # (k,) the pixel beside or below it
+    corners: Tensor  # (k, 2, 3) points of the triangles that both show
+
+    def reach(self, points: Tensor, width: int) -> Tensor:
+        """(k,) how far, in pixels, the inner pixel's surface reaches from its centre, with gradients to the points."""
+        lead = torch.stack([_lead(points, self.corners, pixel, width) for pixel in (self.inside, self.outside)])
+        return lead[0] / (lead[0] - lead[1])
+
+
+def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Raster, taken: Tensor) -> Intersections:
+    """The crossings of planes; without gradients. Only triangles of different connected parts are looked at.
+
+    A line nearer to vertical counts between pixels side by side, the others between pixels above each other.
+
+    :param points: (n, 3) pixel x, pixel y and depth
+    :param triangles: (t, 3)
+    :param parts: (t,) connected part of each triangle
+    :param taken: numbers of pairs, as in `Crossings`, that are left out
+    """
+    with torch.no_grad():
+        points = points.detach()
+        shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
+        shown[raster.pixels] = raster.triangles
+        inside, outside, pair = _borders(shown, parts, raster)
+        free = ~torch.isin(pair, taken)
+        inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
+        corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
+        width = raster.width
+        here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
+        # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
+        across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
+        keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
+        return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
+
+
+def _borders(shown: Tensor, parts: Tensor, raster: Raster) -> tuple[Tensor, Tensor, Tensor]:
+    """Neighbouring pixels that show different parts, and the number of each pair."""
+    part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
+    pairs = []
+    for dim, step in ((1, 1), (0, raster.width)):
+        one, other = (part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim])))
+        row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
+        first = row * raster.width + column
+        pairs.append(torch.stack([first, first + step, 2 * first + dim]))
+    first, second, pair = torch.cat(pairs, dim=1)
+    return first, second, pair
+
+
+def _lead(points: Tensor, corners: Tensor, pixel: Tensor, width: int) -> Tensor:
+    """(k,) by how much the plane of the first of two triangles (k, 2, 3) is nearer (1 / depth) than that of the other
+    at a pixel's centre."""
+    places = take(points, corners)
+    x = places[..., 0] - (pixel % width + 0.5)[:, None, None]
+    y = places[..., 1] - (pixel // width + 0.5)[:, None, None]
+    areas = corner_areas(x, y)
+    nearness = (areas / places[..., 2]).sum(dim=-1) / areas.sum(dim=-1)
+    return nearness[:, 0] - nearness[:, 1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crossings:
+    """Places where a silhouette passes between the centres of two neighbouring pixels."""
+
+    ends: Tensor  # (k, 2) points of the edge
+    steep: Tensor  # (k,) bool: nearer to vertical, between pixels side by side
+    line: Tensor  # (k,) the row (steep) or column that it crosses
+    cell: Tensor  # (k,) the column (steep) or row of the first of the pixels
+    inside_first: Tensor  # (k,) bool: the surface is on the side of the first
+    pair: Tensor  # (k,) number of the pair of pixels: twice the first pixel's, and 1 more if they are side by side
+    inside: Tensor  # (k,) pixel number on the surface's side
+    outside: Tensor  # (k,) pixel number beyond the silhouette
+    nearness: Tensor  # (k,) 1 / depth of the edge there
+    floor: Tensor  # (k,) the least nearness of the surface at the inner pixel
+
+    def select(self, keep: Tensor) -> Crossings:
+        """Those of a mask or of numbers."""
+        return Crossings(**{each.name: getattr(self, each.name)[keep] for each in fields(self)})
+
+    def reach(self, points: Tensor) -> Tensor:
+        """(k,) how far, in pixels, the surface reaches from the inner pixel's centre, with gradients to the points."""
+        x, y = take(points[:, :2], self.ends).unbind(-1)
+        u, v = torch.where(self.steep[:, None], x, y), torch.where(self.steep[:, None], y, x)
+        along = u[:, 0] + (self.line + 0.5 - v[:, 0]) * (u[:, 1] - u[:, 0]) / (v[:, 1] - v[:, 0])
+        reach = along - (self.cell + 0.5)
+        return torch.where(self.inside_first, reach, 1 - reach)
+
+
+def silhouettes(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
+    """The visible crossings, at most one between two pixels; without gradients.
+
+    :param points: (n, 3) pixel x, pixel y and depth
+    :param edges: (e, 4) of an `Outline`
+    """
+    with torch.no_grad():
+        return _visible(_crossings(points.detach(), edges, raster), points.detach(), raster)
+
+
+def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
+    """All crossings of silhouette edges, seen or not, between two pixels of the image."""
+    edges = edges[_silhouettes(points, edges)]
+    x, y, depth = points[edges].unbind(-1)
+    steep = (y[:, 1] - y[:, 0]).abs() >= (x[:, 1] - x[:, 0]).abs()
+    u, v = torch.where(steep[:, None], x, y), torch.where(steep[:, None], y, x)
+    lines, cells = (
+        torch.where(steep, *size) for size in ((raster.height, raster.width), (raster.width, raster.height))
+    )
+    low, high = ((v[:, :2] - 0.5).ceil().amin(1), (v[:, :2] - 0.5).ceil().amax(1))
+    first, last = (torch.minimum(one.clamp(min=0), lines).long() for one in (low, high))
+    owner, step = expand(last - first)
+    line = first[owner] + step
+    share = (line + 0.5 - v[owner, 0]) / (v[owner, 1] - v[owner, 0])
+    # On a centre, as in the raster: the pixel belongs to what comes after the edge.
+    cell = (u[owner, 0] + share * (u[owner, 1] - u[owner, 0]) - 0.5).ceil().long() - 1
+    within = ((cell >= 0) & (cell + 1 < cells[owner])).nonzero()[:, 0]
+    owner, line, share, cell = owner[within], line[within], share[within], cell[within]
+    steep, inward, slope = steep[owner], *(side[owner] for side in _sides(u, v, 1 / depth))
+    near = torch.where(steep, line * raster.width + cell, cell * raster.width + line)
+    far = near + torch.where(steep, 1, raster.width)
+    nearness = 1 / depth[:, :2][owner]
+    nearness = nearness[:, 0] + share * (nearness[:, 1] - nearness[:, 0])
+    return Crossings(
+        ends=edges[owner, :2],
+        steep=steep,
+        line=line,
+        cell=cell,
+        inside_first=inward < 0,
+        pair=2 * near + steep,
+        inside=torch.where(inward < 0, near, far),
+        outside=torch.where(inward < 0, far, near),
+        nearness=nearness,
+        floor=nearness * (1 - _ROUNDING) + 2 * slope.clamp(max=0),
+    )
+
+
+def _silhouettes(points: Tensor, edges: Tensor) -> Tensor:
+    """Numbers of the edges with all that is at them on one side of them, on the screen."""
+    x, y, _ = take(points, edges.T).unbind(-1)
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    one, other = (dx * (y[corner] - y[0]) - dy * (x[corner] - x[0]) for corner in (2, 3))
+    outer = ((one > 0) & (other > 0)) | ((one < 0) & (other < 0))
+    found = outer.nonzero()[:, 0]
+    return found[usable(points)[edges[found]].all(dim=1)]
+
+
+def _sides(u: Tensor, v: Tensor, nearness: Tensor) -> tuple[Tensor, Tensor]:
+    """(e,) the direction in u from each edge to its surface, and the least change of nearness per pixel that way."""
+    share = (v[:, 2:] - v[:, :1]) / (v[:, 1:2] - v[:, :1])
+    inward = u[:, 2:] - (u[:, :1] + share * (u[:, 1:2] - u[:, :1]))
+    change = nearness[:, 2:] - (nearness[:, :1] + share * (nearness[:, 1:2] - nearness[:, :1]))
+    return inward[:, 0], (change / inward.abs()).amin(dim=1)
+
+
+def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:
+    """Those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
+    one that reaches farthest: all of them together cover that much."""
+    inner, outer = raster.nearness[crossings.inside], raster.nearness[crossings.outside]
+    seen = (outer < crossings.nearness * (1 - _ROUNDING)) & (inner > outer) & (inner >= crossings.floor)
+    crossings = crossings.select(seen)
+    order = torch.arange(len(crossings.pair), device=crossings.pair.device)
+    reach = crossings.reach(points).clamp(min=0).to(torch.float32)
+    keys = (reach.view(torch.int32).long() << 32) | order
+    best = keys.new_zeros(2 * raster.height * raster.width).scatter_reduce_(0, crossings.pair, keys, "amax")
+    return crossings.select(best[crossings.pair] == keys)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outline:
+    """The topology that `facepipe.photo.renderer.antialias` needs, made once a mesh."""
+
+    triangles: Tensor  # (t, 3) int64
+    edges: Tensor  # (e, 4) int64: both ends, then the corners across from it in the triangles on its sides
+    parts: Tensor  # (t,) int64 number of the connected part that each triangle belongs to
+
+    @classmethod
+    def from_triangles(cls, triangles: IntArray, point_count: int, device: torch.device | str = "cpu") -> Outline:
+        """The outline of triangles (t, 3)."""
+        triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+        part = components(point_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
+        numbers = (triangles, mesh_edges(triangles), part[triangles[:, 0]].astype(np.int64))
+        one, other, last = (torch.as_tensor(each, device=device) for each in numbers)
+        return cls(triangles=one, edges=other, parts=last)
+
+
+def mesh_edges(triangles: IntArray) -> npt.NDArray[np.int64]:
+    """(e, 4) edges of triangles (t, 3): both ends, then the corners across from it in the triangles on its sides.
+
+    An edge of one triangle has its corner twice. Edges of more than two are left out: they lie inside a surface.
+    """
+    triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    ends = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    across = np.concatenate([triangles[:, (i + 2) % 3] for i in range(3)])
+    pairs, owner, count = distinct_edges(ends)
+    order = np.argsort(owner, kind="stable")
+    last = np.cumsum(count) - 1
+    edges = np.column_stack([pairs, across[order[last - count + 1]], across[order[last]]])
+    return np.asarray(edges[count <= 2])
+
+
+def antialias(image: Tensor, points: Tensor, outline: Outline, raster: Raster) -> Tensor:
+    """(height, width, c) image with its outlines blended, with gradients to colours and points.
+
+    :param image: (height, width, c) colours of what `raster` shows
+    :param points: (n, 3) pixel x, pixel y and depth, those that were rasterised
+    """
+    edges = silhouettes(points, outline.edges, raster)
+    planes = intersections(points, outline.triangles, outline.parts, raster, edges.pair)
+    inside, outside = torch.cat([edges.inside, planes.inside]), torch.cat([edges.outside, planes.outside])
+    past = torch.cat([edges.reach(points), planes.reach(points, raster.width)]) - 0.5
+    flat = image.reshape(-1, image.shape[2])
+    change = past[:, None] * (take(flat, inside) - take(flat, outside))
+    changed = torch.where(past.detach() < 0, inside, outside)
+    return flat.scatter_add(0, changed[:, None].expand_as(change), change).reshape(image.shape)

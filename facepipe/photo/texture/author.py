@@ -3,38 +3,256 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import zoom
 from scipy.spatial import cKDTree
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.core.images import open_image
 from facepipe.core.threads import one_thread
+from facepipe.geometry.colors import from_srgb, to_srgb
+from facepipe.geometry.polygons import triangulate
+from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.heads.people import STYLES
-from facepipe.heads.surfaces import brow_color, kind_of, other_cards
+from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
 from facepipe.kinds import Watch
-from facepipe.parts import PhotoView, Recipe, TextureInput
+from facepipe.parts import FaceParts, Mesh, PhotoView, Recipe, TextureInput
 from facepipe.photo.fit import Photo, read_photo
-from facepipe.photo.texture.eyes import eye_colors, eye_whites, recolored
-from facepipe.photo.texture.hair_style import nearest_style
 from facepipe.photo.texture.report import BakePhotoReport
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes, author_mesh_in_place
 from facepipe.stage.materials import author_color_scale, author_opacity
 from facepipe.textures.bake import Baked, Baker
-from facepipe.textures.brow_cards import brow_cards, hide_brow_cards
 from facepipe.textures.hair import HairCards, hair_cards, painted_scalp, scale_of
-from facepipe.textures.observed import expose
-from facepipe.textures.skin_surface import SkinSurface, skin_of
+from facepipe.textures.seen_skin import DARKEST, GREY, Exposure, expose, sampled, to_camera, to_pixels
+from facepipe.textures.skin_surface import (
+    SkinSurface,
+    SkinTexture,
+    brow_cards,
+    hide_brow_cards,
+    names_of,
+    of_faces,
+    skin_of,
+    template_texels,
+    textures_of,
+)
 
+SCHEME = "pupils"
+_EYE_TEXELS = 96  # a side of the picture as it is compared
+_FRONT = 0.012  # of the eyes' distance: a point so far behind the nearest surface is hidden
+_PUPIL = 0.3  # of the iris' median brightness: what is darker is the pupil
+_FEWEST, _SMALLEST = 60, 4.0  # texels, and pixels across that an iris is seen by
+_IRIS_SHARE, _WHITE_SHARE = (0.0, 0.5), (0.3, 0.9)  # quantiles of brightness: what is brighter mirrors lamps
+_IRIS_LIMITS, _WHITE_LIMITS = (0.2, 4.0), (0.5, 1.0)  # factors
+_WHITES = 0.5, 0.9  # quantiles of brightness between which whites of eyes are
+_EYES = 24  # pixels between the eyes, at which hair is compared
+_SCALP = 0.5
+_HAIR_TEXELS = 32  # a side, of which each covers some strands and the gaps between them
+_SHAVED = 0.8  # of the scalp's pixels, that show face where nothing of hair is
+_LEAST = 0.2  # of all pixels of hair, that the nearest style shares with photos
 _BROWS = slice(17, 27)  # landmarks
 _LOWER = 0.08  # of the way from the chin to the root of the nose
 _LITTLE = 0.1  # share of the face
 _SHOWN = 0.3  # mean confidence at brows
 _MOVED = 1.0  # cm that hair which went with a fit's neutral may lie beside where it was laid
+
+
+@dataclass(frozen=True, kw_only=True)
+class EyeColor:
+    """How much lighter irises, or the whites of eyes, are than in their picture."""
+
+    texture: SkinTexture
+    materials: tuple[str, ...]  # that show it, of both eyes
+    factor: FloatArray  # (3,) of its linear colours
+
+
+def eye_colors(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray]) -> tuple[EyeColor, ...]:
+    """Those of irises and of whites, without what no photo shows enough of, or has no picture in common.
+
+    :param scales: (3,) of each photo's light
+    """
+    found = (_eye_color(parts, photos, scales, white=white) for white in (False, True))
+    return tuple(one for one in found if one is not None)
+
+
+def _eye_color(
+    parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray], *, white: bool
+) -> EyeColor | None:
+    found: list[FloatArray] = [np.zeros((0, 3))]
+    textures, first = [], 0
+    for mesh in parts.meshes:
+        texture = _texture(parts, mesh, white=white)
+        if texture is not None:
+            textures.append(texture)
+            for photo, scale in zip(photos, scales, strict=True):
+                around = photo.light_around(slice(first, first + len(mesh.points)))
+                found.append(_ratios(photo, texture, first, around) - np.log(scale))
+        first += len(mesh.points)
+    ratios, names = np.concatenate(found), {texture.source.texture.name for texture in textures}
+    if len(ratios) < _FEWEST or len(names) > 1:
+        return None
+    bright = ratios @ GREY
+    low, high = np.quantile(bright, _WHITE_SHARE if white else _IRIS_SHARE)
+    ratio = np.median(ratios[(bright >= low) & (bright <= high)], axis=0)
+    if white:  # lids in their place would redden them
+        ratio = np.full(3, ratio @ GREY)
+    materials = tuple(dict.fromkeys(name for texture in textures for name in texture.materials))
+    factor = np.clip(np.exp(ratio), *(_WHITE_LIMITS if white else _IRIS_LIMITS))
+    return EyeColor(texture=textures[0], materials=materials, factor=factor)
+
+
+def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
+    """(3,) logarithms of how much lighter than in its light a photo shows whites of eyes; None: hardly any."""
+    found: list[FloatArray] = [np.zeros((0, 3))]
+    first = 0
+    for mesh in parts.meshes:
+        texture = _texture(parts, mesh, white=True)
+        if texture is not None:
+            found.append(_ratios(photo, texture, first))
+        first += len(mesh.points)
+    ratios = np.concatenate(found)
+    if len(ratios) < _FEWEST:
+        return None
+    bright = ratios @ GREY  # lids and lashes shade the darker half, lamps' images are few
+    low, high = np.quantile(bright, _WHITES)
+    return np.asarray(np.median(ratios[(bright >= low) & (bright <= high)], axis=0))
+
+
+def _texture(parts: FaceParts, mesh: Mesh, *, white: bool = False) -> SkinTexture | None:
+    """That of an eye's iris: what is next to the middle of its pupil, and lets no light through.
+
+    :param white: the other one
+    """
+    if SCHEME not in mesh.landmarks:
+        return None
+    solid = {material.name for material in parts.materials if material.opacity == 1.0}
+    names, number = names_of(mesh), of_faces(mesh)
+    corners, faces = triangulate(mesh.face_vertex_counts)
+    middles = mesh.points[mesh.face_vertex_indices[corners]].mean(axis=1)
+    off = np.linalg.norm(middles - mesh.points[mesh.landmarks[SCHEME].indices[0]], axis=1)
+    off[[names[place] not in solid for place in number[faces]]] = np.inf
+    shown = names[number[faces[off.argmin()]]]
+    return next((one for one in textures_of(parts, mesh, _EYE_TEXELS) if (shown in one.materials) != white), None)
+
+
+def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray | None = None) -> FloatArray:
+    """(m, 3) logarithms of colours over the template's, of texels of the iris that a photo shows.
+
+    :param first: point of the eye among those of all meshes
+    :param light: (3,) there; None: that of each point
+    """
+    texels, template = texture.texels, template_texels(texture).reshape(-1, 3)[texture.texels.at]
+    span = slice(first, first + int(texels.corners.max()) + 1)
+    places, depth = to_pixels(photo.view, texels.carried(photo.all_points[span]))
+    across = np.ptp(places, axis=0).max()
+    bright = template @ GREY
+    height, width = photo.seen.depth.shape
+    column, row = np.clip(places, 0, [width - 1, height - 1]).astype(np.int64).T
+    seen = depth <= photo.seen.depth[row, column] + _FRONT * photo.seen.eye_distance
+    # Without the pupil: ratios to its black say nothing of the iris's colour.
+    seen &= bright > _PUPIL * np.median(bright)
+    seen &= ((places > 2) & (places < np.array([width, height]) - 2)).all(axis=1)
+    if across < _SMALLEST or not seen.any():
+        return np.zeros((0, 3))
+    shown = from_srgb(np.clip(sampled(photo.pixels, places[seen], 1.0), 0, 1))
+    white = texels.taken(np.flatnonzero(seen)).carried(photo.all_white[span]) if light is None else light
+    white = np.maximum(white, DARKEST)
+    return np.asarray(np.log(np.maximum(shown, DARKEST) / white) - np.log(np.maximum(template[seen], DARKEST)))
+
+
+def recolored(texture: SkinTexture, factor: FloatArray) -> bytes:
+    """The picture of a texture with its linear colours times a factor (3,), as PNG."""
+    from PIL import Image
+
+    name = texture.source.texture.name
+    picture = open_image(texture.source.texture.image(), f"texture {name}").convert("RGB")
+    linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
+    levels = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
+    stream = BytesIO()
+    Image.fromarray(levels[np.asarray(picture), np.arange(3)]).save(stream, format="PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def nearest_style(
+    skin: SkinSurface, photos: Sequence[Exposure], posed: Sequence[FloatArray], scalp: FloatArray, now: str
+) -> str:
+    """The style whose outlines share most with the hair in photos; that of now where none shares much.
+
+    Bald is whose scalp shows as face. Outlines do not tell curls: hair stays straight, or curled, as it is.
+
+    :param posed: of each photo (n, 3) world points of the skin
+    :param scalp: (n,) how far points of the skin are scalp
+    :param now: the style that the face has
+    """
+    hair, face = ([_small(photo, kind) for photo in photos] for kind in ("hair", "face"))
+
+    def drawn(style: str) -> list[BoolArray]:
+        return [_drawn(skin, *one, scalp > _SCALP, style) for one in zip(photos, posed, strict=True)]
+
+    shaved = drawn("stubble")
+    if _sum(np.minimum, face, shaved) > _SHAVED * sum(map(np.sum, shaved)):
+        return "bald"
+    shares = {now: _LEAST}
+    for style, (painted, picture) in STYLES.items():
+        if painted and picture in ("", STYLES[now][1]):
+            shown = drawn(style)
+            # Intersection over union: by what is shared alone, the largest outline would win.
+            share = _sum(np.minimum, hair, shown) / max(_sum(np.maximum, hair, shown), 1e-9)
+            shares[style] = max(shares.get(style, 0.0), share)
+    return max(shares, key=lambda style: shares[style])
+
+
+def _sum(kind: np.ufunc, one: Sequence[FloatArray], other: Sequence[BoolArray]) -> float:
+    return float(sum(kind(*pair).sum() for pair in zip(one, other, strict=True)))
+
+
+@cache
+def _dense_triangles(style: str) -> IntArray:
+    """(t, 3) of a style's cards, where their picture shows more hair than gaps."""
+    grown, picture = cards(style), picture_of(STYLES[style][1])
+    small = (
+        open_image(picture.image(), picture.name).convert("RGBA").getchannel("A").resize((_HAIR_TEXELS, _HAIR_TEXELS))
+    )
+    triangles = card_triangles(grown)
+    column, row = (grown.uv[triangles].mean(axis=1) * [1, -1] % 1 * _HAIR_TEXELS).astype(int).T
+    return np.asarray(triangles[np.asarray(small)[row, column] > 127])
+
+
+def _scale(photo: Exposure) -> float:
+    """Of small pictures."""
+    return min(1.0, _EYES / photo.eye_pixels)
+
+
+def _small(photo: Exposure, kind: str) -> FloatArray:
+    """(h, w) face or hair in a small picture."""
+    whole, scale = getattr(photo.seen.mask, kind), _scale(photo)
+    shares = [max(1, round(side * scale)) / side for side in whole.shape]
+    return np.asarray(zoom(whole, shares, order=1, mode="nearest", grid_mode=True))
+
+
+def _drawn(skin: SkinSurface, photo: Exposure, points: FloatArray, scalp: BoolArray, style: str) -> BoolArray:
+    """(h, w) where a style shows in a small picture."""
+    shown, triangles = photo.all_points, skin.opaque
+    hair = np.zeros(len(shown), bool)
+    hair[skin.span] = scalp & (STYLES[style][0] > 0)
+    if STYLES[style][1]:
+        grown = cards(style)
+        triangles = np.concatenate([triangles, _dense_triangles(style) + len(shown)])
+        shown = np.concatenate([shown, to_camera(photo.view, grown.carry(points) + grown.offsets)])
+        hair = np.concatenate([hair, np.ones(len(grown.uv), bool)])
+    places, depth = to_pixels(photo.view, shown)
+    scale = _scale(photo)
+    flat = np.column_stack([places * scale * depth[:, None], np.ones(len(depth)), depth])
+    height, width = (max(1, round(side * scale)) for side in photo.seen.depth.shape)
+    raster = rasterise(screen_triangles(flat, triangles), width, height)
+    of_hair = np.asarray(hair[triangles].all(axis=1))
+    return np.asarray((raster.key > 0) & of_hair[np.maximum(raster.triangle, 0)])
 
 
 def author_textures(

@@ -77,7 +77,7 @@ class BakePhoto(LikenessOptions, StageAction["BakePhotoReport"]):
         pairs = [(self._view(face, photo), photo) for photo in self.photos]
         report = author_textures(face, pairs, self.size, recipe, job.watch)
         if network is not None or self.report is not None:
-            from facepipe.photo.texture.report_folder import bake_sheet, with_similarities
+            from facepipe.photo.texture.report import bake_sheet, with_similarities
 
             report = replace(report, sheet=bake_sheet(face, pairs))
             report = report if network is None else with_similarities(report, network)
@@ -101,7 +101,7 @@ class BakePhoto(LikenessOptions, StageAction["BakePhotoReport"]):
 
     def write_report(self, face: Face, report: BakePhotoReport, path: Path) -> None:
         """The folder of the report."""
-        from facepipe.photo.texture.report_folder import write_folder
+        from facepipe.photo.texture.report import write_folder
 
         write_folder(path, report)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FitError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
-from facepipe.geometry.cloud_normals import cloud_normals
 from facepipe.geometry.coarse_surface import Look, coarse_look, disc_look, filled_look, part_look, surface_look
+from facepipe.geometry.pinhole import meeting_points
 from facepipe.geometry.polygons import border_points
+from facepipe.geometry.scan_surface import cloud_normals
 from facepipe.scanning.clean_scan import CleanScan
-from facepipe.scanning.landmarks.closer import look_closer
 from facepipe.scanning.landmarks.search import (
     Candidate,
     Draw,
@@ -31,6 +32,10 @@ from facepipe.scanning.landmarks.search import (
 )
 from facepipe.scans import LANDMARK_COUNT, Scan, ScanLandmarks
 
+_PIXELS = 400  # a side
+_MARGIN = 1.6  # sides of a crop that a picture shows
+_MEETING = 0.012  # of a side: distance at which a ray counts half
+_JAW, _COUNT = 17, 68
 _CELLS, _FINE_CELLS = 90, 200  # of a grid over the scan's width, and over a crop's side
 _NEAR = 1.3  # of a crop's side: what pictures of the face show
 _HOLES = 0.13  # of a crop's side: smaller ones, which would look like features, are closed
@@ -43,11 +48,33 @@ _CERTAIN = 0.9  # score of a face beyond which no other is looked for
 _UNSURE = 0.03  # of a side: spread of a landmark that is left out
 _OFF = 0.03  # of a side: a landmark farther from the surface than this lies where the scan has ended
 _END = 0.05  # of a side: the outline of a scan that ends nearer than this to the jaw's landmarks passes for the jaw
-_JAW = 17  # landmarks
 _BROWS = slice(17, 27)
 _JAW_MM, _FEATURES_MM = 3.5, 0.8  # RMS along each coordinate, over simulated scans
 # Of brows without colours, which are guessed, and with: off by 0.5, but nothing in the surface keeps them in place.
 _GUESSED_MM, _SHOWN_MM = 1.5, 0.2
+
+
+def look_closer(look: Look, frame: FaceFrame, seen: Seen, angles: Sequence[tuple[float, float]], draw: Draw) -> Seen:
+    """Landmarks by views at `angles`; those of the jaw, which are no truer from near, stay as they were `seen`."""
+    from facepipe.networks.files import dense_landmarks, own_dense_session
+    from facepipe.rig.torch import torch
+
+    views = [frame.view(yaw, pitch, _PIXELS, _MARGIN) for yaw, pitch in angles]
+    origins, directions, errors = [], [], []
+    for view in views:
+        picture = torch.as_tensor(np.asarray(draw(look, view)[0], np.float32))
+        found = dense_landmarks(own_dense_session(), picture, view.project(seen.landmarks)[0])
+        if found is not None:
+            origins.append(view.eye)
+            directions.append(view.directions(found[0][_JAW:_COUNT]))
+            errors.append(found[1][_JAW:_COUNT])
+    if not origins:
+        return seen
+    weights = 1.0 / np.stack(errors) ** 2
+    places, distances = meeting_points(np.stack(origins), np.stack(directions), weights, _MEETING * frame.side)
+    landmarks, spread = np.array(seen.landmarks), np.array(seen.spread)
+    landmarks[_JAW:], spread[_JAW:] = places, np.median(distances, axis=0) / frame.side
+    return replace(seen, landmarks=landmarks, spread=spread)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,17 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.scanning.photos.cameras import Cameras, PhotoCamera, read_cameras, write_cameras
+    from facepipe.scanning.photos.cameras import (
+        Cameras,
+        PhotoCamera,
+        read_cameras,
+        read_markers,
+        triangulate,
+        write_cameras,
+    )
     from facepipe.scanning.photos.options import FEWEST_PHOTOS, ScanPhotosOptions
     from facepipe.scanning.photos.photos import photo_files
     from facepipe.scanning.photos.scan import PhotoScan, ScanPhotos, ScanPhotosReport, bars
-    from facepipe.scanning.photos.triangulation import read_markers, triangulate
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -75,9 +75,8 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         return replace(made.report, used=made.cameras)
 
     def _scanner(self) -> ScanPhotos:
-        from facepipe.scanning.photos.cameras import read_cameras
+        from facepipe.scanning.photos.cameras import read_cameras, read_markers
         from facepipe.scanning.photos.scan import ScanPhotos
-        from facepipe.scanning.photos.triangulation import read_markers
 
         return ScanPhotos(
             options=self,

@@ -23,8 +23,7 @@ from facepipe.scanning.photos.cameras import PhotoCamera
 from facepipe.scanning.photos.depth import confirmed
 from facepipe.scanning.photos.options import ScanPhotosOptions
 from facepipe.scanning.photos.photos import Photo
-from facepipe.scanning.photos.structure import colmap_module
-from facepipe.scanning.photos.subject import Subject
+from facepipe.scanning.photos.structure import Subject, colmap_module
 from facepipe.scans import Scan
 
 _AROUND = 24  # points that a normal is fitted to

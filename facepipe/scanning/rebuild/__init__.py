@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.composites import DEFAULT_COMPOSITES, resolved
     from facepipe.scanning.rebuild.fit_neutral import FitNeutral, NeutralFit, NeutralReport
-    from facepipe.scanning.rebuild.fit_together import FitTogether, PlacedExpression, TogetherFit
     from facepipe.scanning.rebuild.options import (
         BakeScanOptions,
         FitNeutralOptions,
@@ -24,13 +22,16 @@ if TYPE_CHECKING:
         Composite,
         CompositeReport,
         ExpressionScan,
+        FitTogether,
         NeutralScan,
+        PlacedExpression,
         RegisteredComposite,
         RegisterScans,
+        TogetherFit,
     )
     from facepipe.scanning.rebuild.scan_fit import ScanFit
     from facepipe.scanning.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
-    from facepipe.scanning.rebuild.template import Template
+    from facepipe.scanning.rebuild.template import DEFAULT_COMPOSITES, Template, resolved
 else:
     __getattr__, __dir__ = lazy(__name__)
 

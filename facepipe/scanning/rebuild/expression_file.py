@@ -25,10 +25,9 @@ from facepipe.geometry.polygons import flipped_triangles
 from facepipe.kinds import found_of
 from facepipe.parts import Recipe
 from facepipe.scanning.database import quality_from
-from facepipe.scanning.rebuild.composites import resolved
 from facepipe.scanning.rebuild.register_scans import Composite
 from facepipe.scanning.rebuild.split_expressions import SplitExpressions, SplitFit
-from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.rebuild.template import Template, resolved
 from facepipe.stage import Face, open_face
 from facepipe.stage.recipes import recipe_of, source_digest
 from facepipe.verbs.author_neutral import AuthorNeutral, AuthorNeutralReport

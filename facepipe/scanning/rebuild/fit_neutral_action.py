@@ -104,10 +104,9 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         from facepipe.scanning.database import QualityLimits, misses
         from facepipe.scanning.rebuild.action_reports import FitNeutralReport
         from facepipe.scanning.rebuild.built_in_head import BuiltInHead
-        from facepipe.scanning.rebuild.fit_neutral import FitNeutral
+        from facepipe.scanning.rebuild.fit_neutral import FitNeutral, are_sealed, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.scan_fit import FaceOnScan
         from facepipe.scanning.rebuild.scan_input import named, scan_input
-        from facepipe.scanning.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
         from facepipe.verbs.author_neutral import AuthorNeutral

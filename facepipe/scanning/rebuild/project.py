@@ -30,11 +30,9 @@ from pathlib import Path
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
-from facepipe.core.policy.named import file_named, path_named
-from facepipe.core.policy.paths import check_writable
+from facepipe.core.policy.paths import check_writable, file_named, path_named
 from facepipe.core.reading import file_beside, is_file, read_toml
 from facepipe.declare import from_json, values_of
-from facepipe.scanning.rebuild.composites import DEFAULT_COMPOSITES, resolved
 from facepipe.scanning.rebuild.options import (
     BakeScanOptions,
     FitNeutralOptions,
@@ -43,6 +41,7 @@ from facepipe.scanning.rebuild.options import (
     RegisterScansOptions,
     SplitExpressionsOptions,
 )
+from facepipe.scanning.rebuild.template import DEFAULT_COMPOSITES, resolved
 
 _MOST_BYTES = 1 << 22
 

@@ -99,8 +99,7 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.action_reports import RebuildReport
-        from facepipe.scanning.rebuild.built_in_head import BuiltInHead
-        from facepipe.scanning.rebuild.mouth_contacts import mouth_contacts, mouth_lines
+        from facepipe.scanning.rebuild.built_in_head import BuiltInHead, mouth_contacts, mouth_lines
         from facepipe.scanning.rebuild.rebuild import Rebuild, step_count
         from facepipe.scanning.rebuild.rebuild_report import RebuildPictures
         from facepipe.scanning.rebuild.scan_check import left_out_lines

@@ -34,7 +34,7 @@ from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
     from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-    from facepipe.scanning.rebuild.composites import ShownShapes
+    from facepipe.scanning.rebuild.template import ShownShapes
     from facepipe.stage import Face
 
 _STEPS = 16  # of a refinement, at most
@@ -103,7 +103,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
 
     def _shown(self, parts: FaceParts) -> ShownShapes:
         """What the scan shows besides, by the names of the face's shapes."""
-        from facepipe.scanning.rebuild.composites import ShownShapes, resolved, shown_before
+        from facepipe.scanning.rebuild.template import ShownShapes, resolved, shown_before
         from facepipe.verbs.whole_faces import whole_face
 
         shown = self.weights or shown_before(parts.recipe)

@@ -82,7 +82,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
             object.__setattr__(self, name, value)
 
     def _composite(self, name: str) -> dict[str, float]:
-        from facepipe.scanning.rebuild.composites import DEFAULT_COMPOSITES
+        from facepipe.scanning.rebuild.template import DEFAULT_COMPOSITES
 
         if name not in DEFAULT_COMPOSITES:
             where = f"--composite {name}" if self.composite else str(self.scan)
@@ -137,7 +137,7 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
 
     def _shown(self, shapes: Sequence[str]) -> dict[str, float]:
         """What the scan shows, by the names of the face's shapes."""
-        from facepipe.scanning.rebuild.composites import resolved
+        from facepipe.scanning.rebuild.template import resolved
 
         if self.name in shapes:
             raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
@@ -146,9 +146,9 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
     def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
         """The neutral, with the place of its scan where one is given, and warnings."""
         from facepipe.importers.scan_file import read_scan
-        from facepipe.scanning.rebuild.composites import ShownShapes, resolved
         from facepipe.scanning.rebuild.register_scans import NeutralScan, placed_neutral
         from facepipe.scanning.rebuild.scan_input import landmarks_of, named
+        from facepipe.scanning.rebuild.template import ShownShapes, resolved
 
         if self.neutral_scan is None:
             return NeutralScan(points=whole.points), ()

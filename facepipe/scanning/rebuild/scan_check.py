@@ -10,7 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import first_names
-from facepipe.geometry.boxed_qp import BoxedQuadratic
+from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.geometry.polygons import point_areas
 from facepipe.scanning.rebuild.project import Project
 from facepipe.scanning.rebuild.register_scans import Composite

@@ -2,30 +2,235 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.errors import FacepipeError
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FacepipeError, TopologyError
 from facepipe.core.names import identifier
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
 from facepipe.rig.sliders import with_mutual_mirrors
+from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
-from facepipe.stage.foreign.meshes import bindings, bound_materials, choose_meshes, mend_meshes, note_custom
-from facepipe.stage.foreign.scene import Scene, ancestors
-from facepipe.stage.foreign.skeletons import bind_to, choose_skeleton, mend_skeleton
-from facepipe.stage.foreign.twin_shapes import alike_in, joined_animation, joined_meshes, twin_shapes
-from facepipe.stage.guard import errors_below
+from facepipe.stage.foreign.meshes import (
+    Scene,
+    ancestors,
+    bindings,
+    bound_materials,
+    choose_meshes,
+    mend_meshes,
+    note_custom,
+)
+from facepipe.stage.guard import errors_below, reads_prim
 from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
-from facepipe.stage.slider_network import read_slider_network
-from facepipe.stage.sliders import read_sliders
+from facepipe.stage.sliders import read_slider_network, read_sliders
+from facepipe.stage.values import floats, matrices, to_floats, to_matrices
 
+_TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
+_SAME_WEIGHT = 1e-6  # weights nearer than this are one
 Read = TypeVar("Read")
+
+
+def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) -> Usd.Prim | None:
+    """The Skeleton of the face; None where the stage has none.
+
+    :raises InputError: several Skeletons and no choice, or a choice that is no Skeleton
+    """
+    if wanted is not None:
+        prim = scene.stage.GetPrimAtPath(wanted) if wanted.startswith("/") and wanted != "/" else None
+        if not prim or not prim.IsA(UsdSkel.Skeleton):
+            raise scene.error(f"no Skeleton at '{wanted}', expected the path of one")
+        return prim
+    named = dict.fromkeys(inherited_skeleton(mesh) for mesh in meshes)
+    bound = [scene.stage.GetPrimAtPath(path) for path in named if path is not None and path.IsPrimPath()]
+    there = [prim for prim in bound if prim and prim.IsA(UsdSkel.Skeleton)]
+    candidates = there or [prim for prim in scene.prims if prim.IsA(UsdSkel.Skeleton)]
+    if len(candidates) > 1:
+        listed = ", ".join(str(prim.GetPath()) for prim in candidates)
+        raise scene.error(f"{len(candidates)} Skeletons ({listed}), expected one; the option skeleton chooses")
+    chosen = candidates[0] if candidates else None
+    others = [prim for prim in scene.prims if prim.IsA(UsdSkel.Skeleton) and prim != chosen]
+    if others:
+        scene.warn("Skeleton that no mesh is bound to: left out", others)
+    return chosen
+
+
+def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Usd.Prim]:
+    """The meshes that are the skeleton's; those bound to nothing are bound to it."""
+    bound, loose, others = [], [], []
+    for mesh in meshes:
+        path = inherited_skeleton(mesh)
+        target = scene.stage.GetPrimAtPath(path) if path is not None and path.IsPrimPath() else None
+        if target and target.IsA(UsdSkel.Skeleton) and target != skeleton:
+            others.append(mesh)
+            continue
+        bound.append(mesh)
+        if target != skeleton and inherited_attribute(mesh, "primvars:skel:jointIndices"):
+            loose.append(mesh)
+            UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+    if loose:
+        scene.warn(f"influences, but no Skeleton: taken as bound to <{skeleton.GetPath()}>", loose)
+    if others:
+        scene.warn("bound to another Skeleton: left out", others)
+    return bound
+
+
+@reads_prim
+def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
+    """Joints parent first, and both kinds of transforms for each.
+
+    :raises TopologyError: neither bind nor rest transforms that fit the joints
+    """
+    skeleton = UsdSkel.Skeleton(prim)
+    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
+    order = parents_first(joints)
+    bind, rest = _both_transforms(scene, skeleton, joints)
+    if order != list(range(len(joints))):
+        scene.warn("joints stand before their parents: reordered", [prim])
+        for mesh in meshes:
+            if not inherited_attribute(mesh, "skel:joints"):  # its indices count the old order
+                UsdSkel.BindingAPI.Apply(mesh).CreateJointsAttr(joints)
+    skeleton.CreateJointsAttr([joints[i] for i in order])
+    _mend_names(scene, skeleton, order)
+    skeleton.CreateBindTransformsAttr(to_matrices(bind[order]))
+    skeleton.CreateRestTransformsAttr(to_matrices(rest[order]))
+    for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
+        limits = prim.GetAttribute(name)
+        values = floats(limits.Get())
+        if len(values) == 9 * len(joints) > 0:
+            limits.Set(to_floats(values.reshape(-1, 9)[order].ravel()))
+
+
+def _mend_names(scene: Scene, skeleton: UsdSkel.Skeleton, order: list[int]) -> None:
+    names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
+    if names and len(names) != len(order):
+        scene.warn(f"{len(names)} names of {len(order)} joints: left out", [skeleton.GetPrim()])
+        skeleton.GetJointNamesAttr().Block()
+    elif names:
+        skeleton.CreateJointNamesAttr([names[i] for i in order])
+
+
+def parents_first(joints: list[str]) -> list[int]:
+    """Indices of joint paths, each after its ancestors, otherwise in the order given."""
+    place = {joint: i for i, joint in reversed(list(enumerate(joints)))}
+    order: dict[int, None] = {}
+    for i, joint in enumerate(joints):
+        parts = joint.split("/")
+        above = [place.get("/".join(parts[:depth])) for depth in range(1, len(parts))]
+        order.update(dict.fromkeys([ancestor for ancestor in above if ancestor is not None]))
+        order[i] = None
+    return list(order)
+
+
+def _both_transforms(scene: Scene, skeleton: UsdSkel.Skeleton, joints: list[str]) -> tuple[FloatArray, FloatArray]:
+    """(j, 4, 4) bind transforms in world space and rest transforms relative to the parent."""
+    prim, count = skeleton.GetPrim(), len(joints)
+    bind = matrices(skeleton.GetBindTransformsAttr().Get())
+    rest = matrices(skeleton.GetRestTransformsAttr().Get())
+    parents = Skeleton(joints=tuple(joints)).parents.tolist()
+    if len(bind) != count and len(rest) != count:
+        found = f"{len(bind)} bind and {len(rest)} rest transforms"
+        raise TopologyError(str(prim.GetPath()), f"{found}, expected {count} of one of them")
+    world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
+    if len(rest) != count:
+        scene.warn(f"{len(rest)} rest transforms of {count} joints: taken from bind transforms", [prim])
+        # rest_j = inverse(bind_parent) bind_j; binds are in the world, so above a root is the place of the prim
+        above = [bind[parent] if parent >= 0 else world for parent in parents]
+        rest = np.array([_solved(parent, own) for parent, own in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
+    if len(bind) != count:
+        scene.warn(f"{len(bind)} bind transforms of {count} joints: taken from rest transforms", [prim])
+        bind = np.empty((count, 4, 4))
+        for i in parents_first(joints):
+            bind[i] = (bind[parents[i]] if parents[i] >= 0 else world) @ rest[i]
+    return bind, rest
+
+
+def _solved(parent: FloatArray, child: FloatArray) -> FloatArray:
+    try:
+        return np.asarray(np.linalg.solve(parent, child))
+    except np.linalg.LinAlgError:
+        return np.full((4, 4), np.nan)  # the reader refuses it
+
+
+def twin_shapes(meshes: Sequence[Usd.Prim]) -> dict[str, str]:
+    """Names of shapes that are the shape of another mesh, to its name.
+
+    Such a one is called as its prim is, with a number behind; another mesh has a shape of the prim's name, and no mesh
+    has both.
+    """
+    every = [_tokens(mesh) for mesh in meshes]
+    plain = {prim: token for own in every for token, prim in own.items() if _identifier(token) == prim}
+    bases: dict[str, str] = {}
+    for own in every:
+        twins = {token: plain[prim] for token, prim in own.items() if prim in plain and _numbered(token, prim)}
+        bases |= {token: base for token, base in twins.items() if base not in own}
+    return {token: base for token, base in bases.items() if token not in plain.values()}
+
+
+def _tokens(mesh: Usd.Prim) -> dict[str, str]:
+    """Names of a mesh's shapes, with those of their prims."""
+    api = UsdSkel.BindingAPI(mesh)
+    names = [str(name) for name in api.GetBlendShapesAttr().Get() or []]
+    targets = api.GetBlendShapeTargetsRel().GetTargets()
+    return {name: str(target.name) for name, target in zip(names, targets, strict=False)}
+
+
+def _numbered(token: str, prim: str) -> bool:
+    own = _identifier(token)
+    return own.startswith(prim) and _TWIN_NUMBER.fullmatch(own.removeprefix(prim)) is not None
+
+
+def _identifier(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+def alike_in(twins: Mapping[str, str], animations: Iterable[Animation]) -> dict[str, str]:
+    """The twins that no animation moves otherwise than the shape that they are."""
+    apart: set[str] = set()
+    for animation in animations:
+        weights = animation.shape_weights
+        if weights is None:
+            continue
+        column = {name: weights[:, i] for i, name in enumerate(animation.shapes)}
+        zeros = np.zeros(len(weights))
+        for name, base in twins.items():
+            if np.abs(column.get(name, zeros) - column.get(base, zeros)).max(initial=0.0) > _SAME_WEIGHT:
+                apart.add(name)
+    return {name: base for name, base in twins.items() if name not in apart}
+
+
+def joined_meshes(meshes: Iterable[Mesh], twins: Mapping[str, str]) -> tuple[Mesh, ...]:
+    """The meshes with twins called as the shapes that they are."""
+    return tuple(
+        replace(
+            mesh,
+            blendshapes=tuple(
+                replace(blendshape, name=twins.get(blendshape.name, blendshape.name)) for blendshape in mesh.blendshapes
+            ),
+        )
+        for mesh in meshes
+    )
+
+
+def joined_animation(animation: Animation, twins: Mapping[str, str]) -> Animation:
+    """The animation without the columns of twins, whose shapes it moves alike."""
+    kept = [i for i, name in enumerate(animation.shapes) if name not in twins]
+    if len(kept) == len(animation.shapes) or animation.shape_weights is None:
+        return animation
+    return replace(
+        animation,
+        shapes=tuple(animation.shapes[i] for i in kept),
+        shape_weights=animation.shape_weights[:, kept],
+    )
 
 
 def read_foreign(

@@ -8,10 +8,9 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.differences import cotangent_weights
-from facepipe.geometry.gradient_system import Bridges, joint_bridges, part_bridges
+from facepipe.geometry.gradient_system import Bridges, cotangent_weights, joint_bridges, part_bridges
 from facepipe.geometry.polygons import back_of_border, components, edges, point_triangles
-from facepipe.geometry.region_masks import normalise_masks, smooth_masks
+from facepipe.geometry.region_map import normalise_masks, smooth_masks
 from facepipe.parts import FaceParts, all_regions
 from facepipe.verbs.blend.options import EdgeWeights
 from facepipe.verbs.blend.sources import Sources

@@ -7,19 +7,256 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import select, unique_identifiers
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
-from facepipe.geometry.differences import edge_vectors
-from facepipe.geometry.gradient_system import GradientSystem, MovingSystem
+from facepipe.geometry.deformation_transfer import Transfer
+from facepipe.geometry.gradient_system import GradientSystem, MovingSystem, edge_vectors
+from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
+from facepipe.parts import Blendshape, FaceParts
+from facepipe.rig import mesh_spaces
+from facepipe.rig.rig import curves
 from facepipe.stage import Face
 from facepipe.verbs.blend.graph import Graph, Shared, anchor_named, build_graph, joint_worlds, mean_of_ends, mix
-from facepipe.verbs.blend.kept_parts import KeptParts, kept_parts
-from facepipe.verbs.blend.options import BlendOptions
-from facepipe.verbs.blend.sculpts import Sculpt, pair_sculpts
-from facepipe.verbs.blend.sources import stack
+from facepipe.verbs.blend.options import BlendOptions, Missing
+from facepipe.verbs.blend.sources import Sources, stack
 from facepipe.verbs.blend.weights import Weights
+
+_RIGID = 0.02  # of a part's motion: what a similarity may leave of it; of real jaws on scaled teeth it leaves 0.005
+_AXIS = 0.02  # of a part's points: as many may lie still, on the axis that it turns about
+CONCENTRIC = 0.25  # components whose centres lie this close, in radii of the larger, are one part: iris, lens and ball
+
+
+@dataclass(frozen=True)
+class Sculpt:
+    """One shape at one weight: itself (1) or an inbetween."""
+
+    shape: str
+    weight: float
+    inbetween: str | None  # name of the inbetween; None: the shape itself
+    points: IntArray  # (u,) points that move in some source, ascending
+    offsets: FloatArray  # (K, u, 3) in the base's bind space
+
+    @property
+    def name(self) -> str:
+        """The shape's name, for an inbetween with its weight: ``jawOpen@0.5``."""
+        return self.shape if self.inbetween is None else f"{self.shape}@{self.weight:g}"
+
+
+@dataclass(frozen=True)
+class Sculpts:
+    """All sculpts of a blend, and the shapes that came from fewer sources or went."""
+
+    sculpts: tuple[Sculpt, ...]
+    skipped: tuple[str, ...]
+    transferred: tuple[tuple[str, str], ...]  # (shape, source that lacked it)
+
+
+def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, threshold_mm: float) -> Sculpts:
+    """Pair the shapes of all sources by name; inbetweens by weight.
+
+    A source without some inbetween of a shape gives the point that its own shape passes at that weight.
+
+    :param threshold_mm: a point that moves no further in any source is static
+    :raises InputError: a shape that some source lacks, where `missing` is ``error``
+    """
+    shapes = tuple(dict.fromkeys(name for own in sources.shapes for name in own))
+    lacking = {shape: [k for k, own in enumerate(sources.shapes) if shape not in own] for shape in shapes}
+    _require(sources, lacking, missing)
+    sculpts, skipped, transferred = [], [], []
+    transfer = _Transfers(sources, triangles)
+    for shape in shapes:
+        lack = lacking[shape]
+        if lack and missing == "skip":
+            skipped.append(shape)
+            continue
+        transferred += [(shape, sources.names[k]) for k in lack]
+        for weight, name in _weights(sources.parts, shape):
+            offsets = _stacked(sources, shape, weight)
+            # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
+            points = np.flatnonzero((np.linalg.norm(offsets, axis=2) * sources.mm_per_unit > threshold_mm).any(axis=0))
+            if lack:
+                transfer.fill(offsets, points, lack)
+            sculpts.append(Sculpt(shape, weight, name, points, offsets[:, points]))
+    return Sculpts(tuple(sculpts), tuple(skipped), tuple(transferred))
+
+
+def _require(sources: Sources, lacking: dict[str, list[int]], missing: Missing) -> None:
+    lost = {shape: lack for shape, lack in lacking.items() if lack}
+    if lost and missing == "error":
+        shape, lack = next(iter(lost.items()))
+        more = f" (and {len(lost) - 1} more shapes)" if len(lost) > 1 else ""
+        what = f"no shape '{shape}', which other sources have{more}; expected it in all (or --missing transfer|skip)"
+        raise InputError(sources.names[lack[0]], what)
+
+
+def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | None]]:
+    """Every weight that some source has a sculpt at, with its name in the first that has it; names are unique."""
+    named: dict[float, str] = {}
+    for one in _shapes(parts, shape):
+        for inbetween in one.inbetweens:
+            named.setdefault(float(inbetween.weight), inbetween.name)
+    ordered = sorted(named.items())
+    names = unique_identifiers(name for _, name in ordered)
+    return [(1.0, None), *((weight, name) for (weight, _), name in zip(ordered, names, strict=True))]
+
+
+def _shapes(parts: Sequence[FaceParts], shape: str) -> list[Blendshape]:
+    return [
+        blendshape
+        for face in parts
+        for mesh in face.meshes
+        for blendshape in mesh.blendshapes
+        if blendshape.name == shape
+    ]
+
+
+def _stacked(sources: Sources, shape: str, weight: float) -> FloatArray:
+    """(K, n, 3) offsets at a weight of the shape; 0 in sources without it."""
+    offsets = np.zeros(sources.points.shape)
+    for k, parts in enumerate(sources.parts):
+        starts = sources.mesh_offsets[:-1]
+        for mesh, start, space in zip(parts.meshes, starts, mesh_spaces(parts), strict=True):
+            linear = sources.to_base[k, :3, :3] @ space[:3, :3]
+            for blendshape in mesh.blendshapes:
+                if blendshape.name == shape:
+                    offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
+    return offsets
+
+
+def _at(shape: Blendshape, weight: float) -> FloatArray:
+    """(k, 3) offsets of the shape set to `weight`."""
+    offsets = {float(inbetween.weight): inbetween.offsets for inbetween in shape.inbetweens} | {1.0: shape.offsets}
+    activations = curves(tuple(float(inbetween.weight) for inbetween in shape.inbetweens))
+    parts = [float(curve(weight)) * np.asarray(offsets[at], dtype=np.float64) for at, curve in activations.items()]
+    return np.asarray(sum(parts))
+
+
+class _Transfers:
+    """Deformation transfer onto the sources that lack a shape."""
+
+    def __init__(self, sources: Sources, triangles: IntArray) -> None:
+        self._sources, self._triangles = sources, triangles
+
+    def fill(self, offsets: FloatArray, points: IntArray, lack: Sequence[int]) -> None:
+        """Put transferred offsets into the rows `lack` of (K, n, 3) `offsets`; only `points` may move."""
+        neutrals = self._sources.points
+        has = [k for k in range(len(neutrals)) if k not in lack]
+        fixed = np.ones(neutrals.shape[1], dtype=bool)
+        fixed[points] = False
+        for k in lack:
+            transfer = Transfer(neutrals[k], self._triangles, fixed)
+            deformed = transfer.solve(neutrals[has], neutrals[has] + offsets[has])
+            offsets[k] = deformed - neutrals[k]
+
+
+@dataclass(frozen=True)
+class KeptParts:
+    """Loose parts in the sources, and their shapes: each moved onto the base's by a similarity."""
+
+    points: IntArray  # (p,) into all points
+    part: IntArray  # (p,) number of the part, from 0
+    neutrals: FloatArray  # (K, p, 3) as the sources have them
+    shapes: FloatArray  # (K, p, 3) moved onto the base's
+
+    def fit(self, solved: FloatArray, shares: FloatArray) -> FloatArray:
+        """(p, 3) the parts' mean shape under their shares, moved by similarities nearest to the solved points.
+
+        :param solved: (n, 3) all points
+        :param shares: (n, K) of all points
+        """
+        if not len(self.points):
+            return np.zeros((0, 3))
+        counts = np.bincount(self.part)
+        part_shares = group_sums(self.part, shares[self.points], len(counts)) / counts[:, None]
+        shape = mix(part_shares[self.part], self.shapes)
+        return fit_similarities(shape, solved[self.points], self.part).apply(shape, self.part)
+
+    def rigid_in(self, sculpt: Sculpt, moving: BoolArray) -> BoolArray:
+        """(p,) points of the parts that move by similarities in all sources, all but a few points on an axis."""
+        if not len(self.points):
+            return np.zeros(0, dtype=bool)
+        still = np.bincount(self.part, ~moving[self.points])
+        chosen = np.asarray((still <= _AXIS * np.bincount(self.part))[self.part])
+        points, number = self.points[chosen], self.part[chosen]
+        if not len(points):
+            return chosen
+        rigid = np.ones(int(number.max()) + 1, dtype=bool)
+        for start, sculpted in zip(self.neutrals[:, chosen], sculpt.offsets, strict=True):
+            offsets = np.zeros((len(moving), 3))
+            offsets[sculpt.points] = sculpted
+            motion = offsets[points]
+            off = fit_similarities(start, start + motion, number).apply(start, number) - start - motion
+            left, whole = (np.bincount(number, (vectors**2).sum(axis=1)) for vectors in (off, motion))
+            rigid &= left <= _RIGID**2 * whole
+        chosen[chosen] = rigid[number]
+        return chosen
+
+    def fit_moved(
+        self,
+        neutral: FloatArray,
+        offsets: FloatArray,
+        rigid: BoolArray,
+        moving: BoolArray,
+    ) -> None:
+        """Replace, in `offsets` (n, 3), those of the parts that are `rigid_in` a sculpt by the nearest similarity's.
+
+        Static points stay so.
+        """
+        if not rigid.any():
+            return
+        points, number = self.points[rigid], np.unique(self.part[rigid], return_inverse=True)[1].ravel()
+        start = neutral[points]
+        fitted = fit_similarities(start, start + offsets[points], number).apply(start, number) - start
+        offsets[points] = np.where(moving[points][:, None], fitted, 0.0)
+
+
+def kept_parts(sources: Sources, graph: Graph, globs: str) -> KeptParts:
+    """The loose parts of the meshes whose names `globs` match.
+
+    :raises InputError: a glob that matches no mesh
+    """
+    names = tuple(mesh.name for mesh in sources.base.meshes)
+    chosen = _default(names) if globs == "auto" else select(names, globs, "keep_shape")
+    ranges = dict(zip(names, zip(sources.mesh_offsets[:-1], sources.mesh_offsets[1:], strict=True), strict=True))
+    points = np.concatenate([np.zeros(0, np.int64), *(np.arange(*ranges[name]) for name in chosen)])
+    points = points[~graph.main[points]]
+    mesh = np.searchsorted(sources.mesh_offsets, points, side="right")
+    part = _merge_concentric(sources.points[0, points], graph.component[points], mesh)
+    if not len(points):
+        nothing = np.zeros((len(sources.points), 0, 3))
+        return KeptParts(points, part, nothing, nothing)
+    base = sources.points[0, points]
+    aligned = [fit_similarities(source[points], base, part).apply(source[points], part) for source in sources.points]
+    return KeptParts(points, part, sources.points[:, points], np.stack(aligned))
+
+
+def _default(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Meshes that are eyeballs or teeth by their names."""
+    words = ("eyeball", "teeth", "tooth")
+    return tuple(
+        name for name in names if any(word in name.lower() for word in words) or name in ("EyeLeft", "EyeRight")
+    )
+
+
+def _merge_concentric(points: FloatArray, component: IntArray, mesh: IntArray) -> IntArray:
+    """(p,) part numbers from 0: the components, those about one centre in one mesh as one."""
+    numbers, first, place = np.unique(component, return_index=True, return_inverse=True)
+    place = place.ravel()
+    counts = np.bincount(place, minlength=len(numbers))
+    centres = group_sums(place, points, len(numbers)) / np.maximum(counts, 1)[:, None]
+    radii = np.zeros(len(numbers))
+    np.maximum.at(radii, place, np.linalg.norm(points - centres[place], axis=1))
+    owner = np.arange(len(numbers))
+    for number in np.argsort(-radii, kind="stable"):
+        if owner[number] == number:
+            near = np.linalg.norm(centres - centres[number], axis=1) <= CONCENTRIC * radii[number]
+            near &= (mesh[first] == mesh[first[number]]) & (owner == np.arange(len(numbers))) & (radii <= radii[number])
+            owner[near] = number
+    return np.unique(owner[place], return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, kw_only=True)

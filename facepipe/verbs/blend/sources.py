@@ -16,7 +16,7 @@ from facepipe.geometry.vectors import transformed
 from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, TextureInput
 from facepipe.rig import build, mesh_spaces, set_face
 from facepipe.stage import Face
-from facepipe.verbs.same_topology import check_same_faces, check_spaces, in_order, world_to_world
+from facepipe.verbs.whole_faces import check_same_faces, check_spaces, in_order, world_to_world
 
 _TURNED = 15.0  # degrees, beyond what faces of one pose differ by
 _SCALED = 1.5

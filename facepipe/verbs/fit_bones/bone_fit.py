@@ -10,11 +10,9 @@ from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.rig import Rig, rest_coefficients
-from facepipe.verbs.fit_bones.checks import check_rest, check_settings, checked_limits, checked_weights
-from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree
-from facepipe.verbs.fit_bones.solver import SETTLED, Fitted, Problem, fit
-from facepipe.verbs.fit_bones.together import Shared, fit_together, inverse
-from facepipe.verbs.fit_bones.variables import Symmetry, Variables, symmetry
+from facepipe.verbs.fit_bones.limits import check_rest, check_settings, checked_limits, checked_weights
+from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Symmetry, Tree, Variables, symmetry
+from facepipe.verbs.fit_bones.solver import SETTLED, Fitted, Problem, Shared, fit, fit_together, inverse
 
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one

@@ -19,7 +19,7 @@ from facepipe.stage import Face, open_face
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
 from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
 from facepipe.verbs.cached_points import cached_points
-from facepipe.verbs.same_topology import match_meshes, world_to_world
+from facepipe.verbs.whole_faces import match_meshes, world_to_world
 
 ALL_SHAPES = "shapes"
 LOADED = (".obj", ".glb", ".gltf")

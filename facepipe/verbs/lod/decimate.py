@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
-from facepipe.geometry.polygons import components, edges, point_areas, welded_points
-from facepipe.parts import FaceParts, Mesh
+from facepipe.geometry.polygons import components, edges, point_areas, triangulate, welded_points
+from facepipe.parts import Blendshape, FaceParts, Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.rig import Rig, mesh_spaces
-from facepipe.verbs.lod.cards import apart, cards_of, widened, within
-from facepipe.verbs.lod.simplifier import MOST_ATTRIBUTES, Simplifier
-from facepipe.verbs.lod.wedges import mesh_of, wedges_of
 
+_NORMAL_STEPS = 64  # of -1 to 1: corners whose normals differ less are no crease
+_FEWEST = 16  # cards of a mesh that are taken as such
+_BORDER = 0.5  # share of a card's points that lie on its border, or more
+_WIDEST = 3.0  # times as wide as it was
+_STANDS_IN = 0.75  # power of the share of cards that stay by which they are wider: they lie several deep
+MOST_ATTRIBUTES = 32  # that the module takes
+_MODULE = Path(__file__).with_name("meshopt_simplifier.wasm")
+_ALIGNMENT = 16
+_ANY_ERROR = 1e30
 _LEAST = 0.5  # of a mesh's share of the triangles that are not of the skin, where no materials meet on it
 _HAIR = 0.7  # of its share of the triangles that are not of the skin: cards lie several deep
 _WHOLE = 0.9  # power of the share of triangles that is the share of cards; those that stay lose the rest
@@ -25,6 +34,262 @@ _SAME = 1e-6  # border points nearer than this share of the face's size are one
 _SPACING = 0.2  # of the size of a line, between points of it that stay: some 12 of a circle
 _TURN = 0.2  # radians by which joints are taken to turn
 _WEIGHT = 15.0  # of an error in motion against one in form: with more, low levels lose their form
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wedges:
+    """A mesh in wedges."""
+
+    mesh: Mesh
+    points: IntArray  # (w,) point of each
+    corners: IntArray  # (w,) a corner of the mesh that is this wedge
+    materials: IntArray  # (w,) place in `Mesh.material_faces`, -1 for none
+    triangles: IntArray  # (t, 3) wedges
+
+
+def wedges_of(mesh: Mesh) -> Wedges:
+    """The wedges of a mesh, in the order of their points; polygons are fans of triangles."""
+    material = np.full(len(mesh.face_vertex_counts), -1)
+    for number, one in enumerate(mesh.material_faces):
+        material[one.faces] = number
+    materials = np.repeat(material, mesh.face_vertex_counts)
+    columns = [np.asarray(mesh.face_vertex_indices, np.int64), materials]
+    columns += [_same(uv.values[uv.indices]) for uv in mesh.uv_sets if uv.indices is not None]
+    if _by_corner(mesh):
+        columns.append(_same(np.round(np.asarray(mesh.normals) * _NORMAL_STEPS)))
+    rows, corners, inverse = np.unique(np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True)
+    triangles = inverse.ravel()[triangulate(mesh.face_vertex_counts).corners]
+    return Wedges(mesh=mesh, points=rows[:, 0], corners=corners, materials=rows[:, 1], triangles=triangles)
+
+
+def _same(values: FloatArray) -> IntArray:
+    """(n,) a number for each row of (n, c) values, the same for the same values."""
+    return np.asarray(np.unique(values, axis=0, return_inverse=True)[1]).ravel()
+
+
+def _by_corner(mesh: Mesh) -> bool:
+    return mesh.normals is not None and len(mesh.normals) != len(mesh.points)
+
+
+def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
+    """The mesh with `triangles` (t, 3) of its wedges alone, and the points that these or landmarks and anchor use.
+
+    All that the points that stay have is as it was.
+    """
+    mesh = wedges.mesh
+    marked = [one.indices for one in mesh.landmarks.values()] + ([[mesh.anchor]] if mesh.anchor is not None else [])
+    kept = np.unique(np.concatenate([wedges.points[triangles].ravel(), *marked]).astype(np.int64))
+    place = np.full(len(mesh.points), -1)
+    place[kept] = np.arange(len(kept))
+    # corners of a wedge share UVs, and normals but for less than a crease: one of them speaks for all
+    corners = wedges.corners[triangles].ravel()
+    return replace(
+        mesh,
+        points=mesh.points[kept],
+        face_vertex_counts=np.full(len(triangles), 3, np.int32),
+        face_vertex_indices=place[wedges.points[triangles]].astype(np.int32).ravel(),
+        normals=None if mesh.normals is None else mesh.normals[corners if _by_corner(mesh) else kept],
+        uv_sets=tuple(_uv_set(uv_set, kept, corners) for uv_set in mesh.uv_sets),
+        colors=None if mesh.colors is None else mesh.colors[kept],
+        skin=None if mesh.skin is None else _skin(mesh.skin, kept),
+        blendshapes=tuple(_shape(blendshape, place) for blendshape in mesh.blendshapes),
+        regions={name: mask[kept] for name, mask in mesh.regions.items()},
+        point_subsets=_subsets(mesh.point_subsets, place),
+        landmarks={name: _landmarks(one, place) for name, one in mesh.landmarks.items()},
+        anchor=None if mesh.anchor is None else int(place[mesh.anchor]),
+        material_faces=_material_faces(mesh, wedges.materials[triangles[:, 0]]),
+    )
+
+
+def _uv_set(uv: UvSet, kept: IntArray, corners: IntArray) -> UvSet:
+    if uv.indices is None:
+        return replace(uv, values=uv.values[kept])
+    used, indices = np.unique(uv.indices[corners], return_inverse=True)
+    return replace(uv, values=uv.values[used], indices=indices.ravel().astype(np.int32))
+
+
+def _skin(skin: Skin, kept: IntArray) -> Skin:
+    return replace(skin, joint_indices=skin.joint_indices[kept], joint_weights=skin.joint_weights[kept])
+
+
+def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
+    points = place[shape.point_indices]
+    kept = points >= 0
+    shape = shape.changed(lambda offsets: offsets[kept], lambda offsets: offsets[kept])
+    return replace(shape, point_indices=points[kept].astype(np.int32))
+
+
+def _subsets(subsets: Mapping[str, IntArray], place: IntArray) -> dict[str, IntArray]:
+    places = {name: place[points] for name, points in subsets.items()}
+    return {name: points[points >= 0].astype(np.int32) for name, points in places.items()}
+
+
+def _landmarks(landmarks: Landmarks, place: IntArray) -> Landmarks:
+    return replace(landmarks, indices=place[landmarks.indices].astype(np.int32))
+
+
+def _material_faces(mesh: Mesh, materials: IntArray) -> tuple[MaterialFaces, ...]:
+    found = ((one.material, np.flatnonzero(materials == number)) for number, one in enumerate(mesh.material_faces))
+    return tuple(MaterialFaces(material=name, faces=faces.astype(np.int32)) for name, faces in found if len(faces))
+
+
+def cards_of(points: FloatArray, triangles: IntArray, mesh: IntArray) -> IntArray:
+    """(t,) which card a triangle belongs to, -1 for none: cards are open pieces with more border than inside.
+
+    :param points: (n, 3)
+    :param triangles: (t, 3) of them
+    :param mesh: (t,) which mesh each is of
+    """
+    pairs, uses = edges(np.full(len(triangles), 3), triangles.ravel())
+    piece = components(len(points), pairs)
+    on_border = np.zeros(len(points), bool)
+    on_border[pairs[uses == 1]] = True
+    open_pieces = np.bincount(piece, on_border) >= _BORDER * np.bincount(piece)
+    triangle_piece = piece[triangles[:, 0]]
+    number, first = np.unique(triangle_piece, return_index=True)
+    is_card = np.zeros(piece.max(initial=-1) + 1, bool)
+    is_card[number] = open_pieces[number]
+    enough = np.bincount(mesh[first], is_card[number], minlength=mesh.max(initial=-1) + 1) >= _FEWEST
+    return np.where(is_card[triangle_piece] & enough[mesh], triangle_piece, -1)
+
+
+def apart(points: FloatArray, triangles: IntArray, card: IntArray) -> IntArray:
+    """(k,) the cards in an order in which the first are always spread over all of them, the first the largest one.
+
+    :param card: (t,) which card each triangle (t, 3) is of
+    """
+    number, at = np.unique(card, return_inverse=True)
+    corners = points[triangles].reshape(len(triangles), 9)
+    low, high = np.full((len(number), 9), np.inf), np.full((len(number), 9), -np.inf)
+    np.minimum.at(low, at, corners)
+    np.maximum.at(high, at, corners)
+    boxes = np.hstack([low.reshape(-1, 3, 3).min(axis=1), high.reshape(-1, 3, 3).max(axis=1)])
+    chosen, away = [int((boxes[:, 3:] - boxes[:, :3]).sum(axis=1).argmax())], np.full(len(boxes), np.inf)
+    while len(chosen) < len(boxes):
+        away = np.minimum(away, np.linalg.norm(boxes - boxes[chosen[-1]], axis=1))
+        away[chosen] = -1.0
+        chosen.append(int(away.argmax()))
+    return np.asarray(number[chosen])
+
+
+def within(card: IntArray, order: IntArray, most: int) -> BoolArray:
+    """(t,) triangles of the first cards of an order, so many that they have at most `most` triangles, but one card."""
+    counts = np.bincount(card, minlength=int(order.max()) + 1)[order]
+    kept = order[: max(1, int(np.searchsorted(np.cumsum(counts), most, side="right")))]
+    return np.isin(card, kept)
+
+
+def widened(points: FloatArray, triangles: IntArray, card: IntArray, share: float) -> FloatArray:
+    """(n, 3) points whose cards are wider, to stand for all of them: 1 of `share` times, but `_WIDEST` at most.
+
+    The long sides of a card go apart, each to its outside.
+
+    :param triangles: (t, 3) of the cards that stay
+    :param card: (t,) which card each is of
+    :param share: of the cards that stay
+    """
+    sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    keys = np.sort(sides, axis=1)
+    at, uses = np.unique(keys[:, 0] * len(points) + keys[:, 1], return_inverse=True, return_counts=True)[1:]
+    border = np.flatnonzero(uses[at] == 1)
+    ends, of_card = sides[border], card[np.repeat(np.arange(len(triangles)), 3)[border]]
+    along = points[ends[:, 1]] - points[ends[:, 0]]
+    length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(float).tiny)
+    outside = points[ends[:, 0]] - points[triangles[:, [2, 0, 1]].ravel()[border]]
+    outside -= along * (np.einsum("ec,ec->e", outside, along) / length**2)[:, None]
+    place = _lengthwise(len(points), triangles, card)
+    weight = np.abs(place[ends[:, 1]] - place[ends[:, 0]]) / np.maximum(np.linalg.norm(outside, axis=1), 1e-12)
+    push = np.zeros_like(points)
+    for side in ends.T:
+        np.add.at(push, side, outside * weight[:, None])
+    push /= np.maximum(np.linalg.norm(push, axis=1, keepdims=True), 1e-12)
+    around = np.bincount(of_card, length, int(card.max()) + 1)
+    owner = np.zeros(len(points), np.int64)
+    owner[triangles] = card[:, None]
+    area = np.bincount(owner, point_areas(points, triangles), len(around))
+    # 2 (l + w) = around and l w = area, so 4 w = around - sqrt(around^2 - 16 area); rounding may take the root below 0
+    width = (around - np.sqrt(np.maximum(around**2 - 16 * area, 0))) / 4  # of a rectangle with that border and area
+    factor = min(share**-_STANDS_IN, _WIDEST)
+    return np.asarray(points + (0.5 * (factor - 1) * width)[owner][:, None] * push)
+
+
+def _lengthwise(count: int, triangles: IntArray, card: IntArray) -> FloatArray:
+    """(count,) how far along its card a point is: the slowest vibration of the card's edges (Fiedler 1973)."""
+    along = np.zeros(count)
+    order = np.argsort(card, kind="stable")
+    for rows in np.split(triangles[order], np.flatnonzero(np.diff(card[order])) + 1):
+        points, corners = np.unique(rows, return_inverse=True)
+        corners = corners.reshape(-1, 3)
+        joined = np.zeros((len(points), len(points)))
+        joined[corners, np.roll(corners, 1, axis=1)] = joined[np.roll(corners, 1, axis=1), corners] = 1.0
+        along[points] = np.linalg.eigh(np.diag(joined.sum(axis=1)) - joined)[1][:, 1]
+    return along
+
+
+class Simplifier:
+    """The module, compiled."""
+
+    def __init__(self) -> None:
+        """:raises InputError: wasmtime is not there"""
+        try:
+            from wasmtime import Engine, Module
+        except ImportError as error:
+            raise InputError("wasmtime", "is not installed, expected `pip install 'facepipe[lod]'`") from error
+        self._engine = Engine()
+        self._module = Module.from_file(self._engine, str(_MODULE))
+
+    def __call__(
+        self, points: FloatArray, attributes: FloatArray, triangles: IntArray, fixed: BoolArray, count: int
+    ) -> IntArray:
+        """(t, 3) at most `count` triangles of the vertices, or what can be reached.
+
+        :param points: (v, 3) of all vertices, also of those that no triangle uses
+        :param attributes: (v, k) in the unit of the points; their error counts like that of points
+        :param fixed: (v,) vertices that stay
+        """
+        calls = _Calls(self._engine, self._module)
+        extent = float(np.ptp(points, axis=0).max()) or 1.0  # the module scales points, and not attributes, by it
+        result, error = calls.room(triangles.size, np.uint32), calls.room(1, np.float32)
+        length = calls.simplify(
+            *(result, calls.put(triangles, np.uint32), triangles.size),
+            *(calls.put(points, np.float32), len(points), 3 * 4),
+            *(calls.put(attributes, np.float32), 4 * attributes.shape[1]),
+            *(calls.put(np.full(attributes.shape[1], 1.0 / extent), np.float32), attributes.shape[1]),
+            *(calls.put(fixed, np.uint8), 3 * count, _ANY_ERROR, 0, error),
+        )
+        return calls.indices(result, length).reshape(-1, 3)
+
+
+class _Calls:
+    """A fresh instance of the module and its memory."""
+
+    def __init__(self, engine: Any, module: Any) -> None:
+        from wasmtime import Instance, Store
+
+        self._store = Store(engine)
+        self._exports = Instance(self._store, module, []).exports(self._store)
+        self._exports["__wasm_call_ctors"](self._store)
+
+    def room(self, count: int, kind: Any) -> int:
+        """The address of memory for `count` values."""
+        size = count * np.dtype(kind).itemsize
+        return int(self._exports["sbrk"](self._store, -(-size // _ALIGNMENT) * _ALIGNMENT))
+
+    def put(self, values: Any, kind: Any) -> int:
+        """The address of values that were put there."""
+        data = np.ascontiguousarray(values, kind)
+        address = self.room(data.size, kind)
+        self._exports["memory"].write(self._store, data.tobytes(), address)
+        return address
+
+    def indices(self, address: int, count: int) -> IntArray:
+        """(count,) indices at an address."""
+        data = self._exports["memory"].read(self._store, address, address + 4 * count)
+        return np.frombuffer(data, np.uint32).astype(np.int64)
+
+    def simplify(self, *arguments: Any) -> int:
+        """How many indices the simplifier wrote."""
+        return int(self._exports["meshopt_simplifyWithAttributes"](self._store, *arguments))
 
 
 class Surface:

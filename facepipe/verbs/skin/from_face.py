@@ -3,30 +3,264 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
+from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.heat_weights import heat_weights, normalised
+from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
 from facepipe.parts import FaceParts, Skeleton
 from facepipe.rig import build
-from facepipe.verbs.same_topology import in_order
-from facepipe.verbs.skin.correspondence import main_places, matched_parts
-from facepipe.verbs.skin.features import Eyeball, eyeballs_of, slits_of
 from facepipe.verbs.skin.skinning import Skinning, TransferReport, with_binds
-from facepipe.verbs.skin.surface import Surface, surface_of
+from facepipe.verbs.skin.surface import LOWER, UPPER, Eyeball, Slit, Surface, eyeballs_of, slits_of, surface_of
+from facepipe.verbs.whole_faces import in_order
 
+_SIDE = 0.1  # of a slit's width from the line beside its corners: from there a point is on one side
+_BESIDE = 1.0  # points up to this many widths from a rim look on their own side only
+_FACING = 0.0  # cosine between normals from which places match
+_TRIED = 48  # points looked at for one that faces the same way
+_TURNED = 3.0  # a place that faces the same way may be this many times as far
+_SMALL = 30.0  # mm: parts up to this size, such as a tooth, are rather rigid
+_RIGID = 0.95  # of all weights on one joint: a part of the source is rigid
+_PREFERRED = 2.5  # they take a rigid part up to this many times as far as the nearest of all; others that alone
+_NEAR = 10.0  # mm: and no farther than this
+_LOOSE = 0.6  # distances from loose parts count so much where others choose: these touch the mouth around them
+_BLEND = 3.0  # mm over which weights of parts blend
+_TRUSTED = 0.5  # mm: weights of points nearer to the source than this blend less
+_SHARP = 1e-3  # of the length: those of points that lie on it, not at all
 _MISSED = 0.5  # mm: landmarks are set by hand, and missed by about as much where that saves bending
-_SHARP = 1e-3  # mm: weights of points that lie on the other face are smoothed no more than this
-_TRUSTED = 1.0  # mm: from there on weights are smoothed over the whole length, and more as places are farther off
+_SURE = 1.0  # mm: from there on weights are smoothed over the whole length, and more as places are farther off
 _LONGEST = 4.0  # times the length
 _STRANGE, _UNLIKE = (
     0.3,
     0.5,
 )  # of landmarks' spread: heads lie 0.08 to 0.2 apart, mirrored ones 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """For each of k points a place on the other face."""
+
+    corners: IntArray  # (k, 3) sewn points of the other face
+    shares: FloatArray  # (k, 3) in sum 1
+    distances: FloatArray  # (k,) mm
+
+    def interpolated(self, values: FloatArray) -> FloatArray:
+        """(k, c) what of the values (m, c) at the other face's points is at the places."""
+        return np.asarray(np.einsum("kc,kcj->kj", self.shares, values[self.corners]))
+
+
+def main_places(
+    target: Surface, target_slits: Sequence[Slit], source: Surface, source_slits: Sequence[Slit], warped: FloatArray
+) -> Places:
+    """Of the points of the main part the nearest places on the other's.
+
+    :param warped: (m, 3) points of the source, warped onto the target
+    """
+    points = target.inside
+    triangles = source.triangles[(source.component[source.triangles] == source.main).all(axis=1)]
+    normals = point_normals(warped, triangles)
+    places = _empty(len(points))
+    for chosen, allowed in _sides(target_slits, source_slits, points, triangles):
+        part = nearest(target.points[points[chosen]], warped, triangles[allowed])
+        part = _turned(part, target, points[chosen], warped, normals, np.unique(triangles[allowed]))
+        places.corners[chosen], places.shares[chosen] = part.corners, part.shares
+        places.distances[chosen] = part.distances
+    return places
+
+
+def nearest(points: FloatArray, warped: FloatArray, triangles: IntArray) -> Places:
+    """The nearest places on the triangles."""
+    places = closest_places(points, warped, triangles)
+    shares = place_shares(places, warped, triangles)
+    return Places(corners=triangles[places.triangles], shares=shares, distances=places.distances)
+
+
+def _empty(count: int) -> Places:
+    return Places(corners=np.zeros((count, 3), np.int64), shares=np.zeros((count, 3)), distances=np.zeros(count))
+
+
+def _sides(
+    target_slits: Sequence[Slit], source_slits: Sequence[Slit], points: IntArray, triangles: IntArray
+) -> list[tuple[IntArray, IntArray]]:
+    """Places in `points`, and the triangles that these may be on: all points once."""
+    everywhere = np.arange(len(triangles))
+    free = np.ones(len(points), bool)
+    sides = []
+    for slit, other in zip(target_slits, source_slits, strict=True):
+        beside = slit.distance[points] <= _BESIDE * slit.width
+        for sign in (UPPER, LOWER):
+            chosen = free & beside & (sign * slit.side[points] > _SIDE)
+            wrong = (sign * other.side[triangles] < -_SIDE).any(axis=1)
+            if chosen.any() and not wrong.all():
+                sides.append((np.flatnonzero(chosen), everywhere[~wrong]))
+                free &= ~chosen
+    return [*sides, (np.flatnonzero(free), everywhere)]
+
+
+def _turned(
+    part: Places, target: Surface, points: IntArray, warped: FloatArray, normals: FloatArray, allowed: IntArray
+) -> Places:
+    """The places, but of points that face away from theirs a near point that faces as they do, where there is one."""
+    from scipy.spatial import cKDTree
+
+    ours = target.normals[points]
+    theirs = part.interpolated(normals)
+    rows = np.flatnonzero((ours * theirs).sum(axis=1) <= _FACING)
+    if not len(rows):
+        return part
+    count = min(_TRIED, len(allowed))
+    away, near = cKDTree(warped[allowed]).query(target.points[points[rows]], k=np.arange(1, count + 1))
+    facing = np.einsum("kni,ki->kn", normals[allowed[near]], ours[rows]) > _FACING
+    first = facing.argmax(axis=1)
+    at = np.arange(len(rows))
+    # a multiple of nearly 0 would allow nothing at points that lie on the source: of 1 mm at least
+    better = facing[at, first] & (away[at, first] <= _TURNED * np.maximum(part.distances[rows], 1.0))
+    rows, first, at = rows[better], first[better], at[better]
+    corners, shares, distances = part.corners.copy(), part.shares.copy(), part.distances.copy()
+    corners[rows] = allowed[near[at, first]][:, None]
+    shares[rows], distances[rows] = (1.0, 0.0, 0.0), away[at, first]
+    return Places(corners=corners, shares=shares, distances=distances)
+
+
+def matched_parts(
+    target: Surface,
+    source: Surface,
+    warped: FloatArray,
+    weights: FloatArray,
+    eyeballs: Sequence[tuple[Eyeball, Eyeball]],
+) -> tuple[FloatArray, Mapping[str, tuple[str, ...]]]:
+    """Weights (m, j) of the loose points of the target, 0 elsewhere, and which meshes gave them to which.
+
+    Eyeballs turn as the source's do; teeth and other parts that lie on a rigid one go with it; all others, point by
+    point, with what of the source is nearest, smoothed.
+
+    :param warped: (m', 3) points of the source, warped onto the target
+    :param weights: (m', j) of the source
+    :param eyeballs: pairs, of the target and of the source
+    """
+    result = np.zeros((len(target.points), weights.shape[1]))
+    origin: dict[str, set[str]] = {}
+    done = np.zeros(len(target.points), bool)
+    for ball, other in eyeballs:
+        result[ball.points] = _whole(weights[other.points])
+        _note(origin, target, ball.points, source, other.points)
+        done[ball.points] = True
+    taken = np.concatenate([np.zeros(0, np.int64), *(other.points for _, other in eyeballs)])
+    parts = _parts(source, taken)
+    rigid = {number for number in parts if number != source.main and _is_rigid(weights[source.component == number])}
+    rest = []
+    loose = _pieces(target, target.loose[~np.isin(target.component[target.loose], target.component[done])])
+    means = _mean_distances([target.points[points] for points in loose], warped, parts)
+    for points, mean in zip(loose, means, strict=True):
+        # by piece before by point: a tooth whose points each take what is nearest would bend
+        chosen = _rigid_part(target.points[points], mean, rigid)
+        if chosen is None:
+            rest.append(points)
+            continue
+        place = nearest(target.points[points], warped, parts[chosen])
+        result[points] = _whole(place.interpolated(weights))
+        _note(origin, target, points, source, place.corners[:, 0])
+    if rest:
+        _follow(np.sort(np.concatenate(rest)), target, source, warped, weights, parts, result, origin)
+    return result, {name: tuple(sorted(names)) for name, names in sorted(origin.items())}
+
+
+def _pieces(surface: Surface, points: IntArray) -> list[IntArray]:
+    """The points, component by component."""
+    numbers = surface.component[points]
+    order = np.argsort(numbers, kind="stable")
+    return np.split(points[order], np.flatnonzero(np.diff(numbers[order])) + 1) if len(points) else []
+
+
+def _parts(source: Surface, taken: IntArray) -> dict[int, IntArray]:
+    """Component -> its triangles, of those that are no eyeball."""
+    component = source.component[source.triangles[:, 0]]
+    order = np.argsort(component, kind="stable")
+    pieces = np.split(source.triangles[order], np.flatnonzero(np.diff(component[order])) + 1)
+    eyes = set(source.component[taken].tolist())
+    found = {int(source.component[piece[0, 0]]): piece for piece in pieces}
+    return {number: piece for number, piece in found.items() if number not in eyes}
+
+
+def _is_rigid(weights: FloatArray) -> bool:
+    return bool(weights.mean(axis=0).max(initial=0.0) >= _RIGID)
+
+
+def _whole(weights: FloatArray) -> FloatArray:
+    """(j,) weights of a part that moves as one: their mean, or the one joint that has nearly all."""
+    mean = normalised(weights.mean(axis=0)[None])[0]
+    return np.where(mean == mean.max(), 1.0, 0.0) if mean.max() >= _RIGID else mean
+
+
+def _rigid_part(at: FloatArray, mean: Mapping[int, float], rigid: set[int]) -> int | None:
+    """The rigid part of the source that a part of the target with points at (k, 3) goes with.
+
+    :param mean: part of the source -> mean distance from it
+    """
+    small = np.ptp(at, axis=0).max() <= _SMALL
+    among = [number for number in mean if number in rigid]
+    if not among:
+        return None
+    best = min(among, key=lambda number: (mean[number], number))
+    reach = (_PREFERRED if small else 1.0) * min(mean.values())
+    return best if mean[best] <= min(reach, _NEAR) else None
+
+
+def _mean_distances(
+    pieces: Sequence[FloatArray], warped: FloatArray, parts: Mapping[int, IntArray]
+) -> list[dict[int, float]]:
+    """For each of the pieces (k, 3), of every part whose box comes within its reach, the mean distance from it."""
+    means: list[dict[int, float]] = [{} for _ in pieces]
+    low = np.array([at.min(axis=0) for at in pieces]).reshape(-1, 3) - _NEAR
+    high = np.array([at.max(axis=0) for at in pieces]).reshape(-1, 3) + _NEAR
+    for number, triangles in parts.items():
+        box = warped[triangles.ravel()]
+        near = np.flatnonzero(((box.min(axis=0) <= high) & (box.max(axis=0) >= low)).all(axis=1)).tolist()
+        if not near:
+            continue
+        away = nearest(np.concatenate([pieces[i] for i in near]), warped, triangles).distances
+        ends = np.cumsum([len(pieces[i]) for i in near])[:-1]
+        for i, own in zip(near, np.split(away, ends), strict=True):
+            means[i][number] = float(own.mean())
+    return means
+
+
+def _follow(
+    points: IntArray,
+    target: Surface,
+    source: Surface,
+    warped: FloatArray,
+    weights: FloatArray,
+    parts: Mapping[int, IntArray],
+    result: FloatArray,
+    origin: dict[str, set[str]],
+) -> None:
+    at = target.points[points]
+    main = nearest(at, warped, parts[source.main])
+    raw, distances, corners = main.interpolated(weights), main.distances.copy(), main.corners[:, 0].copy()
+    loose = [triangles for number, triangles in parts.items() if number != source.main]
+    if loose:
+        other = nearest(at, warped, np.concatenate(loose))
+        nearer = _LOOSE * other.distances < main.distances
+        raw[nearer], distances[nearer] = other.interpolated(weights)[nearer], other.distances[nearer]
+        corners[nearer] = other.corners[nearer, 0]
+    local = target.part_triangles(points, even=True)
+    # the nearer a point, the surer its weights: what lies on the source is not blurred, what is far blends widely
+    lengths = _BLEND * np.clip(distances / _TRUSTED, _SHARP, 1.0)
+    result[points] = normalised(heat_weights(at, local, normalised(raw), lengths))
+    _note(origin, target, points, source, corners)
+
+
+def _note(origin: dict[str, set[str]], target: Surface, points: IntArray, source: Surface, given: IntArray) -> None:
+    for number in np.unique(target.mesh[points]):
+        own = target.mesh[points] == number
+        names = {source.mesh_names[i] for i in np.unique(source.mesh[given[own] if len(given) == len(own) else given])}
+        origin.setdefault(target.mesh_names[number], set()).update(names)
 
 
 def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str, smoothing: float) -> Skinning:
@@ -95,7 +329,7 @@ def _by_place(
     warped = warp.apply(other.points)
     places = main_places(surface, slits_of(surface), other, slits_of(other), warped)
     result, origin = matched_parts(surface, other, warped, weights, pairs)
-    lengths = np.clip(places.distances / _TRUSTED, _SHARP, _LONGEST) * max(smoothing, _SHARP)
+    lengths = np.clip(places.distances / _SURE, _SHARP, _LONGEST) * max(smoothing, _SHARP)
     inside = surface.inside
     local = surface.part_triangles(inside, even=True)
     result[inside] = heat_weights(surface.points[inside], local, normalised(places.interpolated(weights)), lengths)

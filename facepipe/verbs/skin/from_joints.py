@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import suggestion
-from facepipe.geometry.closest_points import closest_places
+from facepipe.core.names import did_you_mean, identifier, suggestion
+from facepipe.core.reading import read_json_object
+from facepipe.declare import from_json
+from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.polygons import components
 from facepipe.parts import FaceParts, all_regions
-from facepipe.verbs.skin.features import LOWER, UPPER, Slit, eyeballs_of, slits_of, smoothstep
-from facepipe.verbs.skin.joints_file import JointSet, JointSpec
-from facepipe.verbs.skin.loose_parts import following, hold, hold_parts, in_eyeballs, joints_in
 from facepipe.verbs.skin.options import SkinOptions
 from facepipe.verbs.skin.skinning import Skinning, skeleton_of
-from facepipe.verbs.skin.surface import Surface, size_of
+from facepipe.verbs.skin.surface import LOWER, UPPER, Eyeball, Slit, Surface, eyeballs_of, size_of, slits_of, smoothstep
 
+_NEAREST = 1.0  # mm: parts that touch the face are smoothed over this length, others over their distance from it
+_SMALL = 0.65  # of the mouth's width: parts up to this size lie above or below the mouth whole
+_BLEND = 3.0  # mm over which larger ones change from upper to lower
+_IN_BALL = 0.5  # a joint up to this many radii from the centre of an eyeball turns it
+MOST_JOINTS = 1024
+_MOST_BYTES = 1 << 24
+_UNITS = {"stage": None, "mm": 0.001, "cm": 0.01, "m": 1.0}
+_LENGTHS = {"low": -1e9, "high": 1e9}
+_LONGEST_PATH = 1000
 _REACH = 1.5  # a joint in the depth touches the points up to this many times as far as the nearest
 _AS_NEAR = 1.1  # patches up to this many times as far as the nearest one are as near
 _POWER = 12  # shares of the nearest joints fall with this power of their distances: ties are shared, no more
@@ -33,6 +46,218 @@ _FARTHEST = 20.0  # sizes of the face that a joint may be away from it
 _AROUND = 0.5  # sizes of the face that joints usually lie around its box at most
 _TOGETHER = 0.05  # of the face's size: joints nearer to each other lie in a heap
 _HEAP = 3  # joints, from which on that is a sign
+
+
+def following(surface: Surface, weights: FloatArray) -> FloatArray:
+    """(m, j) weights of all points: those (i, j) of the main part, and of loose points the nearest of it, smoothed."""
+    whole = np.zeros((len(surface.points), weights.shape[1]))
+    whole[surface.inside] = weights
+    if not len(surface.loose):
+        return whole
+    triangles = surface.part_triangles(surface.inside)
+    places = closest_places(surface.points[surface.loose], surface.points[surface.inside], triangles)
+    shares = place_shares(places, surface.points[surface.inside], triangles)
+    nearest = np.einsum("mc,mcj->mj", shares, weights[triangles[places.triangles]])
+    lengths = np.maximum(places.distances, _NEAREST)
+    local = surface.part_triangles(surface.loose, even=True)
+    whole[surface.loose] = normalised(heat_weights(surface.points[surface.loose], local, nearest, lengths))
+    return whole
+
+
+def joints_in(eyeballs: Sequence[Eyeball], positions: FloatArray, apart: BoolArray) -> dict[int, int]:
+    """Eyeball -> the joint (of positions (j, 3), mm) nearest to its centre, where one is in it.
+
+    :param apart: (j,) joints that turn an eyeball only where no other one does, such as those of lids
+    """
+    turning = {}
+    for number, inside in enumerate(_inside(eyeballs, positions)):
+        if inside.any():
+            own = inside & ~apart if (inside & ~apart).any() else inside
+            away = np.linalg.norm(positions - eyeballs[number].centre, axis=1)
+            turning[number] = int(np.where(own, away, np.inf).argmin())
+    return turning
+
+
+def in_eyeballs(eyeballs: Sequence[Eyeball], positions: FloatArray) -> BoolArray:
+    """(j,) whether a joint (of positions (j, 3), mm) is in an eyeball."""
+    return np.asarray(np.any([np.zeros(len(positions), bool), *_inside(eyeballs, positions)], axis=0))
+
+
+def _inside(eyeballs: Sequence[Eyeball], positions: FloatArray) -> list[BoolArray]:
+    return [np.linalg.norm(positions - ball.centre, axis=1) <= _IN_BALL * ball.radius for ball in eyeballs]
+
+
+def hold(weights: FloatArray, points: IntArray, joint: int) -> None:
+    """Give points to one joint, whole."""
+    weights[points] = 0.0
+    weights[points, joint] = 1.0
+
+
+def hold_parts(
+    surface: Surface,
+    weights: FloatArray,
+    parts: Mapping[str, tuple[str, str]],
+    joints: Sequence[str],
+    mouth: Slit | None,
+) -> tuple[str, ...]:
+    """Give the loose parts that `parts` names to its joints; the names of the meshes.
+
+    :raises InputError: a glob that matches no loose part, or parts above and below on a face without landmarks
+    """
+    done = []
+    for glob, (above, below) in parts.items():
+        names = [name for name in surface.mesh_names if fnmatchcase(name, glob)]
+        if not names:
+            some = ", ".join(surface.mesh_names[:6])
+            raise InputError(f"{surface.where} -> parts", f"'{glob[:60]}' matches no mesh, expected some of {some}")
+        if above != below and mouth is None:
+            trail = f"{surface.where} -> parts -> {glob[:60]}"
+            raise InputError(trail, "no multipie68 landmarks that part it, expected 68")
+        numbers = [surface.mesh_names.index(name) for name in names]
+        points = surface.loose[np.isin(surface.mesh[surface.loose], numbers)]
+        if not len(points):
+            what = f"'{glob[:60]}' matches no loose part, expected one: joints move the rest of the face along it"
+            raise InputError(f"{surface.where} -> parts", what)
+        if above == below or mouth is None:
+            hold(weights, points, joints.index(above))
+        else:
+            upper = _upper(surface, points, mouth)
+            weights[points] = 0.0
+            weights[points, joints.index(above)], weights[points, joints.index(below)] = upper, 1.0 - upper
+        done += names
+    return tuple(dict.fromkeys(done))
+
+
+def _upper(surface: Surface, points: IntArray, mouth: Slit) -> FloatArray:
+    """(k,) share of loose points that is above the mouth: small parts whole, others by the nearest of the face."""
+    triangles = surface.part_triangles(surface.inside)
+    places = closest_places(surface.points[points], surface.points[surface.inside], triangles)
+    side = mouth.side[surface.inside][triangles[places.triangles]].mean(axis=1)
+    upper = (side > 0).astype(np.float64)
+    component = surface.component[points]
+    large = np.zeros(len(points), bool)
+    for number in np.unique(component):
+        inside = component == number
+        if np.ptp(surface.points[points[inside]], axis=0).max() <= _SMALL * mouth.width:
+            upper[inside] = float(side[inside].mean() > 0)
+        else:
+            large |= inside
+    if large.any():
+        # gums and the like span both jaws: a step from 0 to 1 would tear them where the mouth opens
+        local = surface.part_triangles(points[large], even=True)
+        lengths = np.full(int(large.sum()), _BLEND)
+        spread = heat_weights(surface.points[points[large]], local, upper[large, None], lengths)
+        upper[large] = np.clip(spread[:, 0], 0.0, 1.0)
+    return np.asarray(upper)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedJoint:
+    """A joint but for its path; what its fields mean is above.
+
+    :raises InputError: a rotation of length 0, or a radius that is not above 0
+    """
+
+    position: tuple[float, float, float] = field(metadata=_LENGTHS)
+    rotation: tuple[float, float, float, float] = field(default=(0.0, 0.0, 0.0, 1.0), metadata=_LENGTHS)
+    radius: float | None = field(default=None, metadata=_LENGTHS)
+    regions: tuple[str, ...] = ()
+    surface: bool | None = None
+
+    def __post_init__(self) -> None:
+        if math.hypot(*self.rotation) < 1e-6:
+            raise InputError("rotation", "of length 0, expected a unit quaternion x y z w")
+        if self.radius is not None and self.radius <= 0:
+            raise InputError("radius", f"{self.radius}, expected a length above 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSpec(PlacedJoint):
+    """One joint to be made."""
+
+    path: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Halves:
+    upper: str
+    lower: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class _JointsFile:
+    joints: Mapping[str, PlacedJoint]
+    parts: Mapping[str, str | _Halves] = field(default_factory=dict)
+    unit: Literal["stage", "mm", "cm", "m"] = "stage"
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSet:
+    """The joints of a face, parents first.
+
+    :raises InputError: no joints, one twice or without its parent, or parts given to a joint that is not there
+    """
+
+    joints: tuple[JointSpec, ...]
+    parts: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # mesh glob -> joint above and below the mouth
+    unit: str = "stage"
+    where: str = "joints"  # for messages
+
+    def __post_init__(self) -> None:
+        paths = [joint.path for joint in self.joints]
+        if not 1 <= len(paths) <= MOST_JOINTS:
+            raise InputError(self.where, f"{len(paths)} joints, expected 1 to {MOST_JOINTS}")
+        if self.unit not in _UNITS:
+            raise InputError(f"{self.where} -> unit", f"'{self.unit[:40]}', expected one of {', '.join(_UNITS)}")
+        known = set(paths)
+        for number, path in enumerate(paths):
+            self._check_path(path, known, twice=path in paths[:number])
+        for glob, names in self.parts.items():
+            for name in names:
+                if name not in known:
+                    trail = f"{self.where} -> parts -> {_shown(glob)}"
+                    near = did_you_mean(name, paths) or ", expected one of the file"
+                    raise InputError(trail, f"no joint '{_shown(name)}'{near}")
+        order = sorted(self.joints, key=lambda joint: joint.path.count("/"))
+        object.__setattr__(self, "joints", tuple(order))
+
+    def _check_path(self, path: str, paths: set[str], *, twice: bool) -> None:
+        where = f"{self.where} -> {_shown(path)}"
+        if twice:
+            raise InputError(where, "twice, expected each joint once")
+        if len(path) > _LONGEST_PATH or any(identifier(part) != part for part in path.split("/")):
+            raise InputError(where, "expected names of ASCII letters, digits and underscores, joined by /")
+        parent = path.rpartition("/")[0]
+        if parent and parent not in paths:
+            raise InputError(where, f"no parent '{parent[:80]}', expected it among the joints")
+
+    def scale(self, meters_per_unit: float) -> float:
+        """Stage units in one unit of the file."""
+        meters = _UNITS[self.unit]
+        return 1.0 if meters is None else meters / meters_per_unit
+
+
+def read_joints(path: Path) -> JointSet:
+    """The joints of a JSON file.
+
+    :raises InputError: not such JSON
+    """
+    file = from_json(_JointsFile, read_json_object(path, _MOST_BYTES), str(path))
+    parts = {
+        glob: part if isinstance(part, _Halves) else _Halves(upper=part, lower=part)
+        for glob, part in file.parts.items()
+    }
+    return JointSet(
+        joints=tuple(JointSpec(path=name, **vars(joint)) for name, joint in file.joints.items()),
+        parts={glob: (part.upper, part.lower) for glob, part in parts.items()},
+        unit=file.unit,
+        where=str(path),
+    )
+
+
+def _shown(name: str) -> str:
+    """A name as messages show it, whatever is in it."""
+    return ascii(name)[1:-1][:80]
 
 
 def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: SkinOptions) -> Skinning:

@@ -74,7 +74,7 @@ class Skin(SkinOptions, StageAction["SkinReport"]):
 
     def author(self, face: Face, job: Job) -> SkinReport:
         from facepipe.importers import read_face
-        from facepipe.verbs.skin.joints_file import read_joints
+        from facepipe.verbs.skin.from_joints import read_joints
         from facepipe.verbs.skin.skin_face import SkinFace
 
         skin = SkinFace(

@@ -17,8 +17,7 @@ from facepipe.rig import build
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.skin.from_face import from_face
-from facepipe.verbs.skin.from_joints import from_joints
-from facepipe.verbs.skin.joints_file import JointSet
+from facepipe.verbs.skin.from_joints import JointSet, from_joints
 from facepipe.verbs.skin.options import SkinOptions
 from facepipe.verbs.skin.skinning import FitReport, Skinning, SkinReport, arranged, check_joints, skinned, steps
 from facepipe.verbs.skin.surface import Surface, size_warnings, surface_of

@@ -16,7 +16,7 @@ from facepipe.parts import Animation, FaceParts, Skeleton, Skin
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.build_rig import mesh_spaces
 from facepipe.rig.trs import decompose, rotation_matrices
-from facepipe.stage.differences import same
+from facepipe.stage.values import same
 from facepipe.verbs.skin.surface import Surface
 
 

@@ -10,15 +10,14 @@ if TYPE_CHECKING:
         AuthorNetworkReport,
         AuthorSliders,
         AuthorSlidersReport,
+        SetSliders,
+        SetSlidersReport,
     )
     from facepipe.verbs.sliders.distil import DistilReport, DistilSliders
-    from facepipe.verbs.sliders.from_shapes import SlidersFromShapes
+    from facepipe.verbs.sliders.from_shapes import MadeSlider, ShapeSlidersReport, SlidersFromShapes
     from facepipe.verbs.sliders.options import ShapeSliderOptions
-    from facepipe.verbs.sliders.set_sliders import SetSliders, SetSlidersReport
-    from facepipe.verbs.sliders.shape_report import MadeSlider, ShapeSlidersReport
-    from facepipe.verbs.sliders.slider_table import Drive, SliderRule, SliderTable
     from facepipe.verbs.sliders.sliders_action import SlidersOfFace
-    from facepipe.verbs.sliders.tables import read_table
+    from facepipe.verbs.sliders.tables import Drive, SliderRule, SliderTable, read_table
 else:
     __getattr__, __dir__ = lazy(__name__)
 

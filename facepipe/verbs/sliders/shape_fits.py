@@ -13,7 +13,7 @@ from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.options import STRICTER
-from facepipe.verbs.fit_bones.variables import Symmetry
+from facepipe.verbs.fit_bones.skinning import Symmetry
 from facepipe.verbs.sliders.options import ShapeSliderOptions
 from facepipe.verbs.sliders.shape_names import ShapeSlider
 

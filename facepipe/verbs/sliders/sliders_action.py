@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from facepipe.core.reports import Report
     from facepipe.stage import Face
     from facepipe.verbs.fit_bones.limits import LimitRules
-    from facepipe.verbs.sliders.set_sliders import SetSlidersReport
-    from facepipe.verbs.sliders.shape_report import ShapeSlidersReport
+    from facepipe.verbs.sliders.author_sliders import SetSlidersReport
+    from facepipe.verbs.sliders.from_shapes import ShapeSlidersReport
 else:
     LimitRules = Any
 
@@ -149,7 +149,7 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
 
     def _set(self, face: Face, job: Job) -> SetSlidersReport:
         from facepipe.core.names import named
-        from facepipe.verbs.sliders.set_sliders import SetSliders
+        from facepipe.verbs.sliders.author_sliders import SetSliders
 
         values = named(self.values, [slider.name for slider in face.sliders], "--set", "slider")
         settings = SetSliders(values=values, mirror=self.mirror, reset=self.reset, name=self.name)

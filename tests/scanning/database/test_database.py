@@ -35,8 +35,8 @@ from facepipe.scanning.database import (
     remove_faces,
     save_database,
 )
+from facepipe.scanning.database.changes import stage_sources
 from facepipe.scanning.database.database_file import FORMAT
-from facepipe.scanning.database.incoming_faces import stage_sources
 from facepipe.verbs.array_file import read_arrays, write_arrays
 from facepipe.verbs.whole_faces import Topology, WholeFace, whole_face
 

@@ -21,8 +21,8 @@ from facepipe.heads.asset import asset
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
 from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.fit_neutral import are_sealed, shut_eyes, with_sealed_lips
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.scanning.rebuild.shut_features import are_sealed, shut_eyes, with_sealed_lips
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts

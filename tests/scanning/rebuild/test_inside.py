@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facepipe.heads.assembly import make
-from facepipe.scanning.rebuild.mouth_contacts import mouth_contacts, mouth_lines
+from facepipe.scanning.rebuild.built_in_head import mouth_contacts, mouth_lines
 from facepipe.scanning.rebuild.template import Template
 from facepipe.verbs.whole_faces import whole_face
 
@@ -63,7 +63,7 @@ def test_teeth_through_lips_are_found(template: Template) -> None:
 
 def test_contacts_are_with_all_of_the_skin(template: Template) -> None:
     triangles = template.topology.triangles
-    sheet = "facepipe.scanning.rebuild.mouth_contacts.Sheet.of"
+    sheet = "facepipe.scanning.rebuild.built_in_head.Sheet.of"
     with mock.patch(sheet, side_effect=StopIteration) as made, pytest.raises(StopIteration):
         mouth_contacts(template, template.points, {}, {})
     skin = triangles[np.isin(triangles, template.rows).all(axis=1)]

@@ -25,9 +25,8 @@ from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe
 from facepipe.scanning.database import Quality
 from facepipe.scanning.rebuild import RefineNeutral, RefineNeutralOptions, Template
-from facepipe.scanning.rebuild.composites import shown_before
 from facepipe.scanning.rebuild.refine_neutral import flipped_before
-from facepipe.scanning.rebuild.template import region_weights
+from facepipe.scanning.rebuild.template import region_weights, shown_before
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.stage.recipes import source_digest

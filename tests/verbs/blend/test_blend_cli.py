@@ -22,8 +22,7 @@ from facepipe.cli.parser import Parser
 from facepipe.performing import read_kept, recipe_to
 from facepipe.stage import save_parts
 from facepipe.verbs.blend import Blend, BlendFaces, Weights
-from facepipe.verbs.blend.lids import LidContact
-from facepipe.verbs.blend.quality import _deviation
+from facepipe.verbs.blend.quality import LidContact, _deviation
 from facepipe.verbs.blend.weights import weights_to_json
 
 # --- blending

@@ -17,7 +17,7 @@ from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build
 from facepipe.stage import Face, save_parts
 from facepipe.verbs.blend import Blend, BlendOptions, BlendSession, Weights
-from facepipe.verbs.blend.kept_parts import _default
+from facepipe.verbs.blend.session import _default
 from facepipe.verbs.blend.weights import Shares
 
 REGIONS = ("mouth", "neck")

@@ -14,7 +14,7 @@ from facepipe.geometry.balls import fit_ball
 from facepipe.parts import FaceParts, Mesh
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendOptions, BlendSession
-from facepipe.verbs.blend.lids import LidContact, lid_contacts
+from facepipe.verbs.blend.quality import LidContact, lid_contacts
 from facepipe.verbs.blend.session import Solution
 
 LOOK, BLINK = "eyeLookInLeft", "eyeBlinkLeft"

@@ -9,7 +9,7 @@ from blend_faces import blended, by_region, kinds, misaligned, session, two
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.stage import Face
 from facepipe.verbs.blend import BlendSession, Weights
-from facepipe.verbs.blend.matching import match
+from facepipe.verbs.blend.quality import match
 
 
 def found_table(blend: BlendSession, weights: Weights) -> np.ndarray:

@@ -29,7 +29,7 @@ from faces import replace_mesh
 from scipy.spatial.transform import Rotation
 
 from facepipe.geometry.balls import fit_ball
-from facepipe.geometry.differences import edge_vectors
+from facepipe.geometry.gradient_system import edge_vectors
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.parts import FaceParts
 from facepipe.stage import Face

@@ -16,7 +16,7 @@ from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.rig import matrix_coefficients
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import compose, rotation_matrices
-from facepipe.verbs.blend.normals import blend_normals, normal_offsets
+from facepipe.verbs.blend.result import blend_normals, normal_offsets
 from facepipe.verbs.blend.rigs import blend_linear, blend_skeletons, blend_skins, rebase_animations
 
 SEEDS = st.integers(0, 10**6)

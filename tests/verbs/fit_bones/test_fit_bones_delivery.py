@@ -29,7 +29,7 @@ from facepipe.parts import FaceParts, all_regions
 from facepipe.rig import CHANNELS, build, coefficient_matrices, rest_coefficients
 from facepipe.stage import Face
 from facepipe.verbs.fit_bones import read_targets
-from facepipe.verbs.fit_bones.residual import with_half_scales
+from facepipe.verbs.fit_bones.target_fits import with_half_scales
 
 TOLERANCE = 1e-5  # head heights
 THRESHOLD = 0.1  # mm

@@ -20,7 +20,7 @@ from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.verbs.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.residual import half_scaled, with_half_scales
+from facepipe.verbs.fit_bones.target_fits import half_scaled, with_half_scales
 
 FACE_BONES = REPOSITORY / "docs" / "face_bones.json"
 

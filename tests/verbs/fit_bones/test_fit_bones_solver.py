@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from facepipe.core.errors import InputError
-from facepipe.geometry.boxed_qp import BoxedQuadratic
+from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 from facepipe.verbs.fit_bones.bone_fit import BoneFit

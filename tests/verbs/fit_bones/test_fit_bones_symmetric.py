@@ -13,9 +13,9 @@ from faces import tiny_face
 from facepipe.core.errors import InputError
 from facepipe.core.names import mirrored_name
 from facepipe.rig import Rig, build, rest_coefficients
-from facepipe.verbs.fit_bones import variables as module
+from facepipe.verbs.fit_bones import skinning as module
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.variables import symmetry
+from facepipe.verbs.fit_bones.skinning import symmetry
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 

@@ -9,8 +9,7 @@ from bone_rigs import MM, face_joints, head, jacobian, limits, random_pose
 from facepipe.rig import rest_coefficients
 from facepipe.verbs.fit_bones import bone_fit
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.solver import SETTLED
-from facepipe.verbs.fit_bones.together import _Memory, fit_together
+from facepipe.verbs.fit_bones.solver import SETTLED, _Memory, fit_together
 
 
 def few_joints() -> np.ndarray:

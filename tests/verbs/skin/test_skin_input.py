@@ -17,7 +17,7 @@ from faces import grid_mesh
 from skin_joints import TWO, bare, changed, head, retopologised, skinned, weights_of, without_joints
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.geometry.differences import cotangent_weights
+from facepipe.geometry.gradient_system import cotangent_weights
 from facepipe.geometry.warp import fit_warp
 from facepipe.parts import FaceParts, Landmarks, Mesh, Skin
 from facepipe.stage import Face, save_parts

@@ -15,8 +15,7 @@ from facepipe.rig import rest_coefficients
 from facepipe.rig.animation import local_transforms
 from facepipe.stage import Face
 from facepipe.verbs.skin import JointSet, JointSpec, SkinFace
-from facepipe.verbs.skin.features import eyeballs_of
-from facepipe.verbs.skin.surface import surface_of
+from facepipe.verbs.skin.surface import eyeballs_of, surface_of
 
 Array = np.ndarray[Any, Any]
 

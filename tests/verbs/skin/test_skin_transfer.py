@@ -24,9 +24,8 @@ from facepipe.geometry.warp import fit_warp, nearest_rotations
 from facepipe.registry import exporter
 from facepipe.stage import Face, save_parts
 from facepipe.verbs.skin import SkinFace, SkinOptions, SkinReport
-from facepipe.verbs.skin.correspondence import _sides
-from facepipe.verbs.skin.features import Slit, eyeballs_of
-from facepipe.verbs.skin.surface import Surface, surface_of
+from facepipe.verbs.skin.from_face import _sides
+from facepipe.verbs.skin.surface import Slit, Surface, eyeballs_of, surface_of
 
 Array = np.ndarray[Any, Any]
 RNG = np.random.default_rng(4)

@@ -25,7 +25,7 @@ from facepipe.parts import FaceParts, SliderNetwork
 from facepipe.performing import read_kept
 from facepipe.rig import build, slide
 from facepipe.stage import Face, save_parts
-from facepipe.stage.differences import same
+from facepipe.stage.values import same
 from facepipe.verbs.sliders import AuthorNetwork, AuthorSliders, SetSliders, SlidersOfFace, read_table
 
 TOLERANCE = 1e-5

@@ -11,7 +11,7 @@ from slider_tables import LIST, MATRIX, TOML
 from facepipe.core.errors import InputError
 from facepipe.parts import Slider
 from facepipe.rig import CHANNELS, rest_coefficients, slide
-from facepipe.verbs.sliders import Drive, SliderRule, SliderTable, read_table, slider_table
+from facepipe.verbs.sliders import Drive, SliderRule, SliderTable, read_table, tables
 
 JOINTS = ("root", "root/jaw", "root/lidLeft", "root/lidRight")
 SHAPES = ("jawOpen", "smileLeft", "smileRight")
@@ -289,7 +289,7 @@ def test_tables_of_too_much_are_refused(monkeypatch: pytest.MonkeyPatch) -> None
         SliderTable(rules=rules)
     with pytest.raises(InputError, match="more than 262144 channels"):
         SliderTable(rules=rules[:200]).resolve([f"j{i}" for i in range(500)], (), 0.01)
-    monkeypatch.setattr(slider_table, "_MOST_DRIVEN", 12)
+    monkeypatch.setattr(tables, "_MOST_DRIVEN", 12)
     assert len(SliderTable(rules=rules[:2]).resolve(["j0", "j1"], (), 0.01)) == 2  # of 3 channels of 2 joints
     with pytest.raises(InputError, match="more than 12 channels"):
         SliderTable(rules=rules[:3]).resolve(["j0", "j1"], (), 0.01)

@@ -1,0 +1,156 @@
+"""Put more faces into a database, in place and whole or not at all; -o writes another file.
+
+Changes of one database wait for each other. A rebuilt face is refused whose measures, in its recipe or in a report
+given by --quality, miss the limits below. A report is a JSON object, alone or under "quality": {"surface_mean_mm": 0.1,
+"surface_p95_mm": 0.4, "coverage": 0.9, "flipped_triangles": 0}.
+
+examples:
+  facepipe database add faces.fpdb actor.usda
+  facepipe database add faces.fpdb actor.usda --quality report.json -o more.fpdb
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.errors import InputError
+from facepipe.declare import source
+from facepipe.kinds import FileAction, InPlaceAction, Inspector, Job, Watch, action
+from facepipe.scanning.database.database_report import DatabaseReport, report_of
+from facepipe.scanning.database.options import AddOptions, DatabaseOptions, FaceNames
+
+if TYPE_CHECKING:
+    from facepipe.scanning.database.changes import StageSource
+    from facepipe.scanning.database.options import Quality
+
+_MOST_REPORT = 1 << 26  # bytes of a report
+
+
+@action("database create", "make a database of face stages")
+@dataclass(frozen=True, kw_only=True)
+class CreateDatabase(FaceNames, DatabaseOptions, FileAction[DatabaseReport]):
+    """The action (`create_database`)."""
+
+    output = "database to write: .fpdb"
+    suffixes = (".fpdb",)
+    alone = True
+
+    faces: tuple[Path, ...] = source("face stages of one topology", metavar="FACE")
+
+    def write(self, job: Job) -> DatabaseReport:
+        from facepipe.scanning.database.changes import create_database, stage_sources
+        from facepipe.scanning.database.database_file import save_database
+
+        sources = stage_sources(self.faces, self.names)
+        with job.watch("create", 2 * len(sources)) as bar:
+            made = create_database(sources, self, done=bar.update)
+        save_database(made.database, job.out)
+        return report_of(made.database, made.warnings)
+
+
+@action("database remove", "take faces out of a database")
+@dataclass(frozen=True, kw_only=True)
+class RemoveFromDatabase(InPlaceAction[DatabaseReport]):
+    """The action (`remove_faces`)."""
+
+    suffixes = (".fpdb",)
+
+    database: Path = source("database: .fpdb")
+    names: tuple[str, ...] = source(
+        "names of faces, as info lists them", metavar="NAME", split=lambda name: (None, name)
+    )
+
+    def write(self, job: Job) -> DatabaseReport:
+        from facepipe.scanning.database.changes import remove_faces
+        from facepipe.scanning.database.database_file import load_database, save_database
+
+        made = remove_faces(load_database(self.database), self.names, str(self.database))
+        save_database(made.database, job.out)
+        return report_of(made.database, made.warnings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatabaseInfoReport(DatabaseReport):
+    """What is in a database, and its file."""
+
+    path: Path
+    bytes: int
+
+
+@action("database info", "list what is in a database")
+@dataclass(frozen=True, kw_only=True)
+class DatabaseInfo(Inspector[DatabaseInfoReport]):
+    """The action."""
+
+    database: Path = source("database: .fpdb")
+
+    def look(self, watch: Watch) -> DatabaseInfoReport:
+        from facepipe.scanning.database.database_file import load_database
+
+        found = report_of(load_database(self.database))
+        return DatabaseInfoReport(**vars(found), path=self.database, bytes=self.database.stat().st_size)
+
+
+def _report_file(word: str) -> tuple[str, str]:
+    """The file of REPORT or NAME=REPORT, and the name."""
+    name, equals, file = word.partition("=")
+    return (file, name) if equals else (word, "")
+
+
+@action("database add", "put more faces into a database")
+@dataclass(frozen=True, kw_only=True)
+class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
+    """The action (`add_faces`)."""
+
+    suffixes = (".fpdb",)
+
+    database: Path = source("database: .fpdb")
+    faces: tuple[Path, ...] = source("face stages of one topology", metavar="FACE")
+    quality: tuple[str, ...] = source(
+        "measures of a face: a JSON report, with several faces NAME=REPORT, once for each",
+        default=(),
+        flag="--quality",
+        metavar="REPORT",
+        split=_report_file,
+        kept=False,
+    )
+
+    def write(self, job: Job) -> DatabaseReport:
+        from facepipe.scanning.database.changes import add_faces, stage_sources
+        from facepipe.scanning.database.database_file import load_database, save_database
+
+        database = load_database(self.database)
+        sources = stage_sources(self.faces, self.names, database, str(self.database))
+        qualities = self._qualities(sources)
+        with job.watch("add", 2 * len(sources)) as bar:
+            made = add_faces(database, sources, self, qualities=qualities, done=bar.update)
+        save_database(made.database, job.out)
+        return report_of(made.database, made.warnings)
+
+    def _qualities(self, sources: Sequence[StageSource]) -> dict[str, Quality]:
+        """Face name -> its measures, from reports and recipes."""
+        from facepipe.core.reading import read_json
+        from facepipe.scanning.database.options import quality_from
+
+        qualities: dict[str, Quality] = {}
+        for word in self.quality:
+            file, name = _report_file(word)
+            if not name and len(sources) != 1:
+                raise InputError(f"--quality {word}", f"{len(sources)} faces, expected NAME=REPORT")
+            name = name or sources[0].name
+            if name in qualities:
+                raise InputError(f"--quality {word}", f"a report of '{name}' twice, expected one")
+            qualities[name] = quality_from(read_json(Path(file), _MOST_REPORT), file)
+        for face in sources:
+            if face.name not in qualities:
+                try:
+                    measures = face.quality()
+                except InputError:
+                    if not self.ignore_quality:
+                        raise
+                    measures = None
+                qualities |= {} if measures is None else {face.name: measures}
+        return qualities
