@@ -85,22 +85,17 @@ def _of_others(entry: EntryPoint) -> type[Action[Any]]:
         raise InputError(where, "is no action of that verb, expected one")
     if action.__abstractmethods__:
         raise InputError(where, f"has no {min(action.__abstractmethods__)}, expected it of such an action")
-    _check_fields(action, where)
-    return action
-
-
-def _check_fields(kind: type[Action[Any]], where: str) -> None:
-    """:raises InputError: fields that can't be read, are named like flags of every command, or lack a source"""
     try:
-        fields = fields_of(kind)
+        fields = fields_of(action)
     except (TypeError, NameError, AttributeError) as error:
         raise InputError(where, f"has fields that can't be read, expected a dataclass: {error}") from None
     for one in fields:
         if _TAKEN & {one.name.replace("_", "-"), one.shown.removeprefix("--")}:
             raise InputError(f"{where} -> {one.name}", "has the name of what every command has, expected another")
-    made_of_nothing = issubclass(kind, FileAction) and not issubclass(kind, InPlaceAction)
+    made_of_nothing = issubclass(action, FileAction) and not issubclass(action, InPlaceAction)
     if not made_of_nothing and all(field.role != "source" for field in fields):
         raise InputError(where, "has no source, expected one")
+    return action
 
 
 def cookable(verb: str) -> type[StageAction[Any]] | None:

@@ -123,7 +123,12 @@ def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
         return perform(action, out, flatten=values.get("flatten", False)).report
 
     function.__name__ = function.__qualname__ = function_name(kind.verb)
-    function.__doc__ = _described(kind, fields, keywords)
+    lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
+    lines += [f":param {field.name}: {field.help_text}" for field in fields]
+    lines += [f":param {name}: {said}" for name, (_, said) in keywords.items()]
+    function.__doc__ = "\n".join(
+        [*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is written"]
+    )
     said: Any = function
     said.__signature__ = signature
     return function
@@ -180,10 +185,3 @@ def _value(field: Field, value: Any) -> Any:
         return tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
     path = os.fspath if field.split is not None else Path  # a word that names a file stays one
     return tuple(map(path, value)) if field.several else path(value)
-
-
-def _described(kind: type[Action[Any]], fields: tuple[Field, ...], own: Mapping[str, tuple[Any, str]]) -> str:
-    lines = [f"{kind.summary[0].upper()}{kind.summary[1:]}: `facepipe {kind.verb}`.", ""]
-    lines += [f":param {field.name}: {field.help_text}" for field in fields]
-    lines += [f":param {name}: {said}" for name, (_, said) in own.items()]
-    return "\n".join([*lines, ":raises FacepipeError: what can't be read, done or written; then nothing is written"])

@@ -165,7 +165,11 @@ def _made(face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilO
     if rig is None:
         return _Made(face=face)
     if getattr(form, "encoder", False):
-        return _Made(face=_encoded(face, rig))
+        from facepipe.verbs.whole_faces import Topology
+
+        encoder = neural_rigs().encoder(rig)
+        encoder.check(Topology.of(face.parts()).digest, face.where)
+        return _Made(face=_EncodedFace(face.parts(), encoder))
     attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
     return _Made(face=HeldFace(attached.parts), attached=attached)
 
@@ -178,14 +182,6 @@ def _renamed(made: _Made, face: Face, form: Any, naming: Rename) -> _Made:
         return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
     held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
     return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
-
-
-def _encoded(face: Face, rig: Path) -> _EncodedFace:
-    from facepipe.verbs.whole_faces import Topology
-
-    encoder = neural_rigs().encoder(rig)
-    encoder.check(Topology.of(face.parts()).digest, face.where)
-    return _EncodedFace(face.parts(), encoder)
 
 
 def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:

@@ -120,7 +120,10 @@ def encode(content: PayloadContent) -> Encoded:
     """
     _check(content)
     exact = content.frames
-    rounded = _rounded(content, exact)
+    # (T, m, 9) numbers as they are stored
+    _refuse(content, exact, np.abs(exact) <= LARGEST, f"a finite number of at most {LARGEST:g}")
+    rounded = as_stored(exact, content.precision)
+    _refuse(content, exact, np.isfinite(rounded), "one that float16 holds (below 65520; or precision float32)")
     moving = np.flatnonzero(rounded.any(axis=(0, 2)))
     moving = moving if moving.size else np.zeros(1, np.intp)  # at rest: a payload stores one joint at least
     count, size = len(content.joints), rounded.dtype.itemsize
@@ -166,14 +169,6 @@ def _check(content: PayloadContent) -> None:
             raise InputError("bone coefficients", "times don't ascend, expected different float32 seconds in order")
 
 
-def _rounded(content: PayloadContent, exact: FloatArray) -> FloatArray:
-    """(T, m, 9) numbers as they are stored."""
-    _refuse(content, exact, np.abs(exact) <= LARGEST, f"a finite number of at most {LARGEST:g}")
-    rounded = as_stored(exact, content.precision)
-    _refuse(content, exact, np.isfinite(rounded), "one that float16 holds (below 65520; or precision float32)")
-    return rounded
-
-
 def _refuse(content: PayloadContent, exact: FloatArray, sound: BoolArray, expected: str) -> None:
     if sound.all():
         return
@@ -216,7 +211,21 @@ def read_header(data: bytes, where: object) -> Header:
         raise InputError(where, f"{len(data)} bytes, expected {header.end + CRC.size} for what its header counts")
     if zlib.crc32(data[: -CRC.size]) != CRC.unpack_from(data, header.end)[0]:
         raise InputError(where, "is damaged: its CRC differs")
-    _check_header(header, flags, where)
+    if flags & ~(FLOAT32 | FRAMES | TIMES | SPARSE):
+        raise InputError(where, f"flags {flags:#06x}, expected none above {SPARSE:#06x}")
+    if header.has_times and not header.has_frames:
+        raise InputError(where, "sample times without frames, expected both or frames alone")
+    most = 1 if not header.has_frames else MAX_VALUES
+    if not 1 <= header.frames <= most or not 1 <= header.stored <= header.joints:
+        what = f"{header.frames} frames of {header.stored} among {header.joints} joints"
+        raise InputError(where, f"{what}, expected at least one of each{'' if header.has_frames else ', one frame'}")
+    if not header.is_sparse and header.stored != header.joints:
+        raise InputError(where, f"{header.stored} joints stored without a mask, expected all {header.joints}")
+    most = most_values(header.frames, header.stored)
+    if 9 * header.frames * header.joints > most:
+        raise InputError(where, f"{header.frames} frames of {header.joints} joints, expected {most} numbers at most")
+    if not LEAST_UNIT <= header.meters_per_unit <= LARGEST_UNIT:
+        raise InputError(where, f"{header.meters_per_unit} metres a unit, expected a length above 0")
     return header
 
 
@@ -245,24 +254,6 @@ def decode(data: bytes, joints: Sequence[str], where: object) -> PayloadContent:
         meters_per_unit=header.meters_per_unit,
         precision=header.precision,
     )
-
-
-def _check_header(header: Header, flags: int, where: object) -> None:
-    if flags & ~(FLOAT32 | FRAMES | TIMES | SPARSE):
-        raise InputError(where, f"flags {flags:#06x}, expected none above {SPARSE:#06x}")
-    if header.has_times and not header.has_frames:
-        raise InputError(where, "sample times without frames, expected both or frames alone")
-    most = 1 if not header.has_frames else MAX_VALUES
-    if not 1 <= header.frames <= most or not 1 <= header.stored <= header.joints:
-        what = f"{header.frames} frames of {header.stored} among {header.joints} joints"
-        raise InputError(where, f"{what}, expected at least one of each{'' if header.has_frames else ', one frame'}")
-    if not header.is_sparse and header.stored != header.joints:
-        raise InputError(where, f"{header.stored} joints stored without a mask, expected all {header.joints}")
-    most = most_values(header.frames, header.stored)
-    if 9 * header.frames * header.joints > most:
-        raise InputError(where, f"{header.frames} frames of {header.joints} joints, expected {most} numbers at most")
-    if not LEAST_UNIT <= header.meters_per_unit <= LARGEST_UNIT:
-        raise InputError(where, f"{header.meters_per_unit} metres a unit, expected a length above 0")
 
 
 def _places(data: bytes, header: Header, where: object) -> IntArray:

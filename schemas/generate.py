@@ -26,12 +26,14 @@ def generate(out: Path) -> None:
     if done.returncode:
         raise SystemExit(f"{FOLDER / 'schema.usda'}: usdGenSchema failed: {done.stderr.strip() or done.stdout.strip()}")
     plug_info = out / "plugInfo.json"
-    plug_info.write_text(json.dumps(_codeless(plug_info.read_text()), indent=4, sort_keys=True) + "\n")
-    _document(out / "generatedSchema.usda")
-
-
-def _document(generated: Path) -> None:
-    """Put the full documentation back: usdGenSchema keeps only first sentences, hosts show what is in this file."""
+    text = plug_info.read_text()
+    # the plugin description without the build system's placeholders: a resource plugin in its own folder
+    info: dict[str, object] = json.loads(re.sub(r"^#.*$", "", text, flags=re.MULTILINE))
+    for plugin in info["Plugins"]:  # type: ignore[attr-defined]
+        plugin.update(Type="resource", Root=".", LibraryPath="", ResourcePath=".")
+    plug_info.write_text(json.dumps(info, indent=4, sort_keys=True) + "\n")
+    generated = out / "generatedSchema.usda"
+    # put the full documentation back: usdGenSchema keeps only first sentences, hosts show what is in this file
     from pxr import Sdf
 
     source, target = Sdf.Layer.FindOrOpen(str(FOLDER / "schema.usda")), Sdf.Layer.FindOrOpen(str(generated))
@@ -45,14 +47,6 @@ def _document(generated: Path) -> None:
             attribute.documentation = own[0].documentation
             attribute.ClearInfo("customData")
     target.Save()
-
-
-def _codeless(text: str) -> dict[str, object]:
-    """The plugin description without the build system's placeholders: a resource plugin in its own folder."""
-    info: dict[str, object] = json.loads(re.sub(r"^#.*$", "", text, flags=re.MULTILINE))
-    for plugin in info["Plugins"]:  # type: ignore[attr-defined]
-        plugin.update(Type="resource", Root=".", LibraryPath="", ResourcePath=".")
-    return info
 
 
 def main() -> int:

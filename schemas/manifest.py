@@ -157,15 +157,14 @@ def _function(kind: type[Action[Any]]) -> str:
             lines.append("    *,")
             alone = False
         asked = one.default is one.empty
-        said = _type(kind, fields[one.name]) if one.name in fields else _own_type(one)
+        said = (
+            _type(kind, fields[one.name])
+            if one.name in fields
+            else ("bool" if isinstance(one.default, bool) else f"{_PATH} | None" if one.default is None else _PATH)
+        )
         lines.append(f"    {one.name}: {said}{'' if asked else f' = {_literal(one.default)}'},")
     doc = textwrap.indent(_quoted(function.__doc__ or ""), "    ")
     return "\n".join([*lines, f") -> {report_of(kind).__name__}:", doc, ""])
-
-
-def _own_type(one: inspect.Parameter) -> str:
-    """Of a parameter that is no field: whether something is done, or the file to write."""
-    return "bool" if isinstance(one.default, bool) else f"{_PATH} | None" if one.default is None else _PATH
 
 
 def _type(kind: type[Action[Any]], field: Field) -> str:

@@ -74,24 +74,20 @@ def build(path: Path, options: Options) -> ExportReport:
         _download(wheels, options)
         write_own_wheel(wheels)
         names = sorted(one.name for one in wheels.glob("*.whl") if not _is_blenders(one.name))
-        manifest = _manifest((source / _MANIFEST).read_text(encoding="utf-8"), names, options)
+        text = (source / _MANIFEST).read_text(encoding="utf-8")
+        # the manifest with what is known only now
+        host = _HOSTS[options.blender]
+        lines = "".join(f'    "./wheels/{name}",\n' for name in names)
+        text = re.sub(r'(?m)^version = ".*"$', f'version = "{__version__}"', text, count=1)
+        text = re.sub(r'(?m)^blender_version_min = ".*"$', f'blender_version_min = "{host.first}"', text, count=1)
+        text = re.sub(r'(?m)^blender_version_max = ".*"$', f'blender_version_max = "{host.beyond}"', text, count=1)
+        head, permissions, rest = text.partition("[permissions]")
+        manifest = f'{head}platforms = ["{options.platform}"]\nwheels = [\n{lines}]\n\n{permissions}{rest}'
+        tomllib.loads(manifest)
         files = {_MANIFEST: manifest.encode(), **files}
         files |= {f"wheels/{name}": (wheels / name).read_bytes() for name in names}
     _write_zip(path, files)
     return ExportReport(path=path, files=(path,), counts={"wheels": len(names)}, bytes=path.stat().st_size)
-
-
-def _manifest(text: str, wheels: list[str], options: Options) -> str:
-    """The manifest with what is known only now."""
-    host = _HOSTS[options.blender]
-    lines = "".join(f'    "./wheels/{name}",\n' for name in wheels)
-    text = re.sub(r'(?m)^version = ".*"$', f'version = "{__version__}"', text, count=1)
-    text = re.sub(r'(?m)^blender_version_min = ".*"$', f'blender_version_min = "{host.first}"', text, count=1)
-    text = re.sub(r'(?m)^blender_version_max = ".*"$', f'blender_version_max = "{host.beyond}"', text, count=1)
-    head, permissions, rest = text.partition("[permissions]")
-    result = f'{head}platforms = ["{options.platform}"]\nwheels = [\n{lines}]\n\n{permissions}{rest}'
-    tomllib.loads(result)
-    return result
 
 
 def _download(folder: Path, options: Options) -> None:
@@ -146,22 +142,17 @@ def write_own_wheel(folder: Path) -> Path:
     info = f"facepipe-{__version__}.dist-info"
     files[f"{info}/METADATA"] = f"Metadata-Version: 2.1\nName: facepipe\nVersion: {__version__}\n".encode()
     files[f"{info}/WHEEL"] = _WHEEL.encode()
-    files[f"{info}/entry_points.txt"] = _entry_points().encode()
-    rows = [f"{name},sha256={_digest(data)},{len(data)}" for name, data in files.items()]
-    files[f"{info}/RECORD"] = "\n".join([*rows, f"{info}/RECORD,,", ""]).encode()
-    path = folder / f"facepipe-{__version__}-py3-none-any.whl"
-    _write_zip(path, files)
-    return path
-
-
-def _entry_points() -> str:
-    """The exporters and importers that are in the wheel."""
     lines = []
     for group in (registry.EXPORTERS, registry.IMPORTERS):
         found = sorted({(one.name, one.value) for one in entry_points(group=group)})
         own = [f"{name} = {value}" for name, value in found if re.split(r"[.:]", value)[0] in _PACKAGES]
         lines += [f"[{group}]", *own, ""]
-    return "\n".join(lines)
+    files[f"{info}/entry_points.txt"] = "\n".join(lines).encode()
+    rows = [f"{name},sha256={_digest(data)},{len(data)}" for name, data in files.items()]
+    files[f"{info}/RECORD"] = "\n".join([*rows, f"{info}/RECORD,,", ""]).encode()
+    path = folder / f"facepipe-{__version__}-py3-none-any.whl"
+    _write_zip(path, files)
+    return path
 
 
 def _digest(data: bytes) -> str:

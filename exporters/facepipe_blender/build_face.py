@@ -50,7 +50,10 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     parts, changes = edited_face(kept.parts, made, kept.bones)
     before = kept.parts
     if own_units:
-        place = _between_stages(view.unit, view.up, before.meters_per_unit, before.up_axis) @ place
+        # (4, 4) matrix from world coordinates of one stage to those of another
+        result = np.eye(4)
+        result[:3, :3] = _UP[before.up_axis] @ _UP[view.up].T * (view.unit / before.meters_per_unit)
+        place = result @ place
     home = _home(before, face)
     # place = moved home: only what was moved in Blender changes the face, not where the import had put it
     moved = _snapped(place, home, size) @ np.linalg.inv(home)
@@ -74,7 +77,11 @@ def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[
     place = {joint: i for i, joint in enumerate(skeleton.joints)}
     joints = {bone: place[path] for bone, path in joint_paths(face.armature).items()} if face.armature else {}
     names = _mesh_names(face.meshes, kept)
-    first = _inverse(view.matrix(face.first), face.first.name)
+    matrix = view.matrix(face.first)
+    # the inverse (4, 4) of the place of an object
+    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
+        raise InputError(face.first.name, "is scaled by 0, expected scales above 0")
+    first = np.linalg.inv(matrix)
     meshes = []
     for obj, name in zip(face.meshes, names, strict=True):
         mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)
@@ -143,27 +150,6 @@ def _snapped(matrix: FloatArray, to: FloatArray, size: float) -> FloatArray:
     scale = float(np.abs(to[:3, :3]).max())
     off = np.abs(matrix - to) <= np.array([[_NEAR * scale] * 3 + [_NEAR * max(size * scale, 1e-6)]])
     return to if off.all() else matrix
-
-
-def _between_stages(unit: float, up: str, to_unit: float, to_up: str) -> FloatArray:
-    """(4, 4) matrix from world coordinates of one stage to those of another.
-
-    :param unit: metres in a unit
-    :param up: Y or Z
-    """
-    result = np.eye(4)
-    result[:3, :3] = _UP[to_up] @ _UP[up].T * (unit / to_unit)
-    return result
-
-
-def _inverse(matrix: FloatArray, where: str) -> FloatArray:
-    """The inverse (4, 4) of the place of an object.
-
-    :raises InputError: a place that flattens
-    """
-    if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
-        raise InputError(where, "is scaled by 0, expected scales above 0")
-    return np.linalg.inv(matrix)
 
 
 def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:

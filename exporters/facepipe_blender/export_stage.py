@@ -41,7 +41,9 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     empty = _remove(work, own, {*there.values()} - own)
     alone = empty and len(faces) == 1
     built = [build_face(face, view, alone and face.record is not None) for face in faces]
-    for path, one in zip(_free_paths(work, built), built, strict=True):
+    taken = [spec.name for spec in work.rootPrims]
+    names = unique_identifiers([*taken, *(identifier(one.parts.name, "Face") for one in built)])[len(taken) :]
+    for path, one in zip([Sdf.Path.absoluteRootPath.AppendChild(name) for name in names], built, strict=True):
         _put(work, path, one.parts, view)
         author_neural_rig(work, path, one.neural_rig, view.folder)
     _finish(work, built, empty=empty, alone=alone)
@@ -88,12 +90,6 @@ def _is_bare(prim: Usd.Prim) -> bool:
     if prim.IsA(UsdShade.Material) or prim.IsA(UsdShade.Shader) or prim.IsA(UsdShade.NodeGraph):
         return True
     return prim.GetTypeName() in _BARE or prim.IsA(UsdLux.DomeLight)
-
-
-def _free_paths(layer: Sdf.Layer, built: Sequence[Built]) -> list[Sdf.Path]:
-    taken = [spec.name for spec in layer.rootPrims]
-    names = unique_identifiers([*taken, *(identifier(one.parts.name, "Face") for one in built)])[len(taken) :]
-    return [Sdf.Path.absoluteRootPath.AppendChild(name) for name in names]
 
 
 def _put(layer: Sdf.Layer, path: Sdf.Path, parts: FaceParts, view: StageView) -> None:

@@ -106,37 +106,33 @@ def _deliver(context: Any, face: FaceObjects, folder: Path, name: str, **options
         raise InputError(folder, "the folder does not exist")
     with tempfile.TemporaryDirectory() as temporary:
         stage = Path(temporary) / "face.usdc"
-        _export_usd(context, face, stage)
+        # export the objects of a face alone, whatever is selected
+        objects = [obj for obj in (face.armature, *face.meshes) if obj is not None]
+        for obj in objects:
+            if not obj.visible_get():
+                raise InputError(obj.name, "is hidden, expected the whole face visible")
+        scene, layer = context.scene, context.view_layer
+        chosen, active, usd = (
+            [obj for obj in layer.objects if obj.select_get()],
+            layer.objects.active,
+            scene.facepipe_usd,
+        )
+        if active is not None and active.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        try:
+            for obj in layer.objects:
+                obj.select_set(obj in objects)
+            scene.facepipe_usd, layer.objects.active = True, face.first
+            bpy.ops.wm.usd_export(filepath=str(stage), selected_objects_only=True, evaluation_mode="VIEWPORT")
+        except RuntimeError as error:  # what Blender's exporter reports
+            raise InputError(face.first.name, f"Blender can't export it to USD: {error}") from None
+        finally:
+            for obj in layer.objects:
+                obj.select_set(obj in chosen)
+            scene.facepipe_usd, layer.objects.active = usd, active
+        if FaceHook.failure is not None:
+            raise FaceHook.failure
         return deliver(stage, folder, name, **options)
-
-
-def _export_usd(context: Any, face: FaceObjects, path: Path) -> None:
-    """Export the objects of a face alone, whatever is selected.
-
-    :raises InputError: a hidden object, which Blender doesn't export
-    :raises FacepipeError: a face that can't be written
-    """
-    objects = [obj for obj in (face.armature, *face.meshes) if obj is not None]
-    for obj in objects:
-        if not obj.visible_get():
-            raise InputError(obj.name, "is hidden, expected the whole face visible")
-    scene, layer = context.scene, context.view_layer
-    chosen, active, usd = [obj for obj in layer.objects if obj.select_get()], layer.objects.active, scene.facepipe_usd
-    if active is not None and active.mode != "OBJECT":
-        bpy.ops.object.mode_set(mode="OBJECT")
-    try:
-        for obj in layer.objects:
-            obj.select_set(obj in objects)
-        scene.facepipe_usd, layer.objects.active = True, face.first
-        bpy.ops.wm.usd_export(filepath=str(path), selected_objects_only=True, evaluation_mode="VIEWPORT")
-    except RuntimeError as error:  # what Blender's exporter reports
-        raise InputError(face.first.name, f"Blender can't export it to USD: {error}") from None
-    finally:
-        for obj in layer.objects:
-            obj.select_set(obj in chosen)
-        scene.facepipe_usd, layer.objects.active = usd, active
-    if FaceHook.failure is not None:
-        raise FaceHook.failure
 
 
 def _blend_again(face: FaceObjects, file: Path | None) -> tuple[str, ...]:

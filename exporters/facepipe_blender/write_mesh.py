@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Blendshape, Mesh
 
 from .groups import SUBSET, write_regions
@@ -18,12 +17,20 @@ _DROPPED = ("facepipe:region:", "facepipe_region_", "skel:joint")  # attributes 
 
 def write_mesh(obj: Any, mesh: Mesh) -> None:
     """Write points, shapes, regions and point subsets of a mesh of the same points on an object."""
-    _write_points(obj.data, mesh.points)
+    flat = np.ascontiguousarray(mesh.points, dtype=np.float32).ravel()
+    there = np.empty_like(flat)
+    obj.data.vertices.foreach_get("co", there)
+    if not np.array_equal(there, flat):  # custom normals stay as they are
+        obj.data.vertices.foreach_set("co", flat)
     if mesh.blendshapes:
         _write_shapes(obj, mesh)
     write_regions(obj, dict(mesh.regions))
     _remove_attributes(obj.data, _DROPPED)
-    _write_subsets(obj.data, mesh.point_subsets)
+    _remove_attributes(obj.data, (SUBSET,))
+    for name, indices in mesh.point_subsets.items():
+        mask = np.zeros(len(obj.data.vertices), dtype=bool)
+        mask[indices] = True
+        obj.data.attributes.new(SUBSET + name, "BOOLEAN", "POINT").data.foreach_set("value", mask)
     obj.data.update()
 
 
@@ -31,14 +38,6 @@ def _remove_attributes(data: Any, prefixes: tuple[str, ...]) -> None:
     names = [attribute.name for attribute in data.attributes if attribute.name.startswith(prefixes)]
     for name in names:  # references to others end with every removal
         data.attributes.remove(data.attributes[name])
-
-
-def _write_points(data: Any, points: FloatArray) -> None:
-    flat = np.ascontiguousarray(points, dtype=np.float32).ravel()
-    there = np.empty_like(flat)
-    data.vertices.foreach_get("co", there)
-    if not np.array_equal(there, flat):  # custom normals stay as they are
-        data.vertices.foreach_set("co", flat)
 
 
 def _write_shapes(obj: Any, mesh: Mesh) -> None:
@@ -101,11 +100,3 @@ def _drive(keys: Any, shape: Blendshape) -> None:
 
 def _escaped(name: str) -> str:
     return name.replace("\\", "\\\\").replace('"', '\\"')
-
-
-def _write_subsets(data: Any, subsets: Mapping[str, IntArray]) -> None:
-    _remove_attributes(data, (SUBSET,))
-    for name, indices in subsets.items():
-        mask = np.zeros(len(data.vertices), dtype=bool)
-        mask[indices] = True
-        data.attributes.new(SUBSET + name, "BOOLEAN", "POINT").data.foreach_set("value", mask)

@@ -68,7 +68,17 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     if len(roots) > 1:  # joints of one skin need a common root
         nodes.append({"name": skeleton.name, "children": roots})
         roots = [first + len(nodes) - 1]
-    warnings = _warnings(skeleton, [] if person else list(unholdable), rest, accumulate(local, parents))
+    helped = [] if person else list(unholdable)
+    worlds = accumulate(local, parents)
+    warnings = [f"{skeleton.joints[joint]}: sheared at rest, held by an extra node above" for joint in helped]
+    mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
+    warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
+    inherited = np.flatnonzero(has_shear(worlds))
+    if len(inherited):
+        example = skeleton.joints[inherited[0]]
+        warnings.append(
+            f"{example}: shear inherited from scaled parents ({len(inherited)} joints); not every engine keeps it"
+        )
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
@@ -131,19 +141,6 @@ def _node(name: str, trs: Trs, i: int) -> Json:
     return node
 
 
-def _warnings(skeleton: Skeleton, helped: list[int], rest: Trs, worlds: FloatArray) -> list[str]:
-    warnings = [f"{skeleton.joints[joint]}: sheared at rest, held by an extra node above" for joint in helped]
-    mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
-    warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
-    inherited = np.flatnonzero(has_shear(worlds))
-    if len(inherited):
-        example = skeleton.joints[inherited[0]]
-        warnings.append(
-            f"{example}: shear inherited from scaled parents ({len(inherited)} joints); not every engine keeps it"
-        )
-    return warnings
-
-
 @dataclass(frozen=True)
 class AnimationWriter:
     """Writes animations for the joints and morph targets that are in the file."""
@@ -182,11 +179,23 @@ class AnimationWriter:
         trs = decompose(nodes)
         self._report_shear(animation, used, nodes, trs, joints)
         keyed = self.buffers.add(times.astype(np.float32), "keys", bounds=True)
-        changed = _changed(trs, joints.rest, used)
+        rest = joints.rest
+        # (j, 3) which of translation, rotation and scale leave rest at any key
+        flipped = np.where((trs.rotation * rest.rotation[used]).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+        differences = (
+            trs.translation - rest.translation[used],
+            trs.rotation * flipped - rest.rotation[used],
+            trs.scale - rest.scale[used],
+        )
+        changed = np.stack([(np.abs(difference) > _SAME).any(axis=(0, 2)) for difference in differences], axis=1)
         if not changed.any():
             changed[0, 0] = True  # a pose at rest keeps its name
         # q and -q turn alike, but a reader that blends their numbers passes through 0 between them
-        values = (trs.translation, _continuous(trs.rotation), trs.scale)
+        rotations = trs.rotation
+        # (T, j, 4) quaternions, signs chosen so that neighbouring keys lie on the same side
+        steps = np.where(np.einsum("tjk,tjk->tj", rotations[1:], rotations[:-1]) < 0, -1.0, 1.0)
+        signs = np.cumprod(np.concatenate([np.ones((1, rotations.shape[1])), steps]), axis=0)
+        values = (trs.translation, np.asarray(rotations * signs[..., None]), trs.scale)
         for i, joint in enumerate(used):
             for path, name in enumerate(("translation", "rotation", "scale")):
                 if changed[i, path]:
@@ -250,24 +259,6 @@ def _key_times(
                 extra.append(times[crossed] + part * np.diff(times)[crossed])
     keys = np.concatenate(extra)
     return keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
-
-
-def _continuous(rotations: FloatArray) -> FloatArray:
-    """(T, j, 4) quaternions, signs chosen so that neighbouring keys lie on the same side."""
-    steps = np.where(np.einsum("tjk,tjk->tj", rotations[1:], rotations[:-1]) < 0, -1.0, 1.0)
-    signs = np.cumprod(np.concatenate([np.ones((1, rotations.shape[1])), steps]), axis=0)
-    return np.asarray(rotations * signs[..., None])
-
-
-def _changed(trs: Trs, rest: Trs, used: IntArray) -> FloatArray:
-    """(j, 3) which of translation, rotation and scale leave rest at any key."""
-    flipped = np.where((trs.rotation * rest.rotation[used]).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
-    differences = (
-        trs.translation - rest.translation[used],
-        trs.rotation * flipped - rest.rotation[used],
-        trs.scale - rest.scale[used],
-    )
-    return np.stack([(np.abs(difference) > _SAME).any(axis=(0, 2)) for difference in differences], axis=1)
 
 
 def _channel(

@@ -97,7 +97,16 @@ class Buffers:
         """
         extent = rows.extent if bounds else None
         if not len(rows.vertices):
-            return self._zero(rows, count, extent)
+            # one shared accessor of zeros per vertex count; a sparse one stores one, since not every loader takes none
+            key = (count, extent is not None, rows.values.dtype.char)
+            if key not in self._zeros:
+                zeros = np.zeros((count if self._dense else 1, *rows.values.shape[1:]), dtype=rows.values.dtype)
+                self._zeros[key] = (
+                    self._add_dense(zeros, "vertex", rows.normalized, extent)
+                    if self._dense
+                    else self._add_sparse(np.zeros(1, np.uint8), zeros, count, rows.normalized, extent)
+                )
+            return self._zeros[key]
         indices = rows.vertices.astype(_index_type(int(rows.vertices[-1])))
         if not self._dense and indices.nbytes + rows.values.nbytes < count * _padded_row(rows.values):
             return self._add_sparse(indices, rows.values, count, rows.normalized, extent)
@@ -133,18 +142,6 @@ class Buffers:
         if offset:
             accessor["byteOffset"] = offset
         return self._push(accessor)
-
-    def _zero(self, rows: Rows, count: int, extent: Extent | None) -> int:
-        """One shared accessor of zeros per vertex count; a sparse one stores one, since not every loader takes none."""
-        key = (count, extent is not None, rows.values.dtype.char)
-        if key not in self._zeros:
-            zeros = np.zeros((count if self._dense else 1, *rows.values.shape[1:]), dtype=rows.values.dtype)
-            self._zeros[key] = (
-                self._add_dense(zeros, "vertex", rows.normalized, extent)
-                if self._dense
-                else self._add_sparse(np.zeros(1, np.uint8), zeros, count, rows.normalized, extent)
-            )
-        return self._zeros[key]
 
     def _add_sparse(self, indices: Array, values: Array, count: int, normalized: bool, extent: Extent | None) -> int:
         accessor = self._accessor(values, count, normalized, extent)

@@ -76,39 +76,6 @@ class _Stream(NamedTuple):
     mode: str
 
 
-def compressed(document: Document) -> Document:
-    """The document with vertices and triangles compressed without loss: everything is decoded again and compared.
-
-    The extension's mode for triangles would rotate their corners, and change the polygons that readers make of them.
-
-    :raises InputError: node, or its package meshoptimizer, is not installed
-    :raises ExportError: the decoded data differ from the encoded
-    """
-    binary = b"".join(document.binary)
-    streams = _streams(document.json, binary)
-    packed = _packed([*streams.values()])
-    views: list[Json] = []
-    chunks: list[bytes] = []
-    size = whole = 0
-    for number, view in enumerate(document.json.get("bufferViews", [])):
-        stream = streams.get(number)
-        data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] if stream is None else next(packed)
-        place: Json = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
-        if stream is not None:
-            own = place | {"byteStride": stream.size, "count": stream.elements, "mode": stream.mode}
-            place = {"buffer": 1, "byteOffset": whole, "byteLength": len(stream.data), "extensions": {EXTENSION: own}}
-            whole += len(stream.data) + -len(stream.data) % _ALIGNMENT
-        views.append(view | place)
-        chunks += [data, bytes(-len(data) % _ALIGNMENT)]
-        size += len(data) + -len(data) % _ALIGNMENT
-    # the second buffer is in no file: readers decode into it
-    fallback: Json = {"byteLength": whole, "extensions": {EXTENSION: {"fallback": True}}}
-    result = document.json | {"bufferViews": views, "buffers": [{"byteLength": size}, fallback]}
-    for key in ("extensionsUsed", "extensionsRequired"):
-        result[key] = sorted([*result.get(key, []), EXTENSION])
-    return dataclasses.replace(document, json=result, binary=chunks) if streams else document
-
-
 def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
     """The streams to compress, by buffer view. A list of triangles is a view of its own."""
     lists = {one["bufferView"]: one for one in json_.get("accessors", []) if "bufferView" in one}
@@ -167,23 +134,6 @@ def lower_levels(face: HasParts) -> tuple[FaceParts, ...]:
     return levels
 
 
-def link_level(
-    nodes: list[Json], meshes: list[Json], finest: Sequence[Baked], lower: Sequence[Baked], number: int
-) -> None:
-    """Name the last nodes of a document and their meshes as a level, and list their numbers in the first nodes.
-
-    :param finest: what the first nodes show; `lower`: what the last ones do
-    """
-    above = {baked.mesh.name: node for baked, node in zip(finest, nodes, strict=False)}
-    first = len(nodes) - len(lower)
-    for index, baked in enumerate(lower, first):
-        node = above[baked.mesh.name]
-        node.setdefault("extensions", {_LODS: {"ids": []}})[_LODS]["ids"].append(index)
-        nodes[index]["name"] = f"{node['name']}_lod{number}"
-        mesh = meshes[nodes[index]["mesh"]]
-        mesh["name"] = f"{mesh['name']}_lod{number}"
-
-
 @dataclass(frozen=True, kw_only=True)
 class Document:
     """A glTF document that is not yet a file: the buffer and images have no place."""
@@ -214,7 +164,31 @@ def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (
     if not options.meshopt:
         return document
 
-    return compressed(document)
+    # the document with vertices and triangles compressed without loss: everything is decoded again and compared. The
+    # extension's mode for triangles would rotate their corners, and change the polygons that readers make of them.
+    binary = b"".join(document.binary)
+    streams = _streams(document.json, binary)
+    packed = _packed([*streams.values()])
+    views: list[Json] = []
+    chunks: list[bytes] = []
+    size = whole = 0
+    for number, view in enumerate(document.json.get("bufferViews", [])):
+        stream = streams.get(number)
+        data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] if stream is None else next(packed)
+        place: Json = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
+        if stream is not None:
+            own = place | {"byteStride": stream.size, "count": stream.elements, "mode": stream.mode}
+            place = {"buffer": 1, "byteOffset": whole, "byteLength": len(stream.data), "extensions": {EXTENSION: own}}
+            whole += len(stream.data) + -len(stream.data) % _ALIGNMENT
+        views.append(view | place)
+        chunks += [data, bytes(-len(data) % _ALIGNMENT)]
+        size += len(data) + -len(data) % _ALIGNMENT
+    # the second buffer is in no file: readers decode into it
+    fallback: Json = {"byteLength": whole, "extensions": {EXTENSION: {"fallback": True}}}
+    result = document.json | {"bufferViews": views, "buffers": [{"byteLength": size}, fallback]}
+    for key in ("extensionsUsed", "extensionsRequired"):
+        result[key] = sorted([*result.get(key, []), EXTENSION])
+    return dataclasses.replace(document, json=result, binary=chunks) if streams else document
 
 
 @dataclass
@@ -243,7 +217,16 @@ class _Writer:
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
         for number, level in enumerate(self.levels, 1):
-            link_level(self.nodes, self.meshes, meshes, self._meshes(level, shapes), number)
+            nodes = self.nodes
+            lower = self._meshes(level, shapes)
+            above = {baked.mesh.name: node for baked, node in zip(meshes, nodes, strict=False)}
+            first = len(nodes) - len(lower)
+            for index, baked in enumerate(lower, first):
+                node = above[baked.mesh.name]
+                node.setdefault("extensions", {_LODS: {"ids": []}})[_LODS]["ids"].append(index)
+                nodes[index]["name"] = f"{node['name']}_lod{number}"
+                mesh = self.meshes[nodes[index]["mesh"]]
+                mesh["name"] = f"{mesh['name']}_lod{number}"
         joints, skins = self._skin(meshes)
         if joints is not None:
             scene += joints.roots

@@ -19,7 +19,6 @@ from facepipe.parts import (
     Mesh,
     PhotoView,
     Skeleton,
-    Skin,
     Slider,
     TextureInput,
 )
@@ -92,18 +91,15 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
     for one in mesh.material_faces:
         _indices(f"{where} -> {one.material} -> faces", one.faces, len(mesh.face_vertex_counts))
     if mesh.skin is not None:
-        _skin(where, mesh.skin, count, joint_count)
+        skin = mesh.skin
+        width = np.shape(skin.joint_weights)[-1]
+        _shape(f"{where} -> jointWeights", skin.joint_weights, (count, width))
+        _shape(f"{where} -> jointIndices", skin.joint_indices, (count, width))
+        _finite(f"{where} -> jointWeights", skin.joint_weights)
+        _invertible(f"{where} -> geomBindTransform", skin.geom_bind_transform)
+        _indices(f"{where} -> jointIndices", skin.joint_indices, joint_count)
     for shape in mesh.blendshapes:
         _blendshape(f"{where} -> {shape.name}", shape, count)
-
-
-def _skin(where: str, skin: Skin, count: int, joint_count: int) -> None:
-    width = np.shape(skin.joint_weights)[-1]
-    _shape(f"{where} -> jointWeights", skin.joint_weights, (count, width))
-    _shape(f"{where} -> jointIndices", skin.joint_indices, (count, width))
-    _finite(f"{where} -> jointWeights", skin.joint_weights)
-    _invertible(f"{where} -> geomBindTransform", skin.geom_bind_transform)
-    _indices(f"{where} -> jointIndices", skin.joint_indices, joint_count)
 
 
 def _blendshape(where: str, shape: Blendshape, count: int) -> None:

@@ -215,33 +215,31 @@ class MaterialWriter:
         uv_names = tuple(uv_set.name for uv_set in mesh.uv_sets)
         key = (name, uv_names, mesh.double_sided, name is None and mesh.colors is not None)
         if key not in self._surfaces:
-            self._surfaces[key] = self._convert(self._source(name, mesh), uv_names, mesh.double_sided)
+            material = self._source(name, mesh)
+            source = material if uv_names else self._untextured(material)
+            result: Json = {"name": exact(material), "pbrMetallicRoughness": {}}
+            self._base_color(result, source, uv_names)
+            self._metallic_roughness(result["pbrMetallicRoughness"], source, uv_names)
+            self._normal(result, source, uv_names)
+            self._occlusion(result, source, uv_names)
+            self._emissive(result, source, uv_names)
+            if mesh.double_sided:
+                result["doubleSided"] = True
+            if source.ior != 1.5:
+                self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
+            self._clearcoat(result, source, uv_names)
+            self.materials.append(result)
+            self._surfaces[key] = Surface(
+                index=len(self.materials) - 1,
+                tangent_uv=result["normalTexture"].get("texCoord", 0) if "normalTexture" in result else None,
+                colored=source.diffuse_color == (1.0, 1.0, 1.0),
+            )
         return self._surfaces[key]
 
     def _source(self, name: str | None, mesh: Mesh) -> Material:
         if name is not None:
             return self._by_name[name]
         return Material(name="default", diffuse_color=(0.18,) * 3 if mesh.colors is None else (1.0, 1.0, 1.0))
-
-    def _convert(self, material: Material, uv_names: tuple[str, ...], double_sided: bool) -> Surface:
-        source = material if uv_names else self._untextured(material)
-        result: Json = {"name": exact(material), "pbrMetallicRoughness": {}}
-        self._base_color(result, source, uv_names)
-        self._metallic_roughness(result["pbrMetallicRoughness"], source, uv_names)
-        self._normal(result, source, uv_names)
-        self._occlusion(result, source, uv_names)
-        self._emissive(result, source, uv_names)
-        if double_sided:
-            result["doubleSided"] = True
-        if source.ior != 1.5:
-            self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
-        self._clearcoat(result, source, uv_names)
-        self.materials.append(result)
-        return Surface(
-            index=len(self.materials) - 1,
-            tangent_uv=result["normalTexture"].get("texCoord", 0) if "normalTexture" in result else None,
-            colored=source.diffuse_color == (1.0, 1.0, 1.0),
-        )
 
     def _base_color(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         pbr = result["pbrMetallicRoughness"]

@@ -99,7 +99,13 @@ def vertices_of(corners: Corners, chosen: IntArray, extra: IntArray | None = Non
     first = np.full(corners.point_count, -1, np.int64)  # a corner of each point
     first[points] = np.arange(len(points))
     # most points are one vertex: only corners of points that have several values are sorted by these
-    seams = _seam_corners(points, first, attributes)
+    split = np.zeros(len(first), np.bool_)
+    reference = first[points]
+    for indices, values in attributes:
+        other = np.flatnonzero(indices != indices[reference])
+        unlike = (values[indices[other]] != values[indices[reference[other]]]).any(axis=1)
+        split[points[other[unlike]]] = True
+    seams = np.flatnonzero(split[points])
     of_seam, seam_corners = _distinct(
         points[seams], [_Attribute(attribute.indices[seams], attribute.values) for attribute in attributes]
     )
@@ -122,17 +128,6 @@ def vertices_of(corners: Corners, chosen: IntArray, extra: IntArray | None = Non
         triangles=triangles.reshape(-1, 3),
         starts=starts,
     )
-
-
-def _seam_corners(points: IntArray, first: IntArray, attributes: Sequence[_Attribute]) -> IntArray:
-    """The corners of all points whose corners don't agree."""
-    split = np.zeros(len(first), np.bool_)
-    reference = first[points]
-    for indices, values in attributes:
-        other = np.flatnonzero(indices != indices[reference])
-        unlike = (values[indices[other]] != values[indices[reference[other]]]).any(axis=1)
-        split[points[other[unlike]]] = True
-    return np.flatnonzero(split[points])
 
 
 def _distinct(points: IntArray, attributes: Sequence[_Attribute]) -> tuple[IntArray, IntArray]:
@@ -313,7 +308,20 @@ def rows_of(table: Table, vertices: Vertices) -> list[Rows]:
     """The rows of each target for the vertices of one primitive."""
     source, moved, starts = _spread(table, vertices)
     values = table.values if source is None else table.values.take(source, axis=0)
-    extents = _extents(values, starts, len(vertices.points))
+    count = len(vertices.points)
+    # per target, of all its `count` vertices
+    sizes = np.diff(starts)
+    filled = np.flatnonzero(sizes)
+    low = np.zeros((len(sizes), 3), values.dtype)
+    high = np.zeros((len(sizes), 3), values.dtype)
+    if len(filled):
+        axes = np.ascontiguousarray(values.T)
+        low[filled] = np.minimum.reduceat(axes, starts[filled], axis=1).T
+        high[filled] = np.maximum.reduceat(axes, starts[filled], axis=1).T
+    partial = sizes < count
+    low[partial] = np.minimum(low[partial], 0)
+    high[partial] = np.maximum(high[partial], 0)
+    extents = [Extent(*pair) for pair in zip(low.tolist(), high.tolist(), strict=True)]
     bounds = zip(starts[:-1].tolist(), starts[1:].tolist(), extents, strict=True)
     return [Rows(moved[a:b], values[a:b], extent, table.normalized) for a, b, extent in bounds]
 
@@ -338,27 +346,8 @@ def _spread(table: Table, vertices: Vertices) -> tuple[IntArray | None, IntArray
         return source, moved, starts
     extra = copies[points[seams]] - 1
     after = np.repeat(seams + 1, extra)  # further vertices of a point follow its first
-    moved = np.insert(moved, after, moved[after - 1] + _counting(extra) + 1)
+    moved = np.insert(
+        moved, after, moved[after - 1] + (np.arange(int(extra.sum())) - np.repeat(np.cumsum(extra) - extra, extra)) + 1
+    )
     rows = np.arange(len(points)) if source is None else source
     return np.insert(rows, after, rows[after - 1]), moved, starts + np.searchsorted(after, starts, side="right")
-
-
-def _counting(lengths: IntArray) -> IntArray:
-    """0, 1, ... for each of `lengths`, one after another."""
-    return np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-
-
-def _extents(values: npt.NDArray[Any], starts: IntArray, count: int) -> list[Extent]:
-    """Per target, of all its `count` vertices."""
-    sizes = np.diff(starts)
-    filled = np.flatnonzero(sizes)
-    low = np.zeros((len(sizes), 3), values.dtype)
-    high = np.zeros((len(sizes), 3), values.dtype)
-    if len(filled):
-        axes = np.ascontiguousarray(values.T)
-        low[filled] = np.minimum.reduceat(axes, starts[filled], axis=1).T
-        high[filled] = np.maximum.reduceat(axes, starts[filled], axis=1).T
-    partial = sizes < count
-    low[partial] = np.minimum(low[partial], 0)
-    high[partial] = np.maximum(high[partial], 0)
-    return [Extent(*pair) for pair in zip(low.tolist(), high.tolist(), strict=True)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import IntArray
 from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, Texture, UvSet
 from facepipe.records import Json
 from facepipe.rig.slider_network import kept as kept_outputs
@@ -111,7 +111,9 @@ def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
 def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
     mesh = baked.mesh
     # a polygon comes back from its n - 2 triangles: where one is left out, they can't be told apart
-    whole = _keeps_polygons(baked)
+    # whether every polygon can be restored: all have 3 or more corners, and no triangle is left out
+    counts = np.asarray(baked.mesh.face_vertex_counts)
+    whole = bool(counts.min(initial=3) >= 3) and len(baked.corners.faces) == int((counts - 2).sum())
     normals = None if mesh.normals is None else PER_POINT if len(mesh.normals) == len(mesh.points) else NONE
     return replace(
         mesh,
@@ -123,7 +125,9 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
             UvSet(name=uv_set.name, values=NONE, indices=None if uv_set.indices is None else NONE.astype(np.int32))
             for uv_set in mesh.uv_sets
         ),
-        colors=NONE if colored and mesh.colors is not None else _single(mesh.colors),
+        colors=NONE
+        if colored and mesh.colors is not None
+        else (None if mesh.colors is None else np.asarray(mesh.colors, np.float32)),
         regions={name: np.asarray(mask, np.float32) for name, mask in mesh.regions.items()},
         skin=None
         if mesh.skin is None or baked.influences is None
@@ -131,16 +135,6 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
         blendshapes=_shape_husks(baked),
         material_faces=mesh.material_faces if whole else (),
     )
-
-
-def _single(array: FloatArray | None) -> FloatArray | None:
-    return None if array is None else np.asarray(array, np.float32)
-
-
-def _keeps_polygons(baked: Baked) -> bool:
-    """Whether every polygon can be restored: all have 3 or more corners, and no triangle is left out."""
-    counts = np.asarray(baked.mesh.face_vertex_counts)
-    return bool(counts.min(initial=3) >= 3) and len(baked.corners.faces) == int((counts - 2).sum())
 
 
 def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:

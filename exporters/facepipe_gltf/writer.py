@@ -116,15 +116,13 @@ def _stated(value: Any) -> Json:
     if not _is_dataclass(kind):
         return {name: one for name, one in vars(value).items() if one is not None}
     stated = {field.name: getattr(value, field.name) for field in _fields(kind)}
-    return {name: one for name, one in stated.items() if one is not None and not _is_empty(one)}
+    return {
+        name: one for name, one in stated.items() if one is not None and not (isinstance(one, list | dict) and not one)
+    }
 
 
 def _is_dataclass(kind: Any) -> bool:
     return hasattr(kind, "__dataclass_fields__")
-
-
-def _is_empty(value: object) -> bool:
-    return isinstance(value, list | dict) and not value
 
 
 def export(
@@ -254,8 +252,9 @@ def _json_bytes(document: Json) -> bytes:
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
-def _glb_chunks(document: Json, binary: Sequence[Chunk]) -> list[Chunk]:
-    """A GLB container (glTF 2.0, section 4), in pieces as `binary` is."""
+def write_glb(target: Path, document: Json, binary: Sequence[Chunk]) -> list[Path]:
+    """Write .glb; its path."""
+    # A GLB container (glTF 2.0, section 4), in pieces as `binary` is
     text = _json_bytes(document)
     text += b" " * (-len(text) % 4)
     chunks: list[Chunk] = [struct.pack("<I4s", len(text), _JSON_CHUNK), text]
@@ -266,12 +265,7 @@ def _glb_chunks(document: Json, binary: Sequence[Chunk]) -> list[Chunk]:
     total = 12 + sum(map(len, chunks))
     if total > _LARGEST:
         raise ExportError(document["asset"]["generator"], f"{total} bytes, a GLB holds at most {_LARGEST}: use .gltf")
-    return [struct.pack("<4sII", _MAGIC, _VERSION, total), *chunks]
-
-
-def write_glb(target: Path, document: Json, binary: Sequence[Chunk]) -> list[Path]:
-    """Write .glb; its path."""
-    chunks = _glb_chunks(document, binary)
+    chunks = [struct.pack("<4sII", _MAGIC, _VERSION, total), *chunks]
     with replacing(target) as temporary, temporary.open("wb", buffering=_BLOCK) as file:
         file.writelines(chunks)
     return [target]

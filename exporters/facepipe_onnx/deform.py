@@ -292,26 +292,23 @@ def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, bat
     pieces = []
     if len(triangles):
         corners = [nodes.gather(points, 1, triangles[:, i]) for i in range(3)]
-        areas = _cross(nodes, nodes.add("Sub", corners[1], corners[0]), nodes.add("Sub", corners[2], corners[0]))
-        pieces.append(_units(nodes, nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)))
+        first = nodes.add("Sub", corners[1], corners[0])
+        second = nodes.add("Sub", corners[2], corners[0])
+        turned = [[nodes.gather(one, 2, axes) for axes in ((1, 2, 0), (2, 0, 1))] for one in (first, second)]
+        ahead, behind = nodes.add("Mul", turned[0][0], turned[1][1]), nodes.add("Mul", turned[0][1], turned[1][0])
+        areas = nodes.add("Sub", ahead, behind)
+        vectors = nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)
+        squares = nodes.add(
+            "MatMul", nodes.add("Mul", vectors, vectors), nodes.constant("sum_of_axes", np.ones((3, 1)))
+        )
+        smallest = nodes.constant("smallest", np.array(_SMALLEST))
+        pieces.append(nodes.add("Div", vectors, nodes.add("Sqrt", nodes.add("Clip", squares, smallest))))
     if not degree.all():
         up = np.tile([0.0, 1.0, 0.0], (batch, int(np.count_nonzero(degree == 0)), 1))
         pieces.append(nodes.constant("loose_normals", up))  # not scaled: some runtimes' roots of 1 are not 1
     order = np.argsort(np.where(degree == 0, len(triangles) * 3 + 1, degree), kind="stable")
     position = nodes.indices(np.argsort(order, kind="stable"))
     return nodes.add("Gather", nodes.concat(pieces, 1), position, axis=1, name="normals")
-
-
-def _units(nodes: Nodes, vectors: str) -> str:
-    squares = nodes.add("MatMul", nodes.add("Mul", vectors, vectors), nodes.constant("sum_of_axes", np.ones((3, 1))))
-    smallest = nodes.constant("smallest", np.array(_SMALLEST))
-    return nodes.add("Div", vectors, nodes.add("Sqrt", nodes.add("Clip", squares, smallest)))
-
-
-def _cross(nodes: Nodes, first: str, second: str) -> str:
-    turned = [[nodes.gather(one, 2, axes) for axes in ((1, 2, 0), (2, 0, 1))] for one in (first, second)]
-    ahead, behind = nodes.add("Mul", turned[0][0], turned[1][1]), nodes.add("Mul", turned[0][1], turned[1][0])
-    return nodes.add("Sub", ahead, behind)
 
 
 def _sums(nodes: Nodes, areas: str, degree: IntArray, triangles: IntArray, batch: int) -> list[str]:

@@ -55,7 +55,12 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     options = options or Options()
     options.check()
     rig = select_shapes(rig, select(rig.shapes, options.shapes, "shapes"))
-    _check(rig, options)
+    if not len(rig.points):
+        raise ExportError(rig.name, "no points, expected a mesh")
+    if not (rig.shapes or rig.joints or options.parent):
+        raise ExportError(rig.name, "no blendshapes and no joints, expected something that deforms the points")
+    if options.joint_matrices and not rig.joints:
+        raise ExportError(rig.name, "no joints, expected some for the output joint_matrices")
     nodes = Nodes()
     worlds = None
     if rig.joints:
@@ -73,15 +78,6 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     if options.normals:
         normal_nodes(nodes, "points", len(rig.points), checked_triangles(rig, triangles), options.batch)
     return nodes.model("deformer", rig.name, *signature(rig, options))
-
-
-def _check(rig: Rig, options: Options) -> None:
-    if not len(rig.points):
-        raise ExportError(rig.name, "no points, expected a mesh")
-    if not (rig.shapes or rig.joints or options.parent):
-        raise ExportError(rig.name, "no blendshapes and no joints, expected something that deforms the points")
-    if options.joint_matrices and not rig.joints:
-        raise ExportError(rig.name, "no joints, expected some for the output joint_matrices")
 
 
 def checked_triangles(rig: Rig, triangles: IntArray | None) -> IntArray:

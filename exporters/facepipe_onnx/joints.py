@@ -27,7 +27,9 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
     rows = nodes.reshape(coefficients, batch * count, 9)
     angles = nodes.slice(rows, 1, 3, 6)
     waves = nodes.concat([nodes.add("Sin", angles), nodes.add("Cos", angles)], 1)
-    scale, entries = _scale_columns(), _entry_rows()
+    # (9, p + 3): the scale in every product, then the translations, out of the coefficients
+    columns = [6 + j for *_, j in _products()] + [0, 1, 2]
+    scale, entries = np.eye(9)[:, columns], np.eye(16)[[4 * i + j for i, *_, j in _products()] + [3, 7, 11]]
     product = nodes.add("MatMul", rows, nodes.constant("scales", scale))
     for place, axis in enumerate(_ORDER):
         linear, fixed = _factor_columns(place, axis)
@@ -62,17 +64,6 @@ def _factor_columns(place: int, axis: int) -> tuple[FloatArray, FloatArray]:
     linear, fixed = _axis_rotation(axis)
     rows, columns = np.array([product[place : place + 2] for product in _products()]).T
     return np.hstack([linear[:, rows, columns], np.zeros((6, 3))]), np.append(fixed[rows, columns], np.ones(3))
-
-
-def _scale_columns() -> FloatArray:
-    """(9, p + 3): the scale in every product, then the translations, out of the coefficients."""
-    columns = [6 + j for *_, j in _products()] + [0, 1, 2]
-    return np.eye(9)[:, columns]
-
-
-def _entry_rows() -> FloatArray:
-    """(p + 3, 16): which entry of the matrix, row by row, each product belongs to."""
-    return np.eye(16)[[4 * i + j for i, *_, j in _products()] + [3, 7, 11]]
 
 
 def tree_order(parents: IntArray) -> tuple[IntArray, IntArray]:

@@ -153,25 +153,17 @@ def product_nodes(nodes: PackedNodes, value: str, names: tuple[str, str], matrix
     if nodes.weights == "float32":
         return nodes.add("Gemm", value, nodes.constant(names[0], matrix), nodes.constant(names[1], bias))
     with np.errstate(over="ignore", invalid="ignore"):  # what does not fit is refused when the model is made
-        return _packed_product(nodes, value, names, matrix, bias)
-
-
-def _packed_product(
-    nodes: PackedNodes, value: str, names: tuple[str, str], matrix: FloatArray, bias: FloatArray
-) -> str:
-    whole, packed = nodes.samples[value]
-    made, stored = _stored(nodes, names[0], _refitted(matrix, whole, packed), packed)
-    moved = bias + whole[0] @ matrix - packed[0] @ stored
-    found = nodes.add("Gemm", value, made, nodes.constant(names[1], moved))
-    nodes.samples[found] = (whole @ matrix + bias, packed @ stored + moved)
-    return found
-
-
-def _refitted(matrix: FloatArray, whole: FloatArray, packed: FloatArray) -> FloatArray:
-    """The matrix that maps packed samples as nearly as possible to what `matrix` makes of the whole ones."""
-    steps = packed[1:] - packed[0]
-    missing = (whole[1:] - whole[0]) @ matrix - steps @ matrix
-    return np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing))
+        whole, packed = nodes.samples[value]
+        # the matrix that maps packed samples as nearly as possible to what `matrix` makes of the whole ones
+        steps = packed[1:] - packed[0]
+        missing = (whole[1:] - whole[0]) @ matrix - steps @ matrix
+        made, stored = _stored(
+            nodes, names[0], np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing)), packed
+        )
+        moved = bias + whole[0] @ matrix - packed[0] @ stored
+        found = nodes.add("Gemm", value, made, nodes.constant(names[1], moved))
+        nodes.samples[found] = (whole @ matrix + bias, packed @ stored + moved)
+        return found
 
 
 def _products(steps: FloatArray) -> FloatArray:

@@ -158,7 +158,8 @@ def _checker(model: Any) -> Iterator[tuple[str, str]]:
     try:
         checker.check_model(model, full_check=True)
     except (checker.ValidationError, shape_inference.InferenceError, ValueError, RuntimeError) as error:
-        yield "graph", _first_line(error)
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        yield "graph", (lines[0] if lines else type(error).__name__)
 
 
 def _sizes(model: Any) -> Iterator[tuple[str, str]]:
@@ -180,11 +181,6 @@ def _sizes(model: Any) -> Iterator[tuple[str, str]]:
         yield "graph", f"{total} numbers in an evaluation, expected at most {most}"
     if whole > _MAX_WHOLE:
         yield "graph", f"{whole} whole numbers in an evaluation, expected at most {_MAX_WHOLE}"
-
-
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
 
 
 def _shown(text: str) -> str:

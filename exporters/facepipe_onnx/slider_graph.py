@@ -18,7 +18,6 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
-from facepipe.onnx_graph import Nodes
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig, rest_coefficients, slide
 from facepipe.rig.slider_network import ACTIVATIONS
@@ -70,7 +69,13 @@ def build(
     :raises ExportError: no sliders, none that moves anything, one of an unknown shape, or more than 2 GB
     """
     options.check()
-    _check(rig, sliders, network, options)
+    if not sliders:
+        raise ExportError(rig.name, "no sliders, expected some for the option sliders")
+    if options.parent and not (rig.joints or options.points):
+        raise ExportError(rig.name, "no joints, expected some, or the option points, for the option parent")
+    if options.points and not len(rig.points):
+        raise ExportError(rig.name, "no points, expected a mesh for the option points")
+    slide(sliders, rig.joints, network=network)  # says what is wrong with them
     names = select(rig.shapes, options.shapes, "shapes")
     sliders, network = select_driven(rig, sliders, network, names)
     rig = select_shapes(rig, names)
@@ -78,7 +83,9 @@ def build(
     # a network's input needs its ramp even if the slider itself drives nothing
     ramps = ramps_of(rig, sliders, () if network is None else network.sliders)
     risen = ramp_nodes(nodes, ramps, len(sliders))
-    _sample(nodes, ramps, risen, sliders)
+    if nodes.weights != "float32":
+        found = ramp_samples(ramps, slider_samples(sliders, max(_SAMPLES, 4 * len(ramps.gains)), seed=0))
+        nodes.samples[risen] = (found, found)
     if network is not None:
         ramps, risen = _network_nodes(nodes, rig, sliders, network, ramps, risen)
     ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
@@ -94,37 +101,17 @@ def build(
     return nodes.model("sliders", rig.name, *signature(rig, sliders, options))
 
 
-def _sample(nodes: PackedNodes, ramps: Ramps, risen: str, sliders: Sequence[Slider]) -> None:
-    """Samples of the ramps, for weights that are packed."""
-    if nodes.weights != "float32":
-        found = ramp_samples(ramps, slider_samples(sliders, max(_SAMPLES, 4 * len(ramps.gains)), seed=0))
-        nodes.samples[risen] = (found, found)
-
-
-def _check(rig: Rig, sliders: Sequence[Slider], network: SliderNetwork | None, options: Options) -> None:
-    if not sliders:
-        raise ExportError(rig.name, "no sliders, expected some for the option sliders")
-    if options.parent and not (rig.joints or options.points):
-        raise ExportError(rig.name, "no joints, expected some, or the option points, for the option parent")
-    if options.points and not len(rig.points):
-        raise ExportError(rig.name, "no points, expected a mesh for the option points")
-    slide(sliders, rig.joints, network=network)  # says what is wrong with them
-
-
 def _joints(nodes: PackedNodes, rig: Rig, ramps: Ramps, risen: str, options: Options) -> Ends:
     """The outputs of the joints; returns what multiplies their world matrices with constants."""
-    chains = chains_of(rig, _moving(ramps), np.eye(4) if options.parent else rig.parent_world)
+    own = ramps.gains.any(axis=0) | (ramps.base != rest_coefficients(len(ramps.base) // 9).ravel())
+    chains = chains_of(
+        rig, np.asarray(own.reshape(-1, 9).any(axis=1)), np.eye(4) if options.parent else rig.parent_world
+    )
     coefficients = _coefficients(nodes, ramps, chains, risen, options.batch)
     worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
     end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
     order = tree_order(rig.parents)[0]
     return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
-
-
-def _moving(ramps: Ramps) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """(j,) joints that a slider moves, or holds away from rest."""
-    own = ramps.gains.any(axis=0) | (ramps.base != rest_coefficients(len(ramps.base) // 9).ravel())
-    return np.asarray(own.reshape(-1, 9).any(axis=1))
 
 
 def _coefficients(nodes: PackedNodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
@@ -200,15 +187,16 @@ def _network_nodes(
         units = follow(nodes, nodes.gather(risen, 1, inputs), lambda values: values[:, inputs], risen)
     for matrix, offset in layers[:-1]:
         layer = product_nodes(nodes, units, ("network_weight", "network_bias"), matrix.T, offset)
-        units = follow(nodes, _active(nodes, network.activation, layer), ACTIVATIONS[network.activation], layer)
+        found = nodes.add(_OPERATORS[network.activation], layer)
+        units = follow(
+            nodes,
+            nodes.add("Mul", layer, found) if network.activation == "silu" else found,
+            ACTIVATIONS[network.activation],
+            layer,
+        )
     both = nodes.concat([risen, units], 1)
     follow(nodes, both, lambda *values: np.concatenate(values, axis=1), risen, units)
     return _with_rows(rig, network, ramps, *layers[-1]), both
-
-
-def _active(nodes: Nodes, activation: str, values: str) -> str:
-    found = nodes.add(_OPERATORS[activation], values)
-    return nodes.add("Mul", values, found) if activation == "silu" else found
 
 
 def _first_layer(

@@ -58,14 +58,6 @@ def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.
     :raises ExportError: more than a file holds, or anything that `problems` finds
     """
     target, beside = outputs(path)
-    data = _serialised(model, metadata, name)
-    with together(target):
-        write_bytes(target, data)
-        write_bytes(beside, sidecar_text(metadata).encode())
-    return len(data)
-
-
-def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
     model.producer_version = __version__
     for key, value in to_properties(metadata).items():
         entry = model.metadata_props.add()
@@ -74,36 +66,11 @@ def _serialised(model: Any, metadata: dict[str, Any], name: str) -> bytes:
         raise ExportError(name, f"{model.ByteSize()} bytes, expected at most {MAX_BYTES}: what an ONNX file holds")
     for problem in problems(model):
         raise ExportError(f"{name} -> {problem.where}", problem.message)
-    return bytes(model.SerializeToString(deterministic=True))
-
-
-def _build(encoder: NeuralEncoder, name: str = "face") -> Any:
-    """The `onnx.ModelProto`, without metadata: ``points`` [1, n, 3] to ``controls`` [1, c], clamped to their limits.
-
-    :param name: of the face, for messages
-    :raises ExportError: numbers beyond float32
-    """
-    nodes = Nodes()
-    count, tokens = len(encoder.chosen), len(encoder.places)
-    chosen = nodes.gather("points", 1, encoder.chosen)
-    offsets = nodes.add("Sub", chosen, nodes.constant("rest", encoder.rest))
-    # tanh((x / s) W + b) = tanh(x (W / s) + b): the scale costs no operator
-    hidden = _affine(nodes, offsets, "point", encoder.point / encoder.scale, encoder.point_bias)
-    features = _affine(nodes, nodes.add("Tanh", hidden), "feature", encoder.feature, encoder.feature_bias)
-    rows = nodes.reshape(features, tokens, len(encoder.token))
-    value = _affine(nodes, rows, "token", encoder.token, encoder.places)
-    norm = _Norm(nodes, encoder.token.shape[1])
-    for layer in encoder.layers:
-        value = nodes.add("Add", value, _attention(nodes, norm(value), layer, encoder.heads))
-        wide = nodes.add("Relu", _affine(nodes, norm(value), "widen", layer.widen, layer.widen_bias))
-        value = nodes.add("Add", value, _affine(nodes, wide, "narrow", layer.narrow, layer.narrow_bias))
-    flat = nodes.reshape(value, 1, len(encoder.reduce))
-    reduced = nodes.add("Tanh", _affine(nodes, flat, "reduce", encoder.reduce, encoder.reduce_bias))
-    bent = nodes.add("MatMul", reduced, nodes.constant("last", encoder.last))
-    straight = _affine(nodes, nodes.reshape(offsets, 1, 3 * count), "straight", encoder.straight, encoder.offset)
-    _in_own_units(nodes, encoder, nodes.add("Add", bent, straight))
-    inputs = {"points": (1, encoder.point_count, 3)}
-    return nodes.model("facepipe_encoder", name, inputs, {"controls": (1, len(encoder.controls))})
+    data = bytes(model.SerializeToString(deterministic=True))
+    with together(target):
+        write_bytes(target, data)
+        write_bytes(beside, sidecar_text(metadata).encode())
+    return len(data)
 
 
 def _affine(nodes: Nodes, value: str, name: str, matrix: Any, bias: Any) -> str:
@@ -212,7 +179,28 @@ def export_encoder(
     if sum(meshes.values()) != encoder.point_count:
         what = f"{sum(meshes.values())} points, expected {encoder.point_count} that the encoder was learned on"
         raise TopologyError(f"{name} -> meshes", what)
-    model = _build(encoder, name)
+    # the `onnx.ModelProto`, without metadata: ``points`` [1, n, 3] to ``controls`` [1, c], clamped to their limits
+    nodes = Nodes()
+    count, tokens = len(encoder.chosen), len(encoder.places)
+    chosen = nodes.gather("points", 1, encoder.chosen)
+    offsets = nodes.add("Sub", chosen, nodes.constant("rest", encoder.rest))
+    # tanh((x / s) W + b) = tanh(x (W / s) + b): the scale costs no operator
+    hidden = _affine(nodes, offsets, "point", encoder.point / encoder.scale, encoder.point_bias)
+    features = _affine(nodes, nodes.add("Tanh", hidden), "feature", encoder.feature, encoder.feature_bias)
+    rows = nodes.reshape(features, tokens, len(encoder.token))
+    value = _affine(nodes, rows, "token", encoder.token, encoder.places)
+    norm = _Norm(nodes, encoder.token.shape[1])
+    for layer in encoder.layers:
+        value = nodes.add("Add", value, _attention(nodes, norm(value), layer, encoder.heads))
+        wide = nodes.add("Relu", _affine(nodes, norm(value), "widen", layer.widen, layer.widen_bias))
+        value = nodes.add("Add", value, _affine(nodes, wide, "narrow", layer.narrow, layer.narrow_bias))
+    flat = nodes.reshape(value, 1, len(encoder.reduce))
+    reduced = nodes.add("Tanh", _affine(nodes, flat, "reduce", encoder.reduce, encoder.reduce_bias))
+    bent = nodes.add("MatMul", reduced, nodes.constant("last", encoder.last))
+    straight = _affine(nodes, nodes.reshape(offsets, 1, 3 * count), "straight", encoder.straight, encoder.offset)
+    _in_own_units(nodes, encoder, nodes.add("Add", bent, straight))
+    inputs = {"points": (1, encoder.point_count, 3)}
+    model = nodes.model("facepipe_encoder", name, inputs, {"controls": (1, len(encoder.controls))})
     metadata = _describe(encoder, operators(model), meshes, name)
     size = write_model(model, metadata, name, target)
     return ExportReport(
@@ -265,13 +253,26 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
     metadata = describe(parts, rig, options, operators(model), sliders, network)
     packed = None
     if options.weights != "float32":
-        packed = _packed_error(model, whole, rig, parts, options)
+        plain = replace(options, weights="float32", points=False, normals=False)
+        exact = slider_graph.build(whole, parts.sliders, plain, network=parts.slider_network)
+        packed = packed_error(model, exact, rig, parts.sliders, 1e3 * parts.meters_per_unit)
         metadata["packed_weights"] = {"type": options.weights, **packed}
     size = write_model(model, metadata, parts.name, target)
+    counts = {} if sliders is None else {"sliders": len(sliders)}
+    if sliders is None or options.points:
+        counts["points"] = len(rig.points)
     return ExportReport(
         path=target,
         files=(target, beside),
-        counts=_counts(rig, options, sliders, model),
+        counts=(
+            counts
+            | {
+                "shapes": len(rig.shapes),
+                "sculpts": len(rig.targets),
+                "joints": len(rig.joints),
+                "nodes": len(model.graph.node),
+            }
+        ),
         bytes=size,
         seconds=time.perf_counter() - start,
         warnings=linear_skinning_notes(parts),
@@ -280,12 +281,6 @@ def export_parts(parts: FaceParts, path: str | os.PathLike[str], options: Option
         pose=delivered.pose,
         pose_error=None if delivered.error is None else asdict(delivered.error),
     )
-
-
-def _packed_error(model: Any, whole: Rig, rig: Rig, parts: FaceParts, options: Options) -> dict[str, Any]:
-    plain = replace(options, weights="float32", points=False, normals=False)
-    exact = slider_graph.build(whole, parts.sliders, plain, network=parts.slider_network)
-    return packed_error(model, exact, rig, parts.sliders, 1e3 * parts.meters_per_unit)
 
 
 def _triangles(parts: FaceParts, rig: Rig) -> IntArray:
@@ -297,18 +292,6 @@ def _triangles(parts: FaceParts, rig: Rig) -> IntArray:
         ]
         or [np.zeros((0, 3), dtype=np.int64)]
     )
-
-
-def _counts(rig: Rig, options: Options, sliders: Sequence[Slider] | None, model: Any) -> dict[str, int]:
-    counts = {} if sliders is None else {"sliders": len(sliders)}
-    if sliders is None or options.points:
-        counts["points"] = len(rig.points)
-    return counts | {
-        "shapes": len(rig.shapes),
-        "sculpts": len(rig.targets),
-        "joints": len(rig.joints),
-        "nodes": len(model.graph.node),
-    }
 
 
 def _dropped(parts: FaceParts, options: Options, sliders: Sequence[Slider] | None) -> tuple[str, ...]:

@@ -61,7 +61,17 @@ def write_assets(
     notes = _export(parts, folder / "face.glb", pose=pose, morph_normals=True)
     if parts.sliders:
         notes += _export(parts, folder / "sliders.onnx", pose=pose, sliders=True)
-    regions = _write_masks(parts, folder / "regions.bin")
+    path = folder / "regions.bin"
+    # the regions' masks, a byte for each point of all meshes, region after region; their names, none without
+    import numpy as np
+
+    regions = sorted({name for mesh in parts.meshes for name in mesh.regions})
+    if regions:
+        rows = [
+            np.concatenate([mesh.regions.get(name, np.zeros(len(mesh.points))) for mesh in parts.meshes])
+            for name in regions
+        ]
+        path.write_bytes(np.rint(255 * np.clip(rows, 0, 1)).astype(np.uint8).tobytes())
     details: Json = {
         "joints": _joints(parts),
         "meshes": [{"name": mesh.name, "points": len(mesh.points)} for mesh in parts.meshes],
@@ -76,20 +86,6 @@ def write_assets(
         "details": f"{url}/details.json",
     }
     return entry, {f"/{url}/{file.name}": file for file in folder.iterdir()}
-
-
-def given_assets(label: str, glb: Path, onnx: Path | None, url: str) -> tuple[Json, dict[str, Path]]:
-    """The same of files that are there: a GLB, and the ONNX of its sliders with its sidecar."""
-    files = {f"/{url}/face.glb": glb}
-    if onnx is not None:
-        files |= {f"/{url}/sliders.onnx": onnx, f"/{url}/sliders.onnx.json": onnx.with_name(f"{onnx.name}.json")}
-    entry = {
-        "label": label,
-        "glb": f"{url}/face.glb",
-        "onnx": None if onnx is None else f"{url}/sliders.onnx",
-        "details": None,
-    }
-    return entry, files
 
 
 def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
@@ -110,20 +106,6 @@ def _joints(parts: FaceParts) -> Json | None:
     axes = parts.gltf_axes
     axes[:3, :3] *= np.cbrt(abs(np.linalg.det(np.asarray(parts.skeleton.transform)[:3, :3])))
     return {"paths": list(parts.skeleton.joints), "axes": axes.tolist()}
-
-
-def _write_masks(parts: FaceParts, path: Path) -> Sequence[str]:
-    """The regions' masks, a byte for each point of all meshes, region after region; their names, none without."""
-    import numpy as np
-
-    names = sorted({name for mesh in parts.meshes for name in mesh.regions})
-    if names:
-        rows = [
-            np.concatenate([mesh.regions.get(name, np.zeros(len(mesh.points))) for mesh in parts.meshes])
-            for name in names
-        ]
-        path.write_bytes(np.rint(255 * np.clip(rows, 0, 1)).astype(np.uint8).tobytes())
-    return names
 
 
 class Blending:
@@ -211,14 +193,23 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
     :raises SchemaError, ExportError: a stage without a face, or one that a format can't hold
     """
     options.check()
-    files = _page_files()
+    if not build.is_built():
+        what = "is older than its sources" if build.DIST.exists() else "is not built"
+        raise InputError("viewer", f"{what}, expected `python -m facepipe_web.build` before (needs node 20 and npm)")
+    files = {f"/{file.relative_to(build.DIST).as_posix()}": file for file in build.DIST.rglob("*") if file.is_file()}
+    files = files | {"/": build.DIST / "index.html"}
     with tempfile.TemporaryDirectory(prefix="facepipe-view-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         server = Server(options.port, files, {})
         try:
             entries = [_entry(path, onnx, folder, number, server, options.pose) for number, path in enumerate(faces)]
             blending = blending_of(faces[0], folder, server)
-            _write_content(folder, server, entries, blending)
+            content = {"faces": entries, "blend": None if blending is None else blending.entry}
+            file = folder / "viewer.json"
+            file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+            server.files["/viewer.json"] = file
+            if blending is not None:
+                server.actions["/blend"] = blending.answer
             yield Viewer(server)
         finally:
             server.server_close()
@@ -233,7 +224,17 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
             check_found(sidecar, onnx)
             _check_start(sidecar, b"{", "the sidecar of an ONNX file")
             _check_start(onnx, b"", "an ONNX file")
-        entry, files = given_assets(path.name, path, onnx, f"faces/{number}")
+        url = f"faces/{number}"
+        # the same of files that are there: a GLB, and the ONNX of its sliders with its sidecar
+        files = {f"/{url}/face.glb": path}
+        if onnx is not None:
+            files |= {f"/{url}/sliders.onnx": onnx, f"/{url}/sliders.onnx.json": onnx.with_name(f"{onnx.name}.json")}
+        entry = {
+            "label": path.name,
+            "glb": f"{url}/face.glb",
+            "onnx": None if onnx is None else f"{url}/sliders.onnx",
+            "details": None,
+        }
     else:
         if onnx is not None:
             raise InputError(onnx, f"is for a GLB, expected one in place of {path.name}")
@@ -252,25 +253,3 @@ def _check_start(path: Path, start: bytes, kind: str) -> None:
         raise InputError(path, f"can't be read ({error.strerror}), expected {kind}") from None
     if not head.startswith(start):
         raise InputError(path, f"is not {kind}")
-
-
-def _write_content(folder: Path, server: Server, entries: Sequence[Json], blending: Blending | None) -> None:
-    """viewer.json, the list of faces for the page."""
-    content = {"faces": entries, "blend": None if blending is None else blending.entry}
-    file = folder / "viewer.json"
-    file.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-    server.files["/viewer.json"] = file
-    if blending is not None:
-        server.actions["/blend"] = blending.answer
-
-
-def _page_files() -> dict[str, Path]:
-    """Path on the server -> file, of the page and all that it loads.
-
-    :raises InputError: nothing built, or from other sources
-    """
-    if not build.is_built():
-        what = "is older than its sources" if build.DIST.exists() else "is not built"
-        raise InputError("viewer", f"{what}, expected `python -m facepipe_web.build` before (needs node 20 and npm)")
-    files = {f"/{file.relative_to(build.DIST).as_posix()}": file for file in build.DIST.rglob("*") if file.is_file()}
-    return files | {"/": build.DIST / "index.html"}

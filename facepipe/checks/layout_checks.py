@@ -33,7 +33,9 @@ def photo_cameras(face: FaceView) -> Iterator[Problem]:
             yield at(f"{prim.GetPath()}.{tokens.PHOTO_SIZE}", f"{authored}, expected 1 to {MOST_PIXELS} pixels each")
             continue
         across, up = _number(camera.GetHorizontalApertureAttr()), _number(camera.GetVerticalApertureAttr())
-        near, far = _pair(camera.GetClippingRangeAttr())
+        attribute = camera.GetClippingRangeAttr()
+        found = array(value(attribute))
+        near, far = (float(found[0]), float(found[1])) if found is not None and len(found) == 2 else (0.0, 0.0)
         if value(camera.GetProjectionAttr()) != UsdGeom.Tokens.perspective:
             yield at(prim, f"projection {value(camera.GetProjectionAttr())}, expected perspective")
         elif not (across > 0 and up > 0 and _number(camera.GetFocalLengthAttr()) > 0):
@@ -84,11 +86,6 @@ def photo_poses(face: FaceView) -> Iterator[Problem]:
 
 def _photos(face: FaceView) -> Iterator[Usd.Prim]:
     return (prim for prim in face.of_type(UsdGeom.Camera) if is_photo(prim))
-
-
-def _pair(attribute: Usd.Attribute) -> tuple[float, float]:
-    found = array(value(attribute))
-    return (float(found[0]), float(found[1])) if found is not None and len(found) == 2 else (0.0, 0.0)
 
 
 def _number(attribute: Usd.Attribute) -> float:

@@ -261,13 +261,15 @@ def joint_names(face: FaceView) -> Iterator[Problem]:
         twice = sorted(joint for joint, count in Counter(skeleton.joints).items() if count > 1)
         if twice:
             yield at(f"{skeleton.path}.joints", f"{some(twice)} twice, expected each joint once")
-        wrong = [joint for joint in skeleton.joints if not _is_path(joint)]
+        wrong = [
+            joint
+            for joint in skeleton.joints
+            if not (
+                bool(joint) and all(Sdf.Path.IsValidIdentifier(name) for name in joint.removeprefix("/").split("/"))
+            )
+        ]
         if wrong:
             yield at(f"{skeleton.path}.joints", f"{some(map(repr, wrong))}: no path, expected names joined by /")
-
-
-def _is_path(joint: str) -> bool:
-    return bool(joint) and all(Sdf.Path.IsValidIdentifier(name) for name in joint.removeprefix("/").split("/"))
 
 
 def _ancestors(joint: str) -> Iterator[str]:

@@ -64,7 +64,11 @@ class ActionLine:
 
         kept, action = action_of(arguments, self.kind)
         if isinstance(action, Inspector):
-            return _inspected(action, arguments)
+            action.check()
+            report = action.look(progress)
+            warn(report.warnings)
+            emit(report, action.text(report, action.base), as_json=arguments.json)
+            return 1 if action.missed(report) else 0
         warn(kept.warnings if kept else ())
         inputs = inputs_of(arguments, action)
         arguments.output = arguments.output or getattr(arguments, "out", None)
@@ -135,14 +139,6 @@ def inputs_of(arguments: argparse.Namespace, action: Action[Any]) -> list[Path]:
     return [*files_of(action), *(path for path in read if path is not None)]
 
 
-def _inspected(action: Inspector[Any], arguments: argparse.Namespace) -> int:
-    action.check()
-    report = action.look(progress)
-    warn(report.warnings)
-    emit(report, action.text(report, action.base), as_json=arguments.json)
-    return 1 if action.missed(report) else 0
-
-
 def _line(beside: Any) -> str:
     return f"{beside['path']}: {beside['bytes']:,} bytes" if isinstance(beside, Mapping) else str(beside)
 
@@ -158,7 +154,15 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
     given = {one.name: getattr(arguments, one.name) for one in fields if hasattr(arguments, one.name)}
     unsaid = {one.name for one in fields if one.stands_alone and not given.get(one.name)}
     given = {name: value for name, value in given.items() if name not in {*unsaid, *kind.own_flags}}
-    instead = _replacements(getattr(arguments, "replace", ()))
+    words = getattr(arguments, "replace", ())
+    instead: dict[int, Path] = {}
+    for word in words:
+        number, equals, path = word.partition("=")
+        if not (equals and path and number.isascii() and number.isdecimal() and len(number) < 7):
+            raise InputError(f"--replace {word}", "expected N=FILE, N the number of a source from 1")
+        if int(number) in instead:
+            raise InputError(f"--replace {int(number)}=...", "given twice, expected it once")
+        instead[int(number)] = Path(path)
     if instead and arguments.edit is None:
         raise InputError("--replace", "given without --edit, expected both or neither")
     for field in fields:
@@ -182,18 +186,6 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
             edit = " (or --edit RESULT)" if issubclass(kind, StageAction) else ""
             raise InputError(field.shown, f"none given, expected {field.help.split(';')[0]}{edit}")
     return kept, kind(**values)
-
-
-def _replacements(words: Sequence[str]) -> dict[int, Path]:
-    replacements: dict[int, Path] = {}
-    for word in words:
-        number, equals, path = word.partition("=")
-        if not (equals and path and number.isascii() and number.isdecimal() and len(number) < 7):
-            raise InputError(f"--replace {word}", "expected N=FILE, N the number of a source from 1")
-        if int(number) in replacements:
-            raise InputError(f"--replace {int(number)}=...", "given twice, expected it once")
-        replacements[int(number)] = Path(path)
-    return replacements
 
 
 def _joined(old: Any, given: Any) -> Any:

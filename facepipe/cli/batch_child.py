@@ -127,25 +127,19 @@ def read_line(words: list[str]) -> Line:
     line = module.line(parsed.action) if isinstance(module, ActionGroup) else module
     if isinstance(line, ActionLine):
         verb = line.kind.verb
-        reads, more = _of_action(line.kind, parsed, writes)
+        kind = line.kind
+        if parsed.edit is not None or (issubclass(kind, InPlaceAction) and not writes):
+            raise InputError(kind.verb, "would change its input, which a step can't, expected another result")
+        action = action_of(parsed, kind)[1]
+        beside = [getattr(action, field.name) for field in fields_of(kind) if field.role == "beside"]
+        more = [path for path in beside if path is not None] + _companions(writes, kind)
+        reads, more = inputs_of(parsed, action), more
         writes += more
     else:
         reads = [path for path in paths_in(list(vars(parsed).values())) if path not in writes]
         reads += [Path(parsed.rename)] if Path(getattr(parsed, "rename", None) or "-").is_file() else []
         writes += _companions(writes)
     return Line(verb=verb, reads=reads, writes=writes, run=lambda: _run(module, parsed))
-
-
-def _of_action(
-    kind: type[Action[Any]], parsed: argparse.Namespace, writes: list[Path]
-) -> tuple[list[Path], list[Path]]:
-    """What an action reads, and what it writes beside its result."""
-    if parsed.edit is not None or (issubclass(kind, InPlaceAction) and not writes):
-        raise InputError(kind.verb, "would change its input, which a step can't, expected another result")
-    action = action_of(parsed, kind)[1]
-    beside = [getattr(action, field.name) for field in fields_of(kind) if field.role == "beside"]
-    more = [path for path in beside if path is not None] + _companions(writes, kind)
-    return inputs_of(parsed, action), more
 
 
 def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> list[Path]:

@@ -65,7 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.farm.plan import each, read_plan
 
     if arguments.each is None:
-        file = _plan_file(arguments)
+        if len(arguments.words) != 1:
+            raise InputError("PLAN", f"{len(arguments.words)} words, expected one plan (or --each GLOB -- ACTION ...)")
+        if arguments.output is not None:
+            raise InputError("-o", "given with a plan, which says itself where results go")
+        file = Path(arguments.words[0])
         return _run(arguments, read_plan(file), arguments.state or file.with_name(f"{file.stem}_batch"))
     urls = typed_roots((arguments.each, arguments.output or "", *arguments.words))
     with trusting(replace(trust(), urls=(*trust().urls, *urls))):
@@ -100,14 +104,6 @@ def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
         )
     emit(report.to_dict(), report.text(), as_json=arguments.json)
     return 1 if report.missed else 0
-
-
-def _plan_file(arguments: argparse.Namespace) -> Path:
-    if len(arguments.words) != 1:
-        raise InputError("PLAN", f"{len(arguments.words)} words, expected one plan (or --each GLOB -- ACTION ...)")
-    if arguments.output is not None:
-        raise InputError("-o", "given with a plan, which says itself where results go")
-    return Path(arguments.words[0])
 
 
 @contextlib.contextmanager

@@ -33,7 +33,7 @@ from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import FacepipeError
 
 if TYPE_CHECKING:
-    from facepipe.cooking import CookReport, NodeReport
+    from facepipe.cooking import NodeReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -67,7 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise
     result = {"good": report.good, **report.to_dict()}
     findings = [str(finding) for findings in report.findings.values() for finding in findings]
-    emit(result, "\n".join([*findings, _summary(report)]), as_json=arguments.json)
+    counts = {action: sum(node.action == action for node in report.nodes) for action in _ACTIONS}
+    listed = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
+    emit(
+        result,
+        "\n".join([*findings, f"{len(report.nodes)} file(s) with recipes{f': {listed}' if listed else ''}"]),
+        as_json=arguments.json,
+    )
     return 0 if report.good else 1
 
 
@@ -86,12 +92,6 @@ def _line(node: NodeReport) -> str:
     seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""
     missed = ", a threshold is missed" if node.missed else ""
     return f"{shown(node.file)}: {node.verb}: {node.action}{seconds}{missed}{why}"
-
-
-def _summary(report: CookReport) -> str:
-    counts = {action: sum(node.action == action for node in report.nodes) for action in _ACTIONS}
-    listed = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
-    return f"{len(report.nodes)} file(s) with recipes{f': {listed}' if listed else ''}"
 
 
 _ACTIONS = {

@@ -82,7 +82,15 @@ def _made(folder: Path, seed: int) -> int:
         errors = _validated([path[name] for name in ("head.usda", "head.glb", "head.onnx")])
         bar.update()
         _evaluated(face, path["head.onnx"], path["points.npz"])
-        _sheet(face, path["sheet.png"])
+        out = path["sheet.png"]
+        from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
+
+        parts = face.parts()
+        options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())
+        shapes = [name for name in SHEET if name in face.shapes]
+        points = [face.evaluate(), *(face.evaluate({name: 1.0}) for name in shapes)]
+        images = zip(("neutral", *shapes), poses(parts, points, options), strict=True)
+        save_png(contact_sheet(list(images), columns=4), out)
         bar.update()
     print("\nsheet.png: the face and its shapes")
     return errors
@@ -138,14 +146,3 @@ def _evaluated(face: Face, model: Path, out: Path) -> None:
     write_bytes(out, buffer.getvalue())
     apart = np.linalg.norm(outputs["points"].reshape(-1, 3) - face.evaluate(POSE), axis=1).max()
     print(f"{out.name}: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")
-
-
-def _sheet(face: Face, out: Path) -> None:
-    from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
-
-    parts = face.parts()
-    options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())
-    shapes = [name for name in SHEET if name in face.shapes]
-    points = [face.evaluate(), *(face.evaluate({name: 1.0}) for name in shapes)]
-    images = zip(("neutral", *shapes), poses(parts, points, options), strict=True)
-    save_png(contact_sheet(list(images), columns=4), out)

@@ -24,7 +24,15 @@ class Parser(argparse.ArgumentParser):
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False, **settings)
         self.intermixed = False  # whether words without a flag may stand between flags; else they stand in one run
         if common:
-            self._add_loudness()
+            group = self.add_argument_group("what is printed").add_mutually_exclusive_group()
+            given: Any = {"action": "store_const", "dest": "loudness", "default": argparse.SUPPRESS}
+            group.add_argument(
+                "-v", "--verbose", const="verbose", help="also debug lines with times, on stderr", **given
+            )
+            quiet = (
+                "nothing on stderr but errors: no progress, no notes, no warnings (they are in the report of --json)"
+            )
+            group.add_argument("-q", "--quiet", const="quiet", help=quiet, **given)
             self._add_trust()
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
@@ -48,13 +56,6 @@ class Parser(argparse.ArgumentParser):
             choices = [str(choice) for choice in action.choices]
             near = did_you_mean(str(value), choices) or f" (choose from {', '.join(choices)})"
             raise argparse.ArgumentError(action, f"invalid choice: {value!r}{near}")
-
-    def _add_loudness(self) -> None:
-        group = self.add_argument_group("what is printed").add_mutually_exclusive_group()
-        given: Any = {"action": "store_const", "dest": "loudness", "default": argparse.SUPPRESS}
-        group.add_argument("-v", "--verbose", const="verbose", help="also debug lines with times, on stderr", **given)
-        quiet = "nothing on stderr but errors: no progress, no notes, no warnings (they are in the report of --json)"
-        group.add_argument("-q", "--quiet", const="quiet", help=quiet, **given)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does, and words of parsers that are `intermixed` in any place."""
@@ -166,18 +167,9 @@ def _settings(field: Field) -> dict[str, Any]:
         settings["choices"] = field.choices
     else:
         settings["metavar"] = field.metavar or field.name.upper()
-    return {"type": _reader(field.parse or _kind(field)), **settings}
+    kind = field.parse or _kind(field)
 
-
-def _kind(field: Field) -> Any:
-    if field.choices:
-        return type(field.choices[0])
-    return next((kind for kind in field.kinds if kind in (int, float, Path)), str)
-
-
-def _reader(kind: Any) -> Any:
-    """`kind` as argparse calls it: errors of ours keep their words."""
-
+    # `kind` as argparse calls it: errors of ours keep their words
     def read(text: str) -> Any:
         try:
             return kind(text)
@@ -185,7 +177,13 @@ def _reader(kind: Any) -> Any:
             raise argparse.ArgumentTypeError(str(error)) from None
 
     read.__name__ = getattr(kind, "__name__", "value")
-    return read
+    return {"type": read, **settings}
+
+
+def _kind(field: Field) -> Any:
+    if field.choices:
+        return type(field.choices[0])
+    return next((kind for kind in field.kinds if kind in (int, float, Path)), str)
 
 
 def options_from(arguments: argparse.Namespace, options: type) -> Any:

@@ -35,23 +35,15 @@ def with_project(project: Project, words: Sequence[str], modules: Modules, folde
     :raises InputError: the project names an unknown command or option, an option that it may not choose, or a file
         outside of its folder and the roots
     """
-    _check_commands(project, modules)
-    verb, rest = _verb_of(words)
-    result = ["-o", out] if out else []
-    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result], folder))
-    return [*verb, *_named(project, [*put, *rest], folder)]
-
-
-def _check_commands(project: Project, modules: Modules) -> None:
     for command in project.defaults:
         if find_action(command) is None and (command in groups() or modules(command) is None):
             near = did_you_mean(command, summaries())
             raise InputError(f"{project.file} -> defaults", f"'{command[:40]}' is no command{near}")
-
-
-def _verb_of(words: Sequence[str]) -> tuple[list[str], list[str]]:
     count = 2 if words[0] in groups() else 1
-    return list(words[:count]), list(words[count:])
+    verb, rest = list(words[:count]), list(words[count:])
+    result = ["-o", out] if out else []
+    put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result], folder))
+    return [*verb, *_named(project, [*put, *rest], folder)]
 
 
 def _flags(project: Project, command: str, modules: Modules, words: Sequence[str], folder: Path) -> Iterator[str]:

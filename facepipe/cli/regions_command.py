@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.cli.action_line import ActionLine
@@ -35,10 +34,6 @@ def run(arguments: argparse.Namespace) -> int:
         output_of(argparse.Namespace(output=picture, force=arguments.force), [arguments.face])
         if picture.suffix.lower() != ".png":
             raise InputError(picture, f"suffix '{picture.suffix}', expected .png")
-    return _list(arguments, picture)
-
-
-def _list(arguments: argparse.Namespace, picture: Path | None) -> int:
     import facepipe
     from facepipe.parts import all_regions
     from facepipe.verbs.regions import count_regions, draw_regions, region_table

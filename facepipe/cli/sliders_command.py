@@ -38,10 +38,6 @@ def run(arguments: argparse.Namespace) -> int:
     SlidersOfFace.line_values(arguments, {})
     if arguments.face is None:
         raise InputError("FACE", "none given, expected a face stage")
-    return _list(arguments)
-
-
-def _list(arguments: argparse.Namespace) -> int:
     import facepipe
 
     face = facepipe.read(arguments.face)

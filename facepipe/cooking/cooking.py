@@ -93,7 +93,8 @@ class _Run:
         key = node.path.resolve()
         roots = self.graph.roots.get(key)
         if roots and not self._options.dry_run:
-            _tidy(node.path)
+            collect(node.path.parent)
+            discard_lock(node.path)
         why = self._why(node)
         if not why:
             return _report(node, "up to date")
@@ -162,12 +163,6 @@ class _Run:
         node = self.graph.nodes[key] = read_node(self.graph.nodes[key].path)  # it may stand on other layers now
         self._grown |= not self.graph.holds(node)
         return node
-
-
-def _tidy(path: Path) -> None:
-    """Remove what a cook that was killed left beside a file."""
-    collect(path.parent)
-    discard_lock(path)
 
 
 def _report(node: Node, action: Action, why: tuple[str, ...] = (), warnings: tuple[str, ...] = ()) -> NodeReport:

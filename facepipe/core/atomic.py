@@ -84,7 +84,11 @@ def replacing_folder(path: AnyPath) -> Iterator[Path]:
             temporary.mkdir()
             yield temporary
             if group is not None:
-                _finish_folder(temporary, target)
+                _lend_mode(target, temporary)
+                for parent, _, names in os.walk(temporary):
+                    for name in names:
+                        sync_file(Path(parent, name))
+                    sync_folder(Path(parent))
                 if identity(target) != former:
                     raise ChangedError(path, "was changed meanwhile, expected no other process to write there")
                 group.add(target)
@@ -216,7 +220,18 @@ class _Group:
         if len(moves) == 1 and moves[0].role != "stale" and self._in_one_step(moves[0]):
             pass
         elif moves:
-            self._journaled(moves)
+            write_journal(moves, [home.path for home in self._homes.values()])
+            try:
+                place(moves)
+            except OSError:
+                self._left = True  # unless all is taken back
+                self._left = not undo(moves)
+                raise
+            except BaseException:  # Ctrl-C: a few renames more
+                self._left = True
+                place(moves)
+                self._left = False
+                raise
         for parent in self._homes:
             sync_folder(parent)
         for move in moves:
@@ -229,20 +244,6 @@ class _Group:
             return exchange(move.source, move.target)
         patiently(move.source.replace, move.target)
         return True
-
-    def _journaled(self, moves: list[Move]) -> None:
-        write_journal(moves, [home.path for home in self._homes.values()])
-        try:
-            place(moves)
-        except OSError:
-            self._left = True  # unless all is taken back
-            self._left = not undo(moves)
-            raise
-        except BaseException:  # Ctrl-C: a few renames more
-            self._left = True
-            place(moves)
-            self._left = False
-            raise
 
 
 _group: ContextVar[_Group | None] = ContextVar("facepipe_files_together", default=None)
@@ -288,14 +289,6 @@ def _finish_file(temporary: Path, target: Path) -> None:
     with temporary.open("rb+") as file:
         _lend_mode(target, temporary)
         flush(file.fileno())
-
-
-def _finish_folder(temporary: Path, target: Path) -> None:
-    _lend_mode(target, temporary)
-    for parent, _, names in os.walk(temporary):
-        for name in names:
-            sync_file(Path(parent, name))
-        sync_folder(Path(parent))
 
 
 def _lend_mode(old: Path, new: Path) -> None:

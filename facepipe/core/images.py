@@ -142,7 +142,14 @@ def _too_many(data: bytes) -> Iterator[str]:
     if data.startswith(_PNG) and _chunks(data) > _MOST_PARTS:
         yield f"more than {_MOST_PARTS} chunks"
     if data.startswith(_JPEG):
-        if _segments(data) > _MOST_PARTS:
+        at, parts = 2, 0
+        while at + 4 <= len(data) and parts <= _MOST_PARTS:
+            marker, size = struct.unpack_from(">2H", data, at)
+            if marker == 0xFFDA or marker < 0xFF00:
+                break
+            parts += 1
+            at += 2 + size
+        if parts > _MOST_PARTS:
             yield f"more than {_MOST_PARTS} segments"
         if data.count(b"\xff\xda") > _MOST_PARTS // 10:
             yield f"more than {_MOST_PARTS // 10} scans"
@@ -155,16 +162,4 @@ def _chunks(data: bytes) -> int:
         size, kind = struct.unpack_from(">I4s", data, at)
         parts += kind not in (b"IDAT", b"fdAT")
         at += 12 + size
-    return parts
-
-
-def _segments(data: bytes) -> int:
-    """Segments of a JPEG before its pixels."""
-    at, parts = 2, 0
-    while at + 4 <= len(data) and parts <= _MOST_PARTS:
-        marker, size = struct.unpack_from(">2H", data, at)
-        if marker == 0xFFDA or marker < 0xFF00:
-            break
-        parts += 1
-        at += 2 + size
     return parts

@@ -293,7 +293,12 @@ def _journal(first: Path) -> list[Move]:
         moves = [_move(folders, *one) for one in content["moves"]]
     except (ValueError, TypeError, LookupError, RecursionError):
         return []
-    return [move for move in moves if stat.S_ISDIR(_mode(move.hidden)) and not _has_links(move)]
+    return [
+        move
+        for move in moves
+        if stat.S_ISDIR(_mode(move.hidden))
+        and not any(stat.S_ISLNK(_mode(one)) for one in (move.source, move.aside.parent))
+    ]
 
 
 def _move(folders: Sequence[Path], number: Any, name: Any, former: Any, role: Any) -> Move:
@@ -315,10 +320,6 @@ def _beside(hidden: Path, folder: Any) -> Path:
         raise ValueError(folder)
     os.fsencode(folder)  # a name that no file can have
     return hidden.parent / folder / hidden.name
-
-
-def _has_links(move: Move) -> bool:
-    return any(stat.S_ISLNK(_mode(one)) for one in (move.source, move.aside.parent))
 
 
 def _mode(path: Path) -> int:

@@ -118,7 +118,27 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
     content = {**report.to_dict(), "records": tasks}
     with together(state / "report.html"):
         write_bytes(state / "report.json", json.dumps(content, sort_keys=True, indent=1, default=str).encode())
-        write_bytes(state / "report.html", _page(report, run, state))
+        title = Path(run.plan.where).name
+        counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
+        facts = f"{report.faces} faces, {report.tasks} tasks: {counts}; {report.seconds:.1f} s, "
+        facts += f"of which giving tasks out {report.scheduling_seconds:.1f} s"
+        steps = [
+            (name, ", ".join(f"{count} {status}" for status, count in sorted(figures["counts"].items())),
+             f"{figures.get('seconds_mean', 0):.2f}", f"{figures.get('peak_mb', 0):.0f}")
+            for name, figures in report.steps.items()
+        ]  # fmt: skip
+        parts = [tag("h1", title), tag("p", facts, class_="muted"), heading("Steps")]
+        parts.append(ruled_table(("step", "tasks", "seconds each", "peak MB"), steps, numbers=(2, 3)))
+        if report.failures:
+            lines = (tag("li", tag("code", line)) for line in report.failures[:_MOST_LINES])
+            parts.append(joined(tag("h2", "Not done", class_="bad"), tag("ul", *lines)))
+        parts += [heading("Faces"), tag("div", *_faces(run, state), class_="cards")]
+        if report.attributions:
+            parts += [
+                heading("Licences and attributions"),
+                tag("ul", *(tag("li", line) for line in report.attributions)),
+            ]
+        write_bytes(state / "report.html", page(title, *parts))
 
 
 def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
@@ -133,27 +153,6 @@ def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
         elif key.endswith("_mm") and isinstance(value, int | float):
             errors[key.removesuffix("_mm")] = value
     return errors
-
-
-def _page(report: BatchReport, run: Run, state: Path) -> bytes:
-    title = Path(run.plan.where).name
-    counts = ", ".join(f"{count} {status}" for status, count in sorted(report.counts.items()))
-    facts = f"{report.faces} faces, {report.tasks} tasks: {counts}; {report.seconds:.1f} s, "
-    facts += f"of which giving tasks out {report.scheduling_seconds:.1f} s"
-    steps = [
-        (name, ", ".join(f"{count} {status}" for status, count in sorted(figures["counts"].items())),
-         f"{figures.get('seconds_mean', 0):.2f}", f"{figures.get('peak_mb', 0):.0f}")
-        for name, figures in report.steps.items()
-    ]  # fmt: skip
-    parts = [tag("h1", title), tag("p", facts, class_="muted"), heading("Steps")]
-    parts.append(ruled_table(("step", "tasks", "seconds each", "peak MB"), steps, numbers=(2, 3)))
-    if report.failures:
-        lines = (tag("li", tag("code", line)) for line in report.failures[:_MOST_LINES])
-        parts.append(joined(tag("h2", "Not done", class_="bad"), tag("ul", *lines)))
-    parts += [heading("Faces"), tag("div", *_faces(run, state), class_="cards")]
-    if report.attributions:
-        parts += [heading("Licences and attributions"), tag("ul", *(tag("li", line) for line in report.attributions))]
-    return page(title, *parts)
 
 
 def _faces(run: Run, state: Path) -> Iterator[Markup]:

@@ -211,7 +211,9 @@ class Cluster:
             from distributed import Client
         except ImportError:
             raise InputError("--cluster", "needs Dask: pip install 'facepipe[farm]'") from None
-        _quieten()
+        for name in list(logging.root.manager.loggerDict):
+            if name.startswith(("distributed", "tornado", "asyncssh")):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         self._setting = dict(setting)
         self._refused: dict[str, str] = {}  # worker -> why
         self._last: tuple[str, Done] | None = None  # a task, and whom to call
@@ -222,7 +224,12 @@ class Cluster:
                 target: Any = ends.enter_context(_over_ssh(address, processes)) if over_ssh else address
                 self._client = ends.enter_context(Client(target, timeout=_CONNECT, set_as_default=False))
                 self._client.wait_for_workers(1, timeout=_WORKERS)
-                _check_versions(self._on_all(_version))
+                versions = self._on_all(_version)
+                for worker, version in versions.items():
+                    if isinstance(version, ImportError | AttributeError):
+                        raise InputError(worker, f"has no facepipe that can work for {__version__} ({_brief(version)})")
+                    if isinstance(version, str) and version != __version__:
+                        raise InputError(worker, f"has facepipe {version}, expected {__version__}")
             except InputError:
                 raise
             except Exception as error:
@@ -328,22 +335,6 @@ def _end_children(setting: Mapping[str, Any]) -> None:
 
 def _version() -> str:
     return __version__
-
-
-def _check_versions(versions: Mapping[str, Any]) -> None:
-    """:raises InputError: a worker of another facepipe, or of none"""
-    for worker, version in versions.items():
-        if isinstance(version, ImportError | AttributeError):
-            raise InputError(worker, f"has no facepipe that can work for {__version__} ({_brief(version)})")
-        if isinstance(version, str) and version != __version__:
-            raise InputError(worker, f"has facepipe {version}, expected {__version__}")
-
-
-def _quieten() -> None:
-    """Dask's logs repeat at length what our lines say."""
-    for name in list(logging.root.manager.loggerDict):
-        if name.startswith(("distributed", "tornado", "asyncssh")):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _brief(error: Exception) -> str:

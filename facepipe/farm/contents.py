@@ -77,7 +77,11 @@ def _stands_on(path: Path) -> set[Path]:
     if not path.is_file():
         raise InputError(path, "no such file")
     if path.suffix.lower() in SUFFIXES:
-        return {_shortest(dependency) for dependency in dependencies(path) if dependency.is_file()} | {path}
+        return {
+            (dependency.relative_to(Path.cwd()) if dependency.is_relative_to(Path.cwd()) else dependency)
+            for dependency in dependencies(path)
+            if dependency.is_file()
+        } | {path}
     reached, todo = {path}, [path]
     while todo:
         others = named(todo.pop())
@@ -87,11 +91,6 @@ def _stands_on(path: Path) -> set[Path]:
         reached |= fresh
         todo += fresh
     return reached
-
-
-def _shortest(path: Path) -> Path:
-    """As seen from the working folder, where it is below that: what is kept of it is the same on every machine."""
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def named(path: Path) -> set[Path]:

@@ -124,7 +124,10 @@ def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapp
     columns = set(rows[0].values) if rows else set()
     faults = {name: line for name, one in steps.items() for line in itertools.islice(_faults(one, columns, steps), 1)}
     clear = {name: one for name, one in steps.items() if name not in columns}
-    known = {name: _with_needs(one, clear) for name, one in steps.items()}
+    known = {
+        name: replace(one, needs=tuple(dict.fromkeys(name for name in braces(one) if name in clear)))
+        for name, one in steps.items()
+    }
     links = len(rows) * sum(1 + len(one.needs) for one in known.values())
     text = len(rows) * sum(len(word) for one in known.values() for word in (*one.words, one.out))
     if links > _MOST_LINKS or text > _MOST_TEXT:
@@ -209,10 +212,6 @@ def _faults(step: Step, columns: Collection[str], steps: Collection[str]) -> Ite
     for name in _BRACES.findall(step.out):
         if name in steps:
             yield f"out names the step {{{name}}}, expected columns of the table"
-
-
-def _with_needs(step: Step, steps: Mapping[str, Step]) -> Step:
-    return replace(step, needs=tuple(dict.fromkeys(name for name in braces(step) if name in steps)))
 
 
 def _circles(steps: Mapping[str, Step]) -> dict[str, str]:

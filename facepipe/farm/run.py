@@ -81,7 +81,10 @@ class Run:
             waited += time.perf_counter() - before
             self._out -= 1
             self._answered(record)
-        self._tidy_made()
+        made = (name for record in self.records.values() if record["status"] == MADE for name in record["writes"])
+        for folder in {(self.plan.folder / name).parent for name in made if not is_url(name)}:
+            with contextlib.suppress(FacepipeError, OSError):
+                collect(folder)
         self.scheduling = time.perf_counter() - start - waited
 
     def _open(self) -> None:
@@ -158,7 +161,11 @@ class Run:
         if last["status"] not in DONE or self.options.verify:
             return False
         if self.options.resume:
-            return self._is_there(next(iter(own_writes(self.plan, self._tasks[last["task"]], last)), ""))
+            name = next(iter(own_writes(self.plan, self._tasks[last["task"]], last)), "")
+            # whether a result is; a task without one needs none
+            if is_url(name):
+                return self._states(name) is not None
+            return not name or state_of(self.plan.folder / name) is not None
         return self._are({**last["reads"], **{path: state for path, (state, _) in last["writes"].items()}})
 
     def _last(self, task: Task) -> Record | None:
@@ -170,12 +177,6 @@ class Run:
             return last
         stands_on = own_writes(self.plan, task, last) if task.step.out else last["reads"]  # else it only says so
         return last if stands_on else None
-
-    def _is_there(self, name: str) -> bool:
-        """Whether a result is; a task without one needs none."""
-        if is_url(name):
-            return self._states(name) is not None
-        return not name or state_of(self.plan.folder / name) is not None
 
     def _are(self, states: dict[str, Any]) -> bool:
         if None in states.values():  # a result that was gone as soon as it was there
@@ -191,7 +192,11 @@ class Run:
         if self.gone:
             return
         if record["status"] == LOST:
-            self._tidy(task)
+            with contextlib.suppress(FacepipeError, OSError):
+                result = result_of(self.plan, task)
+                if result and not is_url(result) and self._reach(result):
+                    collect((self.plan.folder / result).parent)
+                    discard_lock(self.plan.folder / result)
         again = record["status"] == LOST or record.get("passing", False)
         self._lost[task.name] += again
         if again and self._lost[task.name] <= self.options.failures:
@@ -199,21 +204,6 @@ class Run:
             return
         status = FAILED if record["status"] == LOST else record["status"]
         self._end(task, {**record, "status": status, "lost": self._lost[task.name]})
-
-    def _tidy(self, task: Task) -> None:
-        """Remove what a process that was lost left beside its result."""
-        with contextlib.suppress(FacepipeError, OSError):
-            result = result_of(self.plan, task)
-            if result and not is_url(result) and self._reach(result):
-                collect((self.plan.folder / result).parent)
-                discard_lock(self.plan.folder / result)
-
-    def _tidy_made(self) -> None:
-        """Remove what processes of workers left that a cluster lost and replaced by itself."""
-        made = (name for record in self.records.values() if record["status"] == MADE for name in record["writes"])
-        for folder in {(self.plan.folder / name).parent for name in made if not is_url(name)}:
-            with contextlib.suppress(FacepipeError, OSError):
-                collect(folder)
 
     def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
         self.records[task.name] = record

@@ -66,7 +66,10 @@ def work(
         _check_places(line)
         mirror.fetch(line.reads)
         found = [contents.content_of(path) for path in line.reads]
-        record["key"] = key = _key(request["words"], [one.digest for one in found])
+        words = request["words"]
+        digests = [one.digest for one in found]
+        said = json.dumps([__version__, list(words), list(digests)], separators=(",", ":"))
+        record["key"] = key = hashlib.sha256(said.encode()).hexdigest()
         states = {mirror.name(Path(path)): state for one in found for path, state in one.states.items()}
         record["reads"] = {name: mirror.state(name) if is_url(name) else state for name, state in states.items()}
         kept = _kept(request.get("last"), key, mirror, verify=request.get("verify", False))
@@ -82,11 +85,6 @@ def work(
         mirror.clear()
     record = mirror.with_urls(record)
     return {"seconds": round(time.perf_counter() - start, 4), **record}  # of what is kept those that it took to make it
-
-
-def _key(words: Sequence[str], digests: Sequence[str]) -> str:
-    said = json.dumps([__version__, list(words), list(digests)], separators=(",", ":"))
-    return hashlib.sha256(said.encode()).hexdigest()
 
 
 def _check_places(line: Line) -> None:

@@ -196,7 +196,15 @@ class _State:
         free = (pull != 0.0) & (low < high)
         change: FloatArray = np.zeros(x.shape)
         for _ in range(_HOLDING_ROUNDS):
-            right = pull + _times(matrix, diagonals, change)
+            # (f, c) of (f, c): each frame's own matrix, and what is between frames
+            product: FloatArray = np.einsum("fij,fj->fi", matrix, change)
+            for offset, values in enumerate(diagonals):
+                if offset == 0:
+                    product += values[:, None] * change
+                else:
+                    product[offset:] += values[:, None] * change[:-offset]
+                    product[:-offset] += values[:, None] * change[offset:]
+            right = pull + product
             step = _solved(matrix, diagonals, free, -np.where(free, right, 0.0))
             ahead = x + change + step
             out = free & ((ahead < low) | (ahead > high))
@@ -205,18 +213,6 @@ class _State:
             change = np.where(out, np.clip(ahead, low, high) - x, change)
             free = free & ~out
         return np.asarray(np.clip(x + change + np.where(free, step, 0.0), low, high) - x)
-
-
-def _times(matrix: FloatArray, diagonals: list[FloatArray], x: FloatArray) -> FloatArray:
-    """(f, c) of (f, c): each frame's own matrix, and what is between frames."""
-    product: FloatArray = np.einsum("fij,fj->fi", matrix, x)
-    for offset, values in enumerate(diagonals):
-        if offset == 0:
-            product += values[:, None] * x
-        else:
-            product[offset:] += values[:, None] * x[:-offset]
-            product[:-offset] += values[:, None] * x[offset:]
-    return product
 
 
 def _solved(matrix: FloatArray, diagonals: list[FloatArray], free: BoolArray, right: FloatArray) -> FloatArray:
@@ -319,22 +315,19 @@ def _without(gram: FloatArray, linear: FloatArray, free: BoolArray, shares: Floa
     return _Problem(left / scale, pull / scale, shares.shape[1])
 
 
-def _projected(rows: FloatArray) -> FloatArray:
-    """The nearest rows of shares (Held, Wolfe and Crowder 1974); rows that are shares already stay bit for bit."""
-    down = -np.sort(-rows, axis=1)
-    excess = (np.cumsum(down, axis=1) - 1.0) / np.arange(1, rows.shape[1] + 1)
-    last = (down > excess).sum(axis=1) - 1
-    level = excess[np.arange(len(rows)), last]
-    level[np.abs(level) < 4 * np.finfo(np.float64).eps] = 0.0
-    return np.asarray(np.maximum(rows - level[:, None], 0.0))
-
-
 def _descend(problem: _Problem, start: FloatArray) -> FloatArray:
     """Nesterov's projected gradients, restarted where they turn uphill (O'Donoghue and Candes 2015)."""
     step = 1.0 / max(float(np.abs(problem.gram).sum(axis=1).max()), np.finfo(np.float64).tiny)
     shares, ahead, momentum = start, start, 1.0
     for _ in range(_GRADIENT_STEPS):
-        moved = _projected((ahead - step * problem.slopes(ahead)).reshape(-1, problem.sources)).ravel()
+        rows = (ahead - step * problem.slopes(ahead)).reshape(-1, problem.sources)
+        # the nearest rows of shares (Held, Wolfe and Crowder 1974); rows that are shares already stay bit for bit
+        down = -np.sort(-rows, axis=1)
+        excess = (np.cumsum(down, axis=1) - 1.0) / np.arange(1, rows.shape[1] + 1)
+        last = (down > excess).sum(axis=1) - 1
+        level = excess[np.arange(len(rows)), last]
+        level[np.abs(level) < 4 * np.finfo(np.float64).eps] = 0.0
+        moved = np.asarray(np.maximum(rows - level[:, None], 0.0)).ravel()
         if (ahead - moved) @ (moved - shares) > 0:
             momentum = 1.0
         following = (1.0 + np.sqrt(1.0 + 4.0 * momentum**2)) / 2.0
@@ -348,7 +341,20 @@ def _solve(problem: _Problem, start: FloatArray) -> FloatArray:
     shares, free, released = start.copy(), start > 0, -1
     most = 99 + 20 * len(start)
     for _ in range(most):
-        target = _face_minimum(problem, free)
+        # the minimum (v,) over the `free` shares of any sign, groups summing to 1, the others 0
+        numbers = np.flatnonzero(free)
+        groups = len(free) // problem.sources
+        size = len(numbers)
+        system = np.zeros((size + groups, size + groups))
+        system[:size, :size] = problem.gram[np.ix_(numbers, numbers)]
+        sums = numbers // problem.sources == np.arange(groups)[:, None]
+        system[size:, :size], system[:size, size:] = sums, sums.T
+        try:
+            solved = np.linalg.solve(system, np.concatenate([problem.linear[numbers], np.ones(groups)]))
+        except np.linalg.LinAlgError as error:
+            raise FitError("shares", "no minimum found: a singular system") from error
+        target = np.zeros(len(free))
+        target[numbers] = solved[:size]
         below = np.flatnonzero(free & (target < 0))
         if len(below):
             reach = shares[below] / (shares[below] - target[below])
@@ -359,39 +365,17 @@ def _solve(problem: _Problem, start: FloatArray) -> FloatArray:
                 return np.asarray(shares)  # its slope was rounding
             continue
         shares = target
-        released, slope = _steepest(problem, shares, free)
+        # the share held at 0 whose slope is the furthest below those of the free shares of its group, and how far
+        slopes = problem.slopes(shares).reshape(-1, problem.sources)
+        inside = free.reshape(slopes.shape)
+        level = np.where(inside, slopes, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+        above = np.where(inside, np.inf, slopes - level[:, None]).ravel()
+        steepest = int(above.argmin())
+        released, slope = steepest, float(above[steepest])
         if slope >= -_ROUNDING_SLOPE:
             return shares
         free[released] = True
     raise FitError("shares", f"no minimum found in {most} steps")
-
-
-def _face_minimum(problem: _Problem, free: BoolArray) -> FloatArray:
-    """The minimum (v,) over the `free` shares of any sign, groups summing to 1, the others 0."""
-    numbers = np.flatnonzero(free)
-    groups = len(free) // problem.sources
-    size = len(numbers)
-    system = np.zeros((size + groups, size + groups))
-    system[:size, :size] = problem.gram[np.ix_(numbers, numbers)]
-    sums = numbers // problem.sources == np.arange(groups)[:, None]
-    system[size:, :size], system[:size, size:] = sums, sums.T
-    try:
-        solved = np.linalg.solve(system, np.concatenate([problem.linear[numbers], np.ones(groups)]))
-    except np.linalg.LinAlgError as error:
-        raise FitError("shares", "no minimum found: a singular system") from error
-    target = np.zeros(len(free))
-    target[numbers] = solved[:size]
-    return target
-
-
-def _steepest(problem: _Problem, shares: FloatArray, free: BoolArray) -> tuple[int, float]:
-    """The share held at 0 whose slope is the furthest below those of the free shares of its group, and how far."""
-    slopes = problem.slopes(shares).reshape(-1, problem.sources)
-    inside = free.reshape(slopes.shape)
-    level = np.where(inside, slopes, 0.0).sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
-    above = np.where(inside, np.inf, slopes - level[:, None]).ravel()
-    steepest = int(above.argmin())
-    return steepest, float(above[steepest])
 
 
 class BoxedQuadratic:
@@ -432,7 +416,10 @@ class BoxedQuadratic:
                 continue
             # bent at the box a Newton step may lead uphill, however short: what a rounding keeps off its bound goes
             # onto it, and stays out until a step succeeds
-            stopped = _stopped(x, direction, lower, upper) & ~jammed
+            # (n,) variables that the box stops at once: hardly off a bound, by rounding, they keep all others from
+            # moving
+            room = np.where(direction < 0, x - lower, upper - x)
+            stopped = np.asarray((direction != 0) & (room <= _JAMMED_ROOM * np.abs(direction))) & ~jammed
             if not stopped.any():
                 break
             at_bound = np.where(stopped, np.where(direction < 0, lower, upper), x)
@@ -452,7 +439,14 @@ class BoxedQuadratic:
         few = len(slope) // _VARIABLES_PER_HELD
         # factors made anew whenever others are held take 2.5 times as long (ten problems of 396 variables)
         if self._factor is None or (~held & ~self._factored).any() or (held & self._factored).sum() > few:
-            self._refactor(movable if (held & movable).sum() <= few else ~held)
+            chosen = movable if (held & movable).sum() <= few else ~held
+            from scipy.linalg import cho_factor
+
+            free = np.flatnonzero(chosen)
+            matrix = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
+            # transposed, the same matrix lies as LAPACK wants it
+            self._factor = cho_factor(matrix.T, lower=True, overwrite_a=matrix is not self.hessian, check_finite=False)
+            self._factored = chosen
         inside = np.flatnonzero(self._factored)
         step = -np.asarray(cho_solve(self._factor, slope[inside], check_finite=False))
         stopped = np.flatnonzero(held[inside])
@@ -465,21 +459,6 @@ class BoxedQuadratic:
         direction[inside] = step
         direction[held] = 0.0
         return direction
-
-    def _refactor(self, chosen: BoolArray) -> None:
-        from scipy.linalg import cho_factor
-
-        free = np.flatnonzero(chosen)
-        matrix = self.hessian if len(free) == len(self.hessian) else self.hessian[np.ix_(free, free)]
-        # transposed, the same matrix lies as LAPACK wants it
-        self._factor = cho_factor(matrix.T, lower=True, overwrite_a=matrix is not self.hessian, check_finite=False)
-        self._factored = chosen
-
-
-def _stopped(x: FloatArray, direction: FloatArray, lower: FloatArray, upper: FloatArray) -> BoolArray:
-    """(n,) variables that the box stops at once: hardly off a bound, by rounding, they keep all others from moving."""
-    room = np.where(direction < 0, x - lower, upper - x)
-    return np.asarray((direction != 0) & (room <= _JAMMED_ROOM * np.abs(direction)))
 
 
 def _along(

@@ -105,7 +105,16 @@ class TriangleChanges:
 
     def derivative(self, points: FloatArray) -> FloatArray:
         """(t, 9, 9) derivatives of T, row by row, in the triangle's corners, axes of a corner side by side."""
-        by_first, by_second = _normal_derivatives(points, self.triangles)
+        # (t, 3, 3) derivatives of the scaled normal in the first and in the second edge; 0 without area. With ``c = e1
+        # x e2``, ``n = c / sqrt(|c|)`` and ``u = c / |c|``: ``dn = (1 - u u^T / 2) dc / sqrt(|c|)`` and ``dc = e1 x de2
+        # - e2 x de1``.
+        a, b, c = points[self.triangles].transpose(1, 0, 2)
+        first, second = b - a, c - a
+        cross = np.cross(first, second)
+        length = np.maximum(np.linalg.norm(cross, axis=1), np.finfo(np.float64).tiny)
+        unit = cross / length[:, None]
+        scaled = (np.eye(3) - 0.5 * unit[:, :, None] * unit[:, None, :]) / np.sqrt(length)[:, None, None]
+        by_first, by_second = -scaled @ _crossing(second), scaled @ _crossing(first)
         along, upright = self.rest[:, :2], self.rest[:, 2]
         derivative = np.zeros((len(self.triangles), 3, 3, 3, 3))  # row and column of T, corner, axis
         for corner, slopes in enumerate((-along.sum(axis=1), along[:, 0], along[:, 1])):
@@ -132,7 +141,14 @@ class Neighbours:
         The weights make the sum of squared differences about the integral of the squared gradient of T, on finer
         triangles as on coarser ones.
         """
-        pairs, ends = _sharing_edges(np.flatnonzero(areas > 0.0), triangles)
+        used = np.flatnonzero(areas > 0.0)
+        # (p, 2) of the `used` triangles that share an edge, and its ends (p, 2); at an edge of more than two, in a row
+        ends = np.sort(triangles[used][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        owner = np.repeat(used, 3)
+        order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
+        ends, owner = ends[order], owner[order]
+        same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
+        pairs, ends = np.stack([owner[same], owner[same + 1]], axis=1), ends[same]
         first_triangles, second_triangles = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
         alike = second_triangles[:, :, None] == first_triangles[:, None, :]
         apex = ~alike.any(axis=2)
@@ -182,36 +198,11 @@ def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: 
     return np.asarray(length * across / np.maximum(apart, across**2))  # at a fold the straight distance is too short
 
 
-def _normal_derivatives(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(t, 3, 3) derivatives of the scaled normal in the first and in the second edge; 0 without area.
-
-    With ``c = e1 x e2``, ``n = c / sqrt(|c|)`` and ``u = c / |c|``: ``dn = (1 - u u^T / 2) dc / sqrt(|c|)`` and
-    ``dc = e1 x de2 - e2 x de1``.
-    """
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    first, second = b - a, c - a
-    cross = np.cross(first, second)
-    length = np.maximum(np.linalg.norm(cross, axis=1), np.finfo(np.float64).tiny)
-    unit = cross / length[:, None]
-    scaled = (np.eye(3) - 0.5 * unit[:, :, None] * unit[:, None, :]) / np.sqrt(length)[:, None, None]
-    return -scaled @ _crossing(second), scaled @ _crossing(first)
-
-
 def _crossing(vectors: FloatArray) -> FloatArray:
     """(t, 3, 3) matrices M with ``M w = v x w``."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _sharing_edges(used: IntArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """(p, 2) of the `used` triangles that share an edge, and its ends (p, 2); at an edge of more than two, in a row."""
-    ends = np.sort(triangles[used][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    owner = np.repeat(used, 3)
-    order = np.lexsort((owner, ends[:, 1], ends[:, 0]))
-    ends, owner = ends[order], owner[order]
-    same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
-    return np.stack([owner[same], owner[same + 1]], axis=1), ends[same]
 
 
 class Transfer:
@@ -248,7 +239,16 @@ class Transfer:
         held = self._fixed.copy()
         held[first] |= self._floating[first]
         self._free = np.flatnonzero(~held)
-        self._factor = factorise(self._laplacian()[self._free][:, self._free])
+        # (n, n) sparse, the hat functions' Dirichlet products ``L_ij = sum_t area_t grad_i . grad_j``: cotangents.
+        from scipy.sparse import coo_array
+
+        products = self._areas[:, None, None] * (self._hats @ self._hats.transpose(0, 2, 1))
+        rows = np.repeat(self._triangles, 3, axis=1).ravel()
+        columns = np.tile(self._triangles, (1, 3)).ravel()
+        count = len(self._points)
+        self._factor = factorise(
+            coo_array((products.ravel(), (rows, columns)), shape=(count, count)).tocsr()[self._free][:, self._free]
+        )
 
     def solve(self, neutrals: FloatArray, deformed: FloatArray) -> FloatArray:
         """The deformed points (n, 3) of this face.
@@ -258,32 +258,21 @@ class Transfer:
         :raises InputError: NaN or infinity
         """
         neutrals, deformed = finite("neutrals", neutrals), finite("deformed", deformed)
-        mean = self._mean_displacements(neutrals, deformed)
-        divergence = self._divergence(self._gradients(neutrals, deformed, mean))
+        # (n, 3) displacements of the sources, brought to the size of this face
+        mean, share = np.zeros_like(self._points), 1.0 / len(neutrals)
+        for neutral, shape in zip(neutrals, deformed, strict=True):
+            size = spread(neutral)
+            mean += share * (spread(self._points) / size if size > 0 else 1.0) * (shape - neutral)
+        gradients = self._gradients(neutrals, deformed, mean)
+        # (n, 3) right-hand side of the normal equations, ``b_i = sum_t area_t G_t grad_i`` with gradients G
+        flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
+        divergence = group_sums(self._triangles.ravel(), flux.reshape(-1, 3), len(self._points))
         moved = np.zeros_like(self._points)
         moved[self._free] = self._factor.solve(divergence[self._free])
         moved[self._floating] += self._piece_means(mean - moved)[self._floating]
         result = self._points + moved
         result[self._fixed] = self._points[self._fixed]
         return np.asarray(result)
-
-    def _laplacian(self) -> Any:
-        """(n, n) sparse, the hat functions' Dirichlet products ``L_ij = sum_t area_t grad_i . grad_j``: cotangents."""
-        from scipy.sparse import coo_array
-
-        products = self._areas[:, None, None] * (self._hats @ self._hats.transpose(0, 2, 1))
-        rows = np.repeat(self._triangles, 3, axis=1).ravel()
-        columns = np.tile(self._triangles, (1, 3)).ravel()
-        count = len(self._points)
-        return coo_array((products.ravel(), (rows, columns)), shape=(count, count)).tocsr()
-
-    def _mean_displacements(self, neutrals: FloatArray, deformed: FloatArray) -> FloatArray:
-        """(n, 3) displacements of the sources, brought to the size of this face."""
-        mean, share = np.zeros_like(self._points), 1.0 / len(neutrals)
-        for neutral, shape in zip(neutrals, deformed, strict=True):
-            size = spread(neutral)
-            mean += share * (spread(self._points) / size if size > 0 else 1.0) * (shape - neutral)
-        return mean
 
     def _gradients(self, neutrals: FloatArray, deformed: FloatArray, mean: FloatArray) -> FloatArray:
         """(t, 3, 3) gradients of the displacements: the sources' mean S - I."""
@@ -299,11 +288,6 @@ class Transfer:
         summed[~unknown] /= total[~unknown, None, None]
         summed[unknown] = mean[self._triangles[unknown]].transpose(0, 2, 1) @ self._hats[unknown]
         return summed
-
-    def _divergence(self, gradients: FloatArray) -> FloatArray:
-        """(n, 3) right-hand side of the normal equations, ``b_i = sum_t area_t G_t grad_i`` with gradients G."""
-        flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
-        return group_sums(self._triangles.ravel(), flux.reshape(-1, 3), len(self._points))
 
     def _piece_means(self, values: FloatArray) -> FloatArray:
         """(n, 3) the mean of `values` over each point's piece."""

@@ -108,7 +108,23 @@ class ExpressionModel:
         mean = self.mean[rows].copy()
         if start is not None:
             mean[1:] = 0.0
-        return self._most_likely(rows, coordinates - mean)
+        off = coordinates - mean
+        # (r,) vector of coordinates `off` (rows, k + q) from the mean's. The vector v has the prior N(0, 1), and group
+        # g of rows (the neutral, the expressions) noise of inverse variance w_g: ``(1 + sum_g w_g M_g M_g^T) v = sum_g
+        # w_g M_g off_g`` with the maps M. An expression that differs much between people is as much the less exact:
+        # rows are divided by that spread first.
+        spread = np.array([np.sqrt(np.square(self._flat([row])).sum()) for row in rows])
+        shares = np.divide(1.0, spread, out=np.zeros(len(rows)), where=spread > 0)
+        groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
+        maps = [self._flat(rows[group], shares[group]) for group in groups]
+        wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
+        *seen, expected = (self.vectors @ effects for effects in (*maps, self._flat(wanted)))
+        weights = trust([numbers @ numbers.T for numbers in seen], expected @ expected.T)
+        normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
+        for group, effects, weight in zip(groups, maps, weights, strict=True):
+            normal += weight * effects @ effects.T
+            right += weight * effects @ (shares[group, None] * off[group]).ravel()
+        return np.asarray(np.linalg.solve(normal, right))
 
     def neutral(self, vector: FloatArray) -> FloatArray:
         """(n, 3) neutral of a vector (r,)."""
@@ -147,26 +163,6 @@ class ExpressionModel:
         if name not in self.names:
             raise InputError("expression model", unknown(name, self.names, "expression"))
         return self.names.index(name)
-
-    def _most_likely(self, rows: Sequence[int], off: FloatArray) -> FloatArray:
-        """(r,) vector of coordinates `off` (rows, k + q) from the mean's.
-
-        The vector v has the prior N(0, 1), and group g of rows (the neutral, the expressions) noise of inverse variance
-        w_g: ``(1 + sum_g w_g M_g M_g^T) v = sum_g w_g M_g off_g`` with the maps M. An expression that differs much
-        between people is as much the less exact: rows are divided by that spread first.
-        """
-        spread = np.array([np.sqrt(np.square(self._flat([row])).sum()) for row in rows])
-        shares = np.divide(1.0, spread, out=np.zeros(len(rows)), where=spread > 0)
-        groups = [slice(0, 1), *([slice(1, None)] if len(rows) > 1 else [])]
-        maps = [self._flat(rows[group], shares[group]) for group in groups]
-        wanted = [row for row in range(1, len(self.mean)) if row not in rows] or list(range(1, len(self.mean)))
-        *seen, expected = (self.vectors @ effects for effects in (*maps, self._flat(wanted)))
-        weights = trust([numbers @ numbers.T for numbers in seen], expected @ expected.T)
-        normal, right = np.eye(self.vectors.shape[1]), np.zeros(self.vectors.shape[1])
-        for group, effects, weight in zip(groups, maps, weights, strict=True):
-            normal += weight * effects @ effects.T
-            right += weight * effects @ (shares[group, None] * off[group]).ravel()
-        return np.asarray(np.linalg.solve(normal, right))
 
     def _flat(self, rows: Sequence[int], shares: FloatArray | None = None) -> FloatArray:
         """(r, rows (k + q)) what each number of a vector adds to some rows, each times its share."""

@@ -55,7 +55,19 @@ def surface_graph(points: FloatArray, cells: IntArray, more_edges: IntArray | No
         pairs = np.concatenate([pairs, np.asarray(more_edges, np.int64).reshape(-1, 2)])
     pairs = pairs[(pairs >= 0).all(axis=1)]
     lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
-    across, spans = _lines_across(points, cells)
+    # pairs of points (m, 2) on either side of an edge that exactly two cells share, and unfolded distances (m,)
+    # edges (e, 2) of every cell, and the cell's other corners (e, 2): -1 for none
+    quads, triangles = cells[cells[:, 3] >= 0], cells[cells[:, 3] < 0]
+    turns = [np.roll(quads, -i, axis=1) for i in range(4)]
+    turns += [triangles[:, [i, (i + 1) % 3, (i + 2) % 3, 3]] for i in range(3)]
+    whole = np.concatenate(turns)
+    ends, others = whole[:, :2], whole[:, 2:]
+    edges, edge, uses = distinct_edges(ends)
+    order = np.argsort(edge, kind="stable")
+    starts = (np.cumsum(uses) - uses)[uses == 2]
+    one, other = others[order[starts]], others[order[starts + 1]]
+    found = [_lines(points, edges[uses == 2], one[:, i], other[:, k]) for i in range(2) for k in range(2)]
+    across, spans = np.concatenate([pairs for pairs, _ in found]), np.concatenate([spans for _, spans in found])
     return _symmetric(np.concatenate([pairs, across]), np.concatenate([lengths, spans]), points)
 
 
@@ -73,26 +85,6 @@ def _symmetric(pairs: IntArray, lengths: FloatArray, points: FloatArray) -> Any:
     (a, b), lengths = pairs[first].T, lengths[first]
     ends = (np.concatenate([a, b]).astype(np.int32), np.concatenate([b, a]).astype(np.int32))
     return csr_array((np.concatenate([lengths, lengths]), ends), shape=(len(points), len(points)))
-
-
-def _lines_across(points: FloatArray, cells: IntArray) -> tuple[IntArray, FloatArray]:
-    """Pairs of points (m, 2) on either side of an edge that exactly two cells share, and unfolded distances (m,)."""
-    ends, others = _edges_of(cells)
-    edges, edge, uses = distinct_edges(ends)
-    order = np.argsort(edge, kind="stable")
-    starts = (np.cumsum(uses) - uses)[uses == 2]
-    one, other = others[order[starts]], others[order[starts + 1]]
-    found = [_lines(points, edges[uses == 2], one[:, i], other[:, k]) for i in range(2) for k in range(2)]
-    return np.concatenate([pairs for pairs, _ in found]), np.concatenate([spans for _, spans in found])
-
-
-def _edges_of(cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Edges (e, 2) of every cell, and the cell's other corners (e, 2): -1 for none."""
-    quads, triangles = cells[cells[:, 3] >= 0], cells[cells[:, 3] < 0]
-    turns = [np.roll(quads, -i, axis=1) for i in range(4)]
-    turns += [triangles[:, [i, (i + 1) % 3, (i + 2) % 3, 3]] for i in range(3)]
-    whole = np.concatenate(turns)
-    return whole[:, :2], whole[:, 2:]
 
 
 def _lines(points: FloatArray, edges: IntArray, a: IntArray, b: IntArray) -> tuple[IntArray, FloatArray]:

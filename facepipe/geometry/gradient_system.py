@@ -90,7 +90,13 @@ def part_bridges(points: FloatArray, component: IntArray, main: int) -> Bridges:
     # the first of those that are equally near, which rounding (other units, axes or places) would choose among
     tied = distances <= distance[:, None] * (1.0 + _EQUAL_DISTANCE)
     leaders = np.where(tied, inside[nearest], len(points)).min(axis=1)
-    reach = _medians(distance, component[loose])
+    group = component[loose]
+    # (n,) median of each value's group; 1 where that is 0
+    numbers, place, counts = np.unique(group, return_inverse=True, return_counts=True)
+    order = np.lexsort((distance, place))
+    ends = np.cumsum(counts)
+    medians = distance[order][ends - counts + counts // 2] if len(numbers) else np.zeros(0)
+    reach = np.asarray(np.where(medians > 0, medians, 1.0)[place])
     return Bridges(loose, leaders, 1.0 / (1.0 + (distance / reach) ** 2))
 
 
@@ -107,15 +113,6 @@ def joint_bridges(points: FloatArray, joints: FloatArray) -> Bridges:
     followers = np.repeat(np.arange(len(joints)), near.sum(axis=1))
     weights = 1.0 / (1.0 + np.divide(distances, reach, out=np.zeros_like(distances), where=near) ** 2)
     return Bridges(followers, nearest[near], weights[near])
-
-
-def _medians(values: FloatArray, group: IntArray) -> FloatArray:
-    """(n,) median of each value's group; 1 where that is 0."""
-    numbers, place, counts = np.unique(group, return_inverse=True, return_counts=True)
-    order = np.lexsort((values, place))
-    ends = np.cumsum(counts)
-    medians = values[order][ends - counts + counts // 2] if len(numbers) else np.zeros(0)
-    return np.asarray(np.where(medians > 0, medians, 1.0)[place])
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,12 @@ def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iter
     first = np.clip(np.ceil(screen.y[0] - 0.5), top, bottom).astype(np.int64)
     last = np.clip(np.ceil(screen.y[2] - 0.5), top, bottom).astype(np.int64)
     hit = np.flatnonzero(last > first)
-    counts, edges = (last - first)[hit], _edges(screen)
+    # (3, s) x, y and dx over dy of the edges: from the first corner to the last, to the second, and from there. From
+    # the upper corner down, so that both triangles at an edge have the same numbers.
+    (x0, x1, x2), (y0, y1, y2) = screen.x, screen.y
+    down = np.stack([y2 - y0, y1 - y0, y2 - y1])
+    slope = np.stack([x2 - x0, x1 - x0, x2 - x1]) / np.where(down > 0, down, 1)
+    counts, edges = (last - first)[hit], (np.stack([x0, x0, x1]), np.stack([y0, y0, y1]), slope)
     for part in _pieces(counts, ROWS_PER_CHUNK):
         number, step = expand(counts[part])
         owner = hit[part][number]
@@ -239,17 +244,6 @@ def _cut(a: FloatArray, b: FloatArray) -> FloatArray:
     cut = a + t[:, None] * (b - a)
     cut[:, 3] = NEAR
     return np.asarray(cut)
-
-
-def _edges(screen: ScreenTriangles) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(3, s) x, y and dx over dy of the edges: from the first corner to the last, to the second, and from there.
-
-    From the upper corner down, so that both triangles at an edge have the same numbers.
-    """
-    (x0, x1, x2), (y0, y1, y2) = screen.x, screen.y
-    down = np.stack([y2 - y0, y1 - y0, y2 - y1])
-    slope = np.stack([x2 - x0, x1 - x0, x2 - x1]) / np.where(down > 0, down, 1)
-    return np.stack([x0, x0, x1]), np.stack([y0, y0, y1]), slope
 
 
 def _columns(

@@ -57,19 +57,12 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     lengths = np.linalg.norm(np.asarray(points, np.float64)[pairs[:, 0]] - np.asarray(points)[pairs[:, 1]], axis=1)
     lengths = np.maximum(lengths, max(_SHORTEST_EDGE * float(lengths.mean()), np.finfo(np.float64).tiny))
     # a piece without a held point has the constants as the kernel of its Laplacian: no factor
-    free = _joined(_border_distances(smoothed, pairs, lengths) < width / 2, pairs)
-    if free.any():
-        _relax(smoothed, free, pairs, 1.0 / lengths)
-    return smoothed
-
-
-def _border_distances(masks: FloatArray, pairs: IntArray, lengths: FloatArray) -> FloatArray:
-    """(n,) distance along the edges to the nearest border, which crosses an edge where two regions are equal."""
+    # (n,) distance along the edges to the nearest border, which crosses an edge where two regions are equal
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
-    count = masks.shape[1]
-    with_rest = np.concatenate([masks, 1.0 - masks.sum(axis=0, keepdims=True)])
+    count = smoothed.shape[1]
+    with_rest = np.concatenate([smoothed, 1.0 - smoothed.sum(axis=0, keepdims=True)])
     region = with_rest.argmax(axis=0)
     crossing = region[pairs[:, 0]] != region[pairs[:, 1]]
     start, end = pairs[crossing].T
@@ -85,15 +78,15 @@ def _border_distances(masks: FloatArray, pairs: IntArray, lengths: FloatArray) -
     columns = np.concatenate([pairs[:, 1], seeded]).astype(np.int32)
     values = np.concatenate([lengths, np.maximum(seeds[seeded], tiny)])
     graph = coo_array((values, (rows, columns)), shape=(count + 1, count + 1)).tocsr()
-    return np.asarray(dijkstra(graph, directed=False, indices=count))[:count]
-
-
-def _joined(free: BoolArray, pairs: IntArray) -> BoolArray:
-    """The free points (n,) of components that also have points that are not free."""
+    free = np.asarray(dijkstra(graph, directed=False, indices=count))[:count] < width / 2
+    # the free points (n,) of components that also have points that are not free
     component = components(len(free), pairs)
     held = np.zeros(int(component.max()) + 1, dtype=np.bool_)
     held[component[~free]] = True
-    return np.asarray(free & held[component])
+    free = np.asarray(free & held[component])
+    if free.any():
+        _relax(smoothed, free, pairs, 1.0 / lengths)
+    return smoothed
 
 
 def _relax(masks: FloatArray, free: BoolArray, pairs: IntArray, weights: FloatArray) -> None:

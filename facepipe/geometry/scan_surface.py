@@ -76,7 +76,11 @@ def _oriented(points: FloatArray, normals: FloatArray, near: IntArray) -> FloatA
     tree = minimum_spanning_tree(coo_array((turn, (first, second)), shape=(count, count)).tocsr()).tocoo()
     _, piece = connected_components(tree, directed=False)
     turned = normals * _signs(tree.row, tree.col, piece, normals)[:, None]
-    return np.asarray(turned * _outward(points, turned, piece)[piece, None])
+    # (p,) 1 for pieces whose normals point away from their middle, -1 for others
+    counts = np.bincount(piece)
+    middle = np.stack([np.bincount(piece, column) for column in points.T], axis=1) / counts[:, None]
+    heights = np.bincount(piece, np.einsum("ni,ni->n", turned, points - middle[piece]))
+    return np.asarray(turned * np.where(heights < 0, -1.0, 1.0)[piece, None])
 
 
 def _signs(first: IntArray, second: IntArray, piece: IntArray, normals: FloatArray) -> FloatArray:
@@ -98,14 +102,6 @@ def _signs(first: IntArray, second: IntArray, piece: IntArray, normals: FloatArr
     for point, parent, flip in zip(order.tolist(), parents.tolist(), flips.tolist(), strict=True):
         signs[point] = -signs[parent] if flip else signs[parent]
     return np.array(signs[:count])
-
-
-def _outward(points: FloatArray, normals: FloatArray, piece: IntArray) -> FloatArray:
-    """(p,) 1 for pieces whose normals point away from their middle, -1 for others."""
-    counts = np.bincount(piece)
-    middle = np.stack([np.bincount(piece, column) for column in points.T], axis=1) / counts[:, None]
-    heights = np.bincount(piece, np.einsum("ni,ni->n", normals, points - middle[piece]))
-    return np.where(heights < 0, -1.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,13 +149,18 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     first, place = merge_points(points)
     merged = np.asarray(points, dtype=np.float64)[first]
     corners = place[np.asarray(triangles, dtype=np.int64)]
-    sound = _with_area(merged, corners)
+    a, b, c = merged[corners].transpose(1, 0, 2)
+    doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
+    sound = np.asarray(doubled > _THIN_AREA * longest)
     single = _not_repeated(corners[sound])
     corners = corners[sound][single]
     if not len(corners):
         raise InputError("surface", "no triangle with an area, expected a scanned surface")
     sheets = cut_sheets(corners)
-    kept, small = _large(merged, corners, sheets.component, smallest)
+    areas = np.bincount(sheets.component, _areas(merged, corners))
+    large = areas >= smallest * areas.max()
+    kept, small = np.asarray(large[sheets.component]), int((~large).sum())
     sheets = sheets if kept.all() else cut_sheets(corners[kept])  # what only junk kept apart joins again
     turned = sheets.turned ^ _inward(merged, sheets)
     oriented = np.where(turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
@@ -189,13 +190,6 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     )
 
 
-def _with_area(points: FloatArray, triangles: IntArray) -> BoolArray:
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
-    return np.asarray(doubled > _THIN_AREA * longest)
-
-
 def _not_repeated(triangles: IntArray) -> BoolArray:
     """The first of triangles on the same three points."""
     rows = np.sort(triangles, axis=1)
@@ -204,13 +198,6 @@ def _not_repeated(triangles: IntArray) -> BoolArray:
     keep = np.ones(len(rows), bool)
     keep[order[1:]] = (ordered[1:] != ordered[:-1]).any(axis=1)
     return keep
-
-
-def _large(points: FloatArray, triangles: IntArray, piece: IntArray, smallest: float) -> tuple[BoolArray, int]:
-    """Triangles of the pieces (t,) that are large enough, and the number of other pieces."""
-    areas = np.bincount(piece, _areas(points, triangles))
-    large = areas >= smallest * areas.max()
-    return np.asarray(large[piece]), int((~large).sum())
 
 
 def _used(numbers: IntArray) -> int:
@@ -275,7 +262,14 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     Corners are one point only where edges of two triangles connect them: Gueziec, Taubin, Lazarus, Horn, "Cutting and
     Stitching: Converting Sets of Polygons to Manifold Surfaces", TVCG 2001.
     """
-    pairs, crowded = _pairs(triangles)
+    start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    key = np.minimum(start, end) * (int(triangles.max()) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    first = np.flatnonzero(np.concatenate([[True], np.diff(key[order]) != 0]))
+    uses = np.diff(np.concatenate([first, [len(order)]]))
+    at = first[uses == 2]
+    sides = np.stack([order[at], order[at + 1]], axis=1)
+    pairs, crowded = _Pairs(sides // 3, sides, start[sides[:, 0]] == start[sides[:, 1]]), int((uses > 2).sum())
     component = components(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
     whole = _Pairs(pairs.triangles[~broken], pairs.sides[~broken], pairs.alike[~broken])
@@ -305,18 +299,6 @@ def outwardness(points: FloatArray, triangles: IntArray, component: IntArray) ->
     centre = np.stack([np.bincount(component, areas * column) for column in middles.T], axis=1) / total[:, None]
     heights = np.einsum("tc,tc->t", area_normals, middles - centre[component])
     return np.asarray(np.bincount(component, heights) / total**1.5)
-
-
-def _pairs(triangles: IntArray) -> tuple[_Pairs, int]:
-    """Edges of two triangles, and the number of those of more."""
-    start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    key = np.minimum(start, end) * (int(triangles.max()) + 1) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.concatenate([[True], np.diff(key[order]) != 0]))
-    uses = np.diff(np.concatenate([first, [len(order)]]))
-    at = first[uses == 2]
-    sides = np.stack([order[at], order[at + 1]], axis=1)
-    return _Pairs(sides // 3, sides, start[sides[:, 0]] == start[sides[:, 1]]), int((uses > 2).sum())
 
 
 def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolArray, BoolArray]:

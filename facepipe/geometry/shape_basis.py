@@ -100,7 +100,13 @@ def hold(basis: FloatArray, rows: FloatArray, tolerance: float) -> Held:
     count, points = rows.shape[:2]
     flat = basis.reshape(len(basis), 3 * points)
     coefficients, rest = _remainder(flat, np.asarray(rows, np.float64).reshape(count, 3 * points))
-    directions = _strongest(rest)
+    # (d, 3 n) orthonormal directions of `rest`, the strongest first; the largest number of each is positive
+    values, vectors = np.linalg.eigh(rest @ rest.T)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    kept = values > _NO_DIRECTION * max(float(values.max(initial=0.0)), np.finfo(np.float64).tiny)
+    directions = (vectors[:, kept] / np.sqrt(values[kept])).T @ rest
+    signs = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
+    directions = np.asarray(directions * signs[:, None])
     lengths = rest @ directions.T
     left = np.square(rest).sum(axis=1)[:, None] - np.cumsum(np.square(lengths), axis=1)  # after each direction
     left = np.concatenate([np.square(rest).sum(axis=1)[:, None], left], axis=1)
@@ -140,13 +146,3 @@ def _remainder(flat: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArr
         more = rest.astype(np.float32) @ flat.T
         coefficients, rest = coefficients + more, rest - more @ flat
     return coefficients, rest
-
-
-def _strongest(rest: FloatArray) -> FloatArray:
-    """(d, 3 n) orthonormal directions of `rest`, the strongest first; the largest number of each is positive."""
-    values, vectors = np.linalg.eigh(rest @ rest.T)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    kept = values > _NO_DIRECTION * max(float(values.max(initial=0.0)), np.finfo(np.float64).tiny)
-    directions = (vectors[:, kept] / np.sqrt(values[kept])).T @ rest
-    signs = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
-    return np.asarray(directions * signs[:, None])

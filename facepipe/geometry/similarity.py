@@ -121,17 +121,10 @@ def _rotations(covariance: FloatArray, spread: BoolArray) -> tuple[FloatArray, F
     signs[:, 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
     rotation = (U * signs[:, None, :]) @ Vt
     line = D[:, 1] <= _LINE_THICKNESS * D[:, 0]
-    rotation[line] = _shortest_arcs(Vt[line, 0], U[line, :, 0])
-    unknown = ~spread | (D[:, 0] <= np.finfo(np.float64).tiny)
-    rotation[unknown] = np.eye(3)
-    return rotation, np.where(unknown, 0.0, (D * signs).sum(axis=1))
-
-
-def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
-    """(g, 3, 3) rotations from unit vectors `start` (g, 3) to `end` (g, 3).
-
-    A half-turn about `start`, then one about the vector halfway to `end`; across `start` where they are opposite.
-    """
+    start = Vt[line, 0]
+    end = U[line, :, 0]
+    # (g, 3, 3) rotations from unit vectors `start` (g, 3) to `end` (g, 3). A half-turn about `start`, then one about
+    # the vector halfway to `end`; across `start` where they are opposite.
     halfway = start + end
     length = np.linalg.norm(halfway, axis=1)
     opposite = length < 1e-8
@@ -139,7 +132,10 @@ def _shortest_arcs(start: FloatArray, end: FloatArray) -> FloatArray:
     across -= (across * start).sum(axis=1, keepdims=True) * start
     halfway = np.where(opposite[:, None], across, halfway)
     halfway = halfway / np.linalg.norm(halfway, axis=1, keepdims=True)
-    return np.asarray(_half_turns(halfway) @ _half_turns(start))
+    rotation[line] = np.asarray(_half_turns(halfway) @ _half_turns(start))
+    unknown = ~spread | (D[:, 0] <= np.finfo(np.float64).tiny)
+    rotation[unknown] = np.eye(3)
+    return rotation, np.where(unknown, 0.0, (D * signs).sum(axis=1))
 
 
 def _half_turns(axis: FloatArray) -> FloatArray:

@@ -65,7 +65,8 @@ def decompose(
     :param step: called after every round
     """
     solver = _Solver(rest, shapes, edges, candidates, weights, evenness)
-    current = _cut(weights, most)
+    kept = np.where(_largest(weights, most), weights, 0.0)
+    current = np.asarray(kept / kept.sum(axis=1, keepdims=True))
     solver.settle(current)
     before = after = solver.residuals(current)
     best = current
@@ -134,25 +135,20 @@ class _Solver:
                 continue
             share = shares[:, None] * self._displacement(joint, rows)
             goal = left[:, rows] + share
-            self._fit_joint(joint, rows, shares, goal)
+            # the rigid transform whose displacement times `shares` (r,) is nearest to `goal` (s, r, 3). Minimises
+            # ``sum_i |w_i (R x_i + t - x_i) - g_i|^2``. With the mean ``m = sum w^2 x / sum w^2`` and where it goes,
+            # ``m' = m + sum w g / sum w^2``: R is the rotation nearest to ``sum (w^2 (x - m) + w g) (x - m)^T``, ``t =
+            # m' - R m``.
+            at, total = self._rest[rows], float((shares**2).sum())
+            middle = (shares**2) @ at / total
+            moved = middle + shares @ goal / total
+            local = (at - middle) * shares[:, None]
+            spread = local.T @ local
+            turned = spread + (local.T @ goal).transpose(0, 2, 1)
+            keep = _ROTATION_KEPT * float(np.trace(spread)) + np.finfo(np.float64).tiny
+            self._R[joint] = nearest_rotations(turned + keep * self._R[joint])
+            self._t[joint] = moved - self._R[joint] @ middle
             left[:, rows] = goal - shares[:, None] * self._displacement(joint, rows)
-
-    def _fit_joint(self, joint: int, rows: IntArray, shares: FloatArray, goal: FloatArray) -> None:
-        """The rigid transform whose displacement times `shares` (r,) is nearest to `goal` (s, r, 3).
-
-        Minimises ``sum_i |w_i (R x_i + t - x_i) - g_i|^2``. With the mean ``m = sum w^2 x / sum w^2`` and where it
-        goes, ``m' = m + sum w g / sum w^2``: R is the rotation nearest to ``sum (w^2 (x - m) + w g) (x - m)^T``,
-        ``t = m' - R m``.
-        """
-        at, total = self._rest[rows], float((shares**2).sum())
-        middle = (shares**2) @ at / total
-        moved = middle + shares @ goal / total
-        local = (at - middle) * shares[:, None]
-        spread = local.T @ local
-        turned = spread + (local.T @ goal).transpose(0, 2, 1)
-        keep = _ROTATION_KEPT * float(np.trace(spread)) + np.finfo(np.float64).tiny
-        self._R[joint] = nearest_rotations(turned + keep * self._R[joint])
-        self._t[joint] = moved - self._R[joint] @ middle
 
     def fitted_weights(self, start: FloatArray, most: int) -> FloatArray:
         """(n, k) the weights of least error for these transforms (section 4.1), for the neighbours of `start`.
@@ -241,8 +237,3 @@ def _largest(weights: FloatArray, most: int) -> BoolArray:
     """(n, k) the `most` largest of each row, of those above 0."""
     rank = np.argsort(np.argsort(-weights, axis=1, kind="stable"), axis=1, kind="stable")
     return np.asarray((rank < most) & (weights > 0))
-
-
-def _cut(weights: FloatArray, most: int) -> FloatArray:
-    kept = np.where(_largest(weights, most), weights, 0.0)
-    return np.asarray(kept / kept.sum(axis=1, keepdims=True))

@@ -26,7 +26,12 @@ def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
     samples = np.einsum("sc,tci->tsi", _TRIANGLE_SAMPLES, points[triangles]).reshape(-1, 3)
     size = float(np.ptp(samples, axis=0).max()) or 1.0
     seen = np.zeros(len(points), bool)
-    for towards in _sphere(_DIRECTIONS):
+    # (count, 3) directions spread evenly (a Fibonacci spiral)
+    step = np.arange(_DIRECTIONS) + 0.5
+    height = 1.0 - 2.0 * step / _DIRECTIONS
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * step
+    width = np.sqrt(1.0 - height**2)
+    for towards in np.stack([width * np.cos(turn), height, width * np.sin(turn)], axis=1):
         facing = np.flatnonzero((normals @ towards > _FACING_COSINE) & ~seen)
         if len(facing):
             seen[facing] = _in_front(points[facing], samples, towards, size)
@@ -52,12 +57,3 @@ def _in_front(points: FloatArray, samples: FloatArray, towards: FloatArray, size
     nearest = np.full(int(shape.prod()), -np.inf)
     np.maximum.at(nearest, cells(flat), samples @ towards)
     return np.asarray(points @ towards >= nearest[cells(points @ axes)] - _DEPTH_SLACK * size)
-
-
-def _sphere(count: int) -> FloatArray:
-    """(count, 3) directions spread evenly (a Fibonacci spiral)."""
-    step = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * step / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * step
-    width = np.sqrt(1.0 - height**2)
-    return np.stack([width * np.cos(turn), height, width * np.sin(turn)], axis=1)

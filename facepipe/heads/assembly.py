@@ -142,11 +142,6 @@ _CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
 )
 
 
-def identity_shapes() -> Mapping[str, Mapping[float, FloatArray]]:
-    """Name -> weight 1 -> (n, 3) offsets in cm."""
-    return {shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes}
-
-
 def identity_sliders() -> tuple[Slider, ...]:
     """The sliders of measures, from -1 to 1; those of one side name their mirror."""
     by_name = {direction.name: direction for direction in directions()}
@@ -294,7 +289,10 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(fit_mouth(points), head.shapes)
     if controls == "measures":
-        shapes = {**shapes, **identity_shapes()}
+        shapes = {
+            **shapes,
+            **{shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes},
+        }
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,

@@ -102,7 +102,23 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
 def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -> Mapping[float, FloatArray]:
     """The blink of a person, with inbetweens on which the lids slide over the eyeball."""
     eye, start = ball.eye, points[ball.eye.lids]
-    end = ball.lifted(_met(eye, ball.lifted(start + blink[1.0][eye.lids])))
+    lids = ball.lifted(start + blink[1.0][eye.lids])
+    # blinking lids (k, 3) with the upper margin brought onto the lower one, and the lid drawn after it
+    inner, outer = lids[eye.corners]
+    axis = (outer - inner) / ((outer - inner) @ (outer - inner))
+    down = np.cross(axis, [0.0, 0.0, 1.0])
+    down *= -np.sign(down[1]) / np.linalg.norm(down)
+    along, met = (lids - inner) @ axis, lids.copy()
+    for ring in range(len(_FOLLOW)):
+        upper, lower = (_by(along, (eye.rings == min(ring, _MARGIN)) & one) for one in (eye.upper, ~eye.upper))
+        goal = _at(along[upper], along[lower], lids[lower])
+        ends = along[upper] - along[lower[0]], along[lower[-1]] - along[upper]
+        taper = np.clip(np.minimum(*ends) / _TAPER, 0.0, 1.0)[:, None]
+        way = (goal - lids[upper]) * taper
+        way += _OVER * taper * down - (way @ axis)[:, None] * (outer - inner)
+        own = upper if ring <= _MARGIN else np.flatnonzero((eye.rings == ring) & eye.upper)
+        met[own] += _FOLLOW[ring] * _at(along[own], along[upper], way)
+    end = ball.lifted(met)
     fitted = {}
     for share in (*_WAYS, 1.0):
         offsets = blink[share].astype(np.float64)
@@ -137,25 +153,6 @@ def _touching(ball: _Ball, lids: FloatArray) -> _Ball:
         step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
         ball = replace(ball, centre=ball.centre + step)
     return ball
-
-
-def _met(eye: _Eye, lids: FloatArray) -> FloatArray:
-    """Blinking lids (k, 3) with the upper margin brought onto the lower one, and the lid drawn after it."""
-    inner, outer = lids[eye.corners]
-    axis = (outer - inner) / ((outer - inner) @ (outer - inner))
-    down = np.cross(axis, [0.0, 0.0, 1.0])
-    down *= -np.sign(down[1]) / np.linalg.norm(down)
-    along, met = (lids - inner) @ axis, lids.copy()
-    for ring in range(len(_FOLLOW)):
-        upper, lower = (_by(along, (eye.rings == min(ring, _MARGIN)) & one) for one in (eye.upper, ~eye.upper))
-        goal = _at(along[upper], along[lower], lids[lower])
-        ends = along[upper] - along[lower[0]], along[lower[-1]] - along[upper]
-        taper = np.clip(np.minimum(*ends) / _TAPER, 0.0, 1.0)[:, None]
-        way = (goal - lids[upper]) * taper
-        way += _OVER * taper * down - (way @ axis)[:, None] * (outer - inner)
-        own = upper if ring <= _MARGIN else np.flatnonzero((eye.rings == ring) & eye.upper)
-        met[own] += _FOLLOW[ring] * _at(along[own], along[upper], way)
-    return met
 
 
 def _by(along: FloatArray, chosen: npt.NDArray[np.bool_]) -> IntArray:

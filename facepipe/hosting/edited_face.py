@@ -53,11 +53,21 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
     step = _STEPS * float(np.abs(kept.points).max(initial=1e-6))
     moved = bool(np.abs(made.points - kept.points).max(initial=0.0) > step)
     shapes = {shape.name: shape for shape in kept.blendshapes}
+    old = {uv_set.name: uv_set for uv_set in kept.uv_sets}
+
+    def corners(uv: UvSet, mesh: Mesh) -> FloatArray:
+        return np.asarray(uv.values[mesh.face_vertex_indices if uv.indices is None else uv.indices])
+
     result = replace(
         kept,
         points=made.points if moved else kept.points,
         normals=made.normals if moved and kept.normals is not None else kept.normals,
-        uv_sets=_uv_sets(kept, made),
+        uv_sets=tuple(
+            old[uv_set.name]
+            if uv_set.name in old and _near(corners(old[uv_set.name], kept), corners(uv_set, made))
+            else uv_set
+            for uv_set in made.uv_sets
+        ),
         colors=kept.colors if _near(kept.colors, made.colors) else made.colors,
         blendshapes=tuple(
             _edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
@@ -178,20 +188,6 @@ def _material(kept: Mesh, made: Mesh) -> str | None:
     return kept.material if made.material is None and there else made.material
 
 
-def _uv_sets(kept: Mesh, made: Mesh) -> tuple[UvSet, ...]:
-    old = {uv_set.name: uv_set for uv_set in kept.uv_sets}
-
-    def corners(uv: UvSet, mesh: Mesh) -> FloatArray:
-        return np.asarray(uv.values[mesh.face_vertex_indices if uv.indices is None else uv.indices])
-
-    return tuple(
-        old[uv_set.name]
-        if uv_set.name in old and _near(corners(old[uv_set.name], kept), corners(uv_set, made))
-        else uv_set
-        for uv_set in made.uv_sets
-    )
-
-
 def _subsets(kept: Mapping[str, IntArray], made: Mapping[str, IntArray]) -> dict[str, npt.NDArray[np.integer]]:
     def same(name: str) -> bool:
         return name in kept and np.array_equal(np.unique(kept[name]), np.unique(made[name]))
@@ -240,7 +236,14 @@ def edited_face(
     gone = [name for name in old if name not in {mesh.name for mesh in made.meshes}]
     warnings += [f"{name}: is gone" for name in gone]
     joints, shapes = {*skeleton.joints}, {shape.name for mesh in meshes for shape in mesh.blendshapes}
-    sliders = _sliders(before.sliders, joints, shapes, warnings)
+    result = []
+    for slider in before.sliders:
+        rest = kept(slider, joints.__contains__, shapes.__contains__)
+        if (slider.channels or slider.shapes) and not rest.channels and not rest.shapes:
+            warnings.append(f"slider {slider.name}: left out, all that it moves is gone")
+        else:
+            result.append(rest)
+    sliders = with_mutual_mirrors(result)
     parts = replace(
         before,
         meshes=meshes,
@@ -358,17 +361,6 @@ def _in_order(parts: FaceParts, joints: tuple[str, ...]) -> FaceParts:
         return replace(mesh, skin=replace(mesh.skin, joint_indices=indices.astype(np.int32)))
 
     return replace(parts, meshes=tuple(renumbered(mesh) for mesh in parts.meshes))
-
-
-def _sliders(before: tuple[Slider, ...], joints: set[str], shapes: set[str], warnings: list[str]) -> tuple[Slider, ...]:
-    result = []
-    for slider in before:
-        rest = kept(slider, joints.__contains__, shapes.__contains__)
-        if (slider.channels or slider.shapes) and not rest.channels and not rest.shapes:
-            warnings.append(f"slider {slider.name}: left out, all that it moves is gone")
-        else:
-            result.append(rest)
-    return with_mutual_mirrors(result)
 
 
 def _network(

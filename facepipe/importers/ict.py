@@ -10,10 +10,9 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
@@ -169,7 +168,13 @@ def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str
 def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
     sizes = {"V": POINT_COUNT, "F": FACE_COUNT}
     arrays = read_arrays(path, _BASE, sizes)
-    _check(path, arrays)
+    counts = arrays["face_vertex_counts"]
+    corners = len(arrays["face_vertex_indices"])
+    if counts.min() < 3 or counts.max() > corners or int(counts.sum(dtype=np.int64)) != corners:
+        raise InputError(f"{path} -> face_vertex_counts", f"counts don't add up to the {corners} corners there are")
+    check_indices(f"{path} -> face_vertex_indices", arrays["face_vertex_indices"], len(arrays["neutral"]))
+    check_indices(f"{path} -> face_uv_indices", arrays["face_uv_indices"], len(arrays["uv"]))
+    check_indices(f"{path} -> face_material", arrays["face_material"], len(arrays["material_names"]))
     offsets: dict[str, FloatArray] = {}
     for kind in ("expression", "extra"):
         if kind == "expression" or set(EXTRAS) & set(shapes):
@@ -201,16 +206,6 @@ def _named_offsets(path: Path, kind: str, sizes: dict[str, int]) -> dict[str, Fl
     if len(set(names)) != len(names):
         raise InputError(f"{path} -> {kind}_names", "a name occurs twice, expected each once")
     return dict(zip(names, arrays[f"{kind}_deltas"], strict=True))
-
-
-def _check(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-    counts = arrays["face_vertex_counts"]
-    corners = len(arrays["face_vertex_indices"])
-    if counts.min() < 3 or counts.max() > corners or int(counts.sum(dtype=np.int64)) != corners:
-        raise InputError(f"{path} -> face_vertex_counts", f"counts don't add up to the {corners} corners there are")
-    check_indices(f"{path} -> face_vertex_indices", arrays["face_vertex_indices"], len(arrays["neutral"]))
-    check_indices(f"{path} -> face_uv_indices", arrays["face_uv_indices"], len(arrays["uv"]))
-    check_indices(f"{path} -> face_material", arrays["face_material"], len(arrays["material_names"]))
 
 
 def _read_folder(folder: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
@@ -269,7 +264,29 @@ def read(source: Path, options: Options) -> Imported:
     :raises TopologyError: not the ICT-FaceKit topology
     """
     check_ranges(options)
-    weights = identity_weights(options)
+    if options.identity is not None and options.identity_seed is not None:
+        raise InputError("option identity_seed", "given together with identity, expected one of them")
+    if options.identity is not None:
+        path = options.identity
+        content = read_json(path, _MOST_BYTES)
+        if isinstance(content, list):
+            content = {_mode(i): value for i, value in enumerate(content)}
+        if not isinstance(content, Mapping):
+            raise InputError(path, "expected a JSON object or list of identity weights")
+        known = {_mode(i) for i in range(IDENTITY_MODES)}
+        for name, value in content.items():
+            if name not in known:
+                raise InputError(f"{path} -> {name[:40]}", f"unknown mode, expected {_mode(0)}..{max(known)}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST_WEIGHT:
+                what = f"weight is {str(value)[:40]}, expected a number of at most {_LARGEST_WEIGHT:g} either way"
+                raise InputError(f"{path} -> {name}", what)
+        weights = {name: float(value) for name, value in content.items()}
+    elif options.identity_seed is not None:
+        draws = np.random.Generator(np.random.PCG64(options.identity_seed)).standard_normal(IDENTITY_MODES)
+        weights = {_mode(i): float(draw) for i, draw in enumerate(draws)}
+    else:
+        weights = {}
+    weights = {name: weight for name, weight in weights.items() if weight != 0}
     model = read_model(source, weights, EXPRESSIONS + (EXTRAS if options.extras else ()))
     materials = face_materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
@@ -283,24 +300,11 @@ def read(source: Path, options: Options) -> Imported:
         attribution=ATTRIBUTION,
         recipe=import_recipe("ict", sources, options),
     )
-    return Imported(parts=parts, warnings=model.warnings + _unknown_materials(model))
-
-
-def identity_weights(options: Options) -> dict[str, float]:
-    """Mode name -> weight in standard deviations, zeros left out.
-
-    :raises InputError: both a file and a seed, or a file that can't be used
-    """
-    if options.identity is not None and options.identity_seed is not None:
-        raise InputError("option identity_seed", "given together with identity, expected one of them")
-    if options.identity is not None:
-        weights = _weights_of_file(options.identity)
-    elif options.identity_seed is not None:
-        draws = np.random.Generator(np.random.PCG64(options.identity_seed)).standard_normal(IDENTITY_MODES)
-        weights = {_mode(i): float(draw) for i, draw in enumerate(draws)}
-    else:
-        weights = {}
-    return {name: weight for name, weight in weights.items() if weight != 0}
+    unknown = [ascii(name)[:40] for name in model.neutral.materials if name not in MATERIALS]
+    return Imported(
+        parts=parts,
+        warnings=model.warnings + ((f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()),
+    )
 
 
 def shape_name(name: str, arkit_names: bool) -> str:
@@ -312,27 +316,6 @@ def shape_name(name: str, arkit_names: bool) -> str:
 
 def _mode(number: int) -> str:
     return f"identity{number:03d}"
-
-
-def _weights_of_file(path: Path) -> dict[str, float]:
-    content = read_json(path, _MOST_BYTES)
-    if isinstance(content, list):
-        content = {_mode(i): value for i, value in enumerate(content)}
-    if not isinstance(content, Mapping):
-        raise InputError(path, "expected a JSON object or list of identity weights")
-    known = {_mode(i) for i in range(IDENTITY_MODES)}
-    for name, value in content.items():
-        if name not in known:
-            raise InputError(f"{path} -> {name[:40]}", f"unknown mode, expected {_mode(0)}..{max(known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST_WEIGHT:
-            what = f"weight is {str(value)[:40]}, expected a number of at most {_LARGEST_WEIGHT:g} either way"
-            raise InputError(f"{path} -> {name}", what)
-    return {name: float(value) for name, value in content.items()}
-
-
-def _unknown_materials(model: IctModel) -> tuple[str, ...]:
-    unknown = [ascii(name)[:40] for name in model.neutral.materials if name not in MATERIALS]
-    return (f"unknown materials, left out: {', '.join(unknown)}",) if unknown else ()
 
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
@@ -376,22 +359,22 @@ def face_materials(model: IctModel) -> IntArray:
         if part.title.startswith("Eyeball"):
             faces = np.arange(*part.faces)
             side = part.title.rpartition(" ")[2].capitalize()
-            radius = _off_axis(model, faces, model.neutral.points[slice(*part.points)])
+            points = model.neutral.points[slice(*part.points)]
+            # distance of every face's middle from the axis of the eye; infinite behind the eyeball's middle
+            axis = points[points[:, 2] > points[:, 2].max() - _CAP, :2].mean(axis=0)
+            corners = model.neutral.face_vertex_indices[face_corners(model.neutral.face_vertex_counts, faces)]
+            starts = np.cumsum(model.neutral.face_vertex_counts[faces]) - model.neutral.face_vertex_counts[faces]
+            middles = (
+                np.add.reduceat(model.neutral.points[corners], starts)
+                / model.neutral.face_vertex_counts[faces][:, None]
+            )
+            behind = middles[:, 2] < (points[:, 2].min() + points[:, 2].max()) / 2
+            radius = np.where(behind, np.inf, np.linalg.norm(middles[:, :2] - axis, axis=1))
             shell = materials[faces] == names.index(f"M_Sclera{side}")
             inner = materials[faces] == names.index(f"M_Iris{side}")
             materials[faces[shell & (radius < _IRIS_RADIUS)]] = names.index("Cornea")
             materials[faces[inner & (radius < _PUPIL_RADIUS)]] = names.index("Pupil")
     return materials
-
-
-def _off_axis(model: IctModel, faces: IntArray, points: FloatArray) -> FloatArray:
-    """Distance of every face's middle from the axis of the eye; infinite behind the eyeball's middle."""
-    axis = points[points[:, 2] > points[:, 2].max() - _CAP, :2].mean(axis=0)
-    corners = model.neutral.face_vertex_indices[face_corners(model.neutral.face_vertex_counts, faces)]
-    starts = np.cumsum(model.neutral.face_vertex_counts[faces]) - model.neutral.face_vertex_counts[faces]
-    middles = np.add.reduceat(model.neutral.points[corners], starts) / model.neutral.face_vertex_counts[faces][:, None]
-    behind = middles[:, 2] < (points[:, 2].min() + points[:, 2].max()) / 2
-    return np.where(behind, np.inf, np.linalg.norm(middles[:, :2] - axis, axis=1))
 
 
 _BLEND = 0.35  # cm

@@ -78,7 +78,20 @@ def read(source: Path, options: Options) -> Imported:
     if not (np.abs(points) <= LARGEST).all():
         raise InputError(source, "points overflow, expected smaller vertices, or smaller weights of targets")
     skeleton = read_skeleton(data, points)
-    shapes = _shape_offsets(data, options.shapes)
+    # shape name -> (V, 3) deltas of the targets that fit one of `patterns`
+    names = data.names("target_names")
+    chosen: dict[int, None] = {}
+    for pattern in filter(None, (part.strip() for part in options.shapes.split(","))):
+        fitting = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
+        if not fitting:
+            raise InputError(f"option shapes -> {pattern[:60]}", "fits no target")
+        chosen |= dict.fromkeys(fitting)
+    short = Counter(names[i].rpartition("/")[2] for i in chosen)
+    last = {i: names[i].rpartition("/")[2] for i in sorted(chosen)}
+    shapes = {
+        identifier(part if short[part] == 1 else names[i]): data.target(i).astype(np.float32)
+        for i, part in last.items()
+    }
     kinds = [kind for kind in data.names("vertex_kind_names") if kind in MESHES]
     meshes = tuple(_mesh(data, kind, points, shapes) for kind in kinds)
     parts = FaceParts(
@@ -111,23 +124,6 @@ def _target_weights(data: MakeHumanData, weights: Mapping[str, float]) -> dict[i
             raise InputError(f"option targets -> {name}", f"weight is {weight}, expected a finite number")
         numbers[matches[0]] = float(weight)
     return dict(sorted(numbers.items()))
-
-
-def _shape_offsets(data: MakeHumanData, patterns: str) -> dict[str, FloatArray]:
-    """Shape name -> (V, 3) deltas of the targets that fit one of `patterns`."""
-    names = data.names("target_names")
-    chosen: dict[int, None] = {}
-    for pattern in filter(None, (part.strip() for part in patterns.split(","))):
-        fitting = [i for i, name in enumerate(names) if fnmatch.fnmatchcase(name, pattern)]
-        if not fitting:
-            raise InputError(f"option shapes -> {pattern[:60]}", "fits no target")
-        chosen |= dict.fromkeys(fitting)
-    short = Counter(names[i].rpartition("/")[2] for i in chosen)
-    last = {i: names[i].rpartition("/")[2] for i in sorted(chosen)}
-    return {
-        identifier(part if short[part] == 1 else names[i]): data.target(i).astype(np.float32)
-        for i, part in last.items()
-    }
 
 
 def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[str, FloatArray]) -> Mesh:
@@ -211,7 +207,18 @@ def _skin_regions(data: MakeHumanData) -> dict[str, FloatArray]:
     strength = data["region_strength"][[names.index(name) for name in _REGIONS]][:, skin].astype(np.float64)
     neck = _neck_share(data)[skin]
     strength[_REGIONS.index("neck")] = 0.0
-    _add_last_resort(data["vertices"][skin], strength)
+    points = data["vertices"][skin]
+    # raise eyes (where the nearest point that targets shape is one of eyes) or forehead to `_WEAK`, in place
+    from scipy.spatial import cKDTree
+
+    strong = np.flatnonzero(strength.max(axis=0) >= _WEAK)
+    resort = np.full(len(points), _REGIONS.index("forehead"))
+    if len(strong):
+        nearest = strong[cKDTree(points[strong]).query(points)[1]]
+        inside = strength.argmax(axis=0)[nearest] == _REGIONS.index("eyes")
+        resort[inside & (strength.max(axis=0) < _WEAK)] = _REGIONS.index("eyes")
+    everyone = np.arange(len(points))
+    strength[resort, everyone] = np.maximum(strength[resort, everyone], _WEAK)
     masks = strength**2
     masks *= (1.0 - neck) / masks.sum(axis=0)
     masks[_REGIONS.index("neck")] = neck
@@ -227,17 +234,3 @@ def _neck_share(data: MakeHumanData) -> FloatArray:
         in_head[bone] = names[bone] == "head" or (parent >= 0 and in_head[parent])
     share = data["skin_weights"][:, ~in_head].astype(np.float64).sum(axis=1)
     return np.asarray(np.clip(share, 0.0, 1.0))
-
-
-def _add_last_resort(points: FloatArray, strength: FloatArray) -> None:
-    """Raise eyes (where the nearest point that targets shape is one of eyes) or forehead to `_WEAK`, in place."""
-    from scipy.spatial import cKDTree
-
-    strong = np.flatnonzero(strength.max(axis=0) >= _WEAK)
-    resort = np.full(len(points), _REGIONS.index("forehead"))
-    if len(strong):
-        nearest = strong[cKDTree(points[strong]).query(points)[1]]
-        inside = strength.argmax(axis=0)[nearest] == _REGIONS.index("eyes")
-        resort[inside & (strength.max(axis=0) < _WEAK)] = _REGIONS.index("eyes")
-    everyone = np.arange(len(points))
-    strength[resort, everyone] = np.maximum(strength[resort, everyone], _WEAK)

@@ -134,8 +134,23 @@ def read_data(path: Path) -> MakeHumanData:
     """
     data = MakeHumanData(path, read_arrays(path, _FIELDS, {}))
     _check_mesh(data)
-    _check_bones(data)
-    _check_targets(data)
+    parents = data["bone_parent"]
+    if len(parents) == 0 or parents[0] != -1 or (parents >= np.arange(len(parents))).any() or parents.min() < -1:
+        raise InputError(f"{data.path} -> bone_parent", "expected a root first and every parent before its children")
+    _check_unique(data, "bone_names")
+    for end in ("head", "tail"):
+        name = f"bone_{end}_vertices"
+        check_indices(f"{data.path} -> {name}", data[name], len(data["vertices"]))
+        _check_offsets(data, f"{name}_offset", len(data[name]), at_least=1)
+    weights = data["skin_weights"]
+    on_surface = np.unique(data["faces"])
+    if (weights < 0).any() or (np.abs(weights[on_surface].sum(axis=1) - 1) > 1e-3).any():
+        raise InputError(f"{data.path} -> skin_weights", "expected weights of 0 or more that sum to 1 per point")
+    _check_unique(data, "target_names")
+    check_indices(f"{data.path} -> target_vertex", data["target_vertex"], len(data["vertices"]))
+    _check_offsets(data, "target_offset", len(data["target_vertex"]), at_least=0)
+    _check_unique(data, "poseunit_names")
+    _check_unique(data, "region_names")
     return data
 
 
@@ -158,29 +173,6 @@ def _check_mesh(data: MakeHumanData) -> None:
         raise InputError(f"{data.path} -> region_strength", "negative strength, expected 0 or more")
 
 
-def _check_bones(data: MakeHumanData) -> None:
-    parents = data["bone_parent"]
-    if len(parents) == 0 or parents[0] != -1 or (parents >= np.arange(len(parents))).any() or parents.min() < -1:
-        raise InputError(f"{data.path} -> bone_parent", "expected a root first and every parent before its children")
-    _check_unique(data, "bone_names")
-    for end in ("head", "tail"):
-        name = f"bone_{end}_vertices"
-        check_indices(f"{data.path} -> {name}", data[name], len(data["vertices"]))
-        _check_offsets(data, f"{name}_offset", len(data[name]), at_least=1)
-    weights = data["skin_weights"]
-    on_surface = np.unique(data["faces"])
-    if (weights < 0).any() or (np.abs(weights[on_surface].sum(axis=1) - 1) > 1e-3).any():
-        raise InputError(f"{data.path} -> skin_weights", "expected weights of 0 or more that sum to 1 per point")
-
-
-def _check_targets(data: MakeHumanData) -> None:
-    _check_unique(data, "target_names")
-    check_indices(f"{data.path} -> target_vertex", data["target_vertex"], len(data["vertices"]))
-    _check_offsets(data, "target_offset", len(data["target_vertex"]), at_least=0)
-    _check_unique(data, "poseunit_names")
-    _check_unique(data, "region_names")
-
-
 def _check_offsets(data: MakeHumanData, name: str, end: int, at_least: int) -> None:
     offsets = data[name].astype(np.int64)
     if offsets[0] != 0 or offsets[-1] != end or (np.diff(offsets) < at_least).any():
@@ -198,7 +190,17 @@ def read_skeleton(data: MakeHumanData, points: FloatArray) -> Skeleton:
 
     :raises InputError: the points leave a bone without length or rotation plane
     """
-    world = _rest_matrices(data, points)
+    # (B, 4, 4) world matrices: Y along the bone, Z the normal of its rotation plane made orthogonal to Y, at its head.
+    # The points of a rotation plane are joints, and move with them. Where one is no joint of the head (those of
+    # clavicles and arms), it stays where it is on the base mesh.
+    heads, tails = (_joint_positions(data, end, points) for end in ("head", "tail"))
+    plane = _plane_points(data, np.concatenate([heads, tails]))
+    y = _unit(data, tails - heads, "length")
+    normal = np.cross(plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 1])
+    z = _unit(data, normal - y * (y * normal).sum(axis=1, keepdims=True), "rotation plane")
+    world = np.tile(np.eye(4), (len(y), 1, 1))
+    world[:, :3, :3] = np.stack([np.cross(y, z), y, z], axis=2)
+    world[:, :3, 3] = heads
     parents = data["bone_parent"]
     local = world.copy()
     local[1:] = np.linalg.solve(world[np.maximum(parents[1:], 0)], world[1:])
@@ -221,23 +223,6 @@ def _joint_positions(data: MakeHumanData, end: str, points: FloatArray) -> Float
     offsets = data[f"bone_{end}_vertices_offset"].astype(np.int64)
     sums = np.add.reduceat(points[data[f"bone_{end}_vertices"]], offsets[:-1], axis=0)
     return np.asarray(sums / np.diff(offsets)[:, None])
-
-
-def _rest_matrices(data: MakeHumanData, points: FloatArray) -> FloatArray:
-    """(B, 4, 4) world matrices: Y along the bone, Z the normal of its rotation plane made orthogonal to Y, at its head.
-
-    The points of a rotation plane are joints, and move with them. Where one is no joint of the head (those of clavicles
-    and arms), it stays where it is on the base mesh.
-    """
-    heads, tails = (_joint_positions(data, end, points) for end in ("head", "tail"))
-    plane = _plane_points(data, np.concatenate([heads, tails]))
-    y = _unit(data, tails - heads, "length")
-    normal = np.cross(plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 1])
-    z = _unit(data, normal - y * (y * normal).sum(axis=1, keepdims=True), "rotation plane")
-    matrices = np.tile(np.eye(4), (len(y), 1, 1))
-    matrices[:, :3, :3] = np.stack([np.cross(y, z), y, z], axis=2)
-    matrices[:, :3, 3] = heads
-    return matrices
 
 
 def pose_units(data: MakeHumanData, skeleton: Skeleton) -> tuple[Animation, ...]:

@@ -87,27 +87,23 @@ def array_names(path: Path) -> set[str]:
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     check_regular(path, MAX_BYTES)
     try:
-        _check_directory(path)
+        # refuse an archive whose directory is large, or not where numpy has it: at the end, without comment or zip64
+        with path.open("rb") as file:
+            file.seek(-min(_END.size + _LOCATOR, path.stat().st_size), 2)
+            tail = file.read()
+        if len(tail) < _END.size:
+            raise zipfile.BadZipFile("too short")
+        magic, size, comment = _END.unpack(tail[-_END.size :])
+        if magic != b"PK\5\6" or comment or tail[: -_END.size].startswith(b"PK\6\7"):
+            raise zipfile.BadZipFile("no directory at its end")
+        if size > _MOST_DIRECTORY:
+            raise zipfile.BadZipFile(f"directory of {size} bytes, expected at most {_MOST_DIRECTORY}")
         with zipfile.ZipFile(path) as archive:
             yield archive
     except OSError as error:
         raise InputError(path, f"can't be read: {error.strerror or error}") from error
     except _DAMAGE as error:
         raise InputError(path, f"is damaged or not an .npz archive ({error})") from error
-
-
-def _check_directory(path: Path) -> None:
-    """Refuse an archive whose directory is large, or not where numpy has it: at the end, without comment or zip64."""
-    with path.open("rb") as file:
-        file.seek(-min(_END.size + _LOCATOR, path.stat().st_size), 2)
-        tail = file.read()
-    if len(tail) < _END.size:
-        raise zipfile.BadZipFile("too short")
-    magic, size, comment = _END.unpack(tail[-_END.size :])
-    if magic != b"PK\5\6" or comment or tail[: -_END.size].startswith(b"PK\6\7"):
-        raise zipfile.BadZipFile("no directory at its end")
-    if size > _MOST_DIRECTORY:
-        raise zipfile.BadZipFile(f"directory of {size} bytes, expected at most {_MOST_DIRECTORY}")
 
 
 class _Member(NamedTuple):
@@ -132,7 +128,16 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, field: Field, sizes
             shape, fortran, dtype = _header(stream)
     except _DAMAGE as error:
         raise InputError(where, f"array is damaged ({error})") from error
-    _check_header(where, shape, dtype, field, sizes)
+    if dtype.kind not in _KINDS[field.kind]:
+        raise InputError(where, f"array of type {dtype}, expected {field.kind}")
+    wanted = tuple(_size(axis, sizes) for axis in field.shape)
+    fits = len(shape) == len(wanted) and all(w in (None, s) for s, w in zip(shape, wanted, strict=True))
+    if not fits or any(size < 0 for size in shape):
+        named = ", ".join(str(axis if size is None else size) for axis, size in zip(field.shape, wanted, strict=True))
+        raise InputError(where, f"array of shape {shape}, expected ({named})")
+    for size, axis in zip(shape, field.shape, strict=True):
+        if isinstance(axis, str) and axis not in sizes and not axis.endswith("+1"):
+            sizes[axis] = size
     if dtype.kind == "U" and math.prod(shape) > _MOST_TEXTS:
         raise InputError(where, f"{math.prod(shape)} texts, expected at most {_MOST_TEXTS}")
     return _Member(info, shape, fortran, dtype)
@@ -144,7 +149,14 @@ def _array(where: str, archive: zipfile.ZipFile, member: _Member) -> npt.NDArray
             _header(stream)
             array = _read(where, stream, np.dtype("u1") if member.dtype.kind == "b" else member.dtype, member.shape)
         array = array != 0 if member.dtype.kind == "b" else array.astype(array.dtype.newbyteorder("="), copy=False)
-        _check_values(where, array)
+        if array.dtype.kind == "f":
+            for start in range(0, len(array), _PIECE):  # in pieces: no mask as large as the array
+                if not (np.abs(array[start : start + _PIECE]) <= LARGEST).all():
+                    raise InputError(where, f"array holds NaN, infinity or a number over {LARGEST:g}")
+        if array.dtype.kind == "U":
+            points = array.view(np.uint32)  # numpy makes strings of any number, or fails with SystemError
+            if ((points > sys.maxunicode) | ((points >= 0xD800) & (points < 0xE000))).any():
+                raise InputError(where, "array holds code points that are no text")
     except _DAMAGE as error:
         raise InputError(where, f"array is damaged ({error})") from error
     return array.reshape(member.shape, order="F" if member.fortran else "C")
@@ -182,21 +194,6 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     return shape, match["fortran"] == "True", np.dtype(match["type"])
 
 
-def _check_header(
-    where: str, shape: tuple[int, ...], dtype: np.dtype[Any], field: Field, sizes: dict[str, int]
-) -> None:
-    if dtype.kind not in _KINDS[field.kind]:
-        raise InputError(where, f"array of type {dtype}, expected {field.kind}")
-    wanted = tuple(_size(axis, sizes) for axis in field.shape)
-    fits = len(shape) == len(wanted) and all(w in (None, s) for s, w in zip(shape, wanted, strict=True))
-    if not fits or any(size < 0 for size in shape):
-        named = ", ".join(str(axis if size is None else size) for axis, size in zip(field.shape, wanted, strict=True))
-        raise InputError(where, f"array of shape {shape}, expected ({named})")
-    for size, axis in zip(shape, field.shape, strict=True):
-        if isinstance(axis, str) and axis not in sizes and not axis.endswith("+1"):
-            sizes[axis] = size
-
-
 def _size(axis: int | str, sizes: Mapping[str, int]) -> int | None:
     if isinstance(axis, int):
         return axis
@@ -204,17 +201,6 @@ def _size(axis: int | str, sizes: Mapping[str, int]) -> int | None:
         base = sizes.get(axis[:-2])
         return None if base is None else base + 1
     return sizes.get(axis)
-
-
-def _check_values(where: str, array: npt.NDArray[Any]) -> None:
-    if array.dtype.kind == "f":
-        for start in range(0, len(array), _PIECE):  # in pieces: no mask as large as the array
-            if not (np.abs(array[start : start + _PIECE]) <= LARGEST).all():
-                raise InputError(where, f"array holds NaN, infinity or a number over {LARGEST:g}")
-    if array.dtype.kind == "U":
-        points = array.view(np.uint32)  # numpy makes strings of any number, or fails with SystemError
-        if ((points > sys.maxunicode) | ((points >= 0xD800) & (points < 0xE000))).any():
-            raise InputError(where, "array holds code points that are no text")
 
 
 def check_indices(where: str, indices: npt.NDArray[np.integer], count: int) -> None:

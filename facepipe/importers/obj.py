@@ -96,7 +96,15 @@ def read(source: Path, options: Options) -> Imported:
     landmarks = read_landmarks(landmark_file, len(neutral.points)) if landmark_file else {}
     if neutral.uv_indices is None and len(neutral.uvs):
         warnings.append(f"{neutral_file.name}: some face corners have no UV, the UVs are left out")
-    materials = _materials(neutral, library.materials, warnings)
+    # one per `usemtl` name, in their order, under their own names
+    missing = [ascii(name) for name in neutral.materials if name not in library.materials]
+    if missing and neutral.libraries:
+        warnings.append(f"materials not in a library, grey: {', '.join(missing)}")
+    names = handles(neutral.materials, "Material")
+    materials = tuple(
+        replace(library.materials.get(original, Material(name=name)), name=name)
+        for name, original in zip(names, neutral.materials, strict=True)
+    )
     files = [neutral_file, *shape_files.values(), *library.files, *([landmark_file] if landmark_file else [])]
     parts = FaceParts(
         meters_per_unit=options.meters_per_unit,
@@ -124,18 +132,6 @@ def _files(source: Path, neutral: str) -> tuple[Path, dict[str, Path]]:
         if path != neutrals[0] and shapes.setdefault(name, path) != path:
             raise InputError(path, f"its shape would be named {name} like {shapes[name].name}'s")
     return neutrals[0], shapes
-
-
-def _materials(neutral: Obj, library: Mapping[str, Material], warnings: list[str]) -> tuple[Material, ...]:
-    """One per `usemtl` name, in their order, under their own names."""
-    missing = [ascii(name) for name in neutral.materials if name not in library]
-    if missing and neutral.libraries:
-        warnings.append(f"materials not in a library, grey: {', '.join(missing)}")
-    names = handles(neutral.materials, "Material")
-    return tuple(
-        replace(library.get(original, Material(name=name)), name=name)
-        for name, original in zip(names, neutral.materials, strict=True)
-    )
 
 
 def _meshes(

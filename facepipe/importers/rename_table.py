@@ -79,23 +79,19 @@ def _read_table(path: Path) -> dict[str, str]:
     if suffix == ".json":
         return _checked(path, [(old, new, f"'{old[:60]}'") for old, new in read_json_object(path, MAX_BYTES).items()])
     if suffix == ".csv":
-        return _checked(path, _csv_rows(path))
+        try:
+            text = read_bytes(path, MAX_BYTES).decode("utf-8-sig")
+            rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(path, f"no CSV in UTF-8 ({error}), expected two columns, old and new") from None
+        pairs = []
+        for number, row in enumerate(rows, 1):
+            if len(row) != 2 and row:
+                raise InputError(f"{path} -> row {number}", f"{len(row)} columns, expected two: old,new")
+            if row and not (number == 1 and tuple(one.strip().lower() for one in row) == _HEADER):
+                pairs.append((row[0], row[1], f"row {number}"))
+        return _checked(path, pairs)
     raise InputError(path, f"suffix '{path.suffix}', expected .json or .csv with old and new names")
-
-
-def _csv_rows(path: Path) -> list[tuple[str, str, str]]:
-    try:
-        text = read_bytes(path, MAX_BYTES).decode("utf-8-sig")
-        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, f"no CSV in UTF-8 ({error}), expected two columns, old and new") from None
-    pairs = []
-    for number, row in enumerate(rows, 1):
-        if len(row) != 2 and row:
-            raise InputError(f"{path} -> row {number}", f"{len(row)} columns, expected two: old,new")
-        if row and not (number == 1 and tuple(one.strip().lower() for one in row) == _HEADER):
-            pairs.append((row[0], row[1], f"row {number}"))
-    return pairs
 
 
 def _checked(path: Path, rows: Iterable[tuple[str, object, str]]) -> dict[str, str]:

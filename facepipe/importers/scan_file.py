@@ -25,8 +25,8 @@ from facepipe.geometry.polygons import merge_points, point_triangles, triangulat
 from facepipe.geometry.vectors import transformed
 from facepipe.importers import load
 from facepipe.importers.scan_ply import read_ply
-from facepipe.importers.wavefront import MAX_BYTES, Obj, material_faces, read_materials, read_obj, read_text
-from facepipe.parts import Material, Mesh, Texture, TextureInput, UvSet
+from facepipe.importers.wavefront import MAX_BYTES, material_faces, read_materials, read_obj, read_text
+from facepipe.parts import Material, Mesh, TextureInput, UvSet
 from facepipe.scans import Scan, ScanPicture, ScanTexture
 from facepipe.stage.imported import Imported
 
@@ -151,21 +151,23 @@ def _read_obj(path: Path) -> Scan:
         return Scan(name=path.stem, points=obj.points, colors=colors)
     library = read_materials(path, obj.libraries)
     materials = {name: one for name, one in library.materials.items() if name in obj.materials}
-    scan = _scan_of([_obj_mesh(obj, colors)], materials, path.stem)
-    return replace(scan, warnings=tuple(library.warnings))
-
-
-def _obj_mesh(obj: Obj, colors: FloatArray | None) -> Mesh:
     uv_sets = () if obj.uv_indices is None else (UvSet(values=obj.uvs, indices=obj.uv_indices),)
-    return Mesh(
-        name="Scan",
-        points=obj.points,
-        face_vertex_counts=obj.face_vertex_counts,
-        face_vertex_indices=obj.face_vertex_indices,
-        uv_sets=uv_sets,
-        colors=colors,
-        material_faces=material_faces(obj.materials, obj.face_material),
+    scan = _scan_of(
+        [
+            Mesh(
+                name="Scan",
+                points=obj.points,
+                face_vertex_counts=obj.face_vertex_counts,
+                face_vertex_indices=obj.face_vertex_indices,
+                uv_sets=uv_sets,
+                colors=colors,
+                material_faces=material_faces(obj.materials, obj.face_material),
+            )
+        ],
+        materials,
+        path.stem,
     )
+    return replace(scan, warnings=tuple(library.warnings))
 
 
 def _obj_colors(values: FloatArray) -> FloatArray:
@@ -325,7 +327,12 @@ def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: 
     uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
     if uv_set is None:
         return None
-    texels = _texels(color.texture, _TEXELS * len(mesh.points))
+    most = _TEXELS * len(mesh.points)
+    # (h, w, 3) linear pixels, top row first, averaged down to about `most`
+    where = f"texture {color.texture.name}"
+    image = open_image(color.texture.data, where)
+    factor = int(np.sqrt(image.width * image.height / max(most, 1)))
+    texels = from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
     texel = _sampled(texels, _uvs(uv_set, points, corners))
     return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
 
@@ -333,17 +340,6 @@ def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: 
 def _uvs(uv_set: UvSet, points: IntArray, corners: IntArray) -> FloatArray:
     values = np.asarray(uv_set.values, dtype=np.float64)
     return np.asarray(values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
-
-
-def _texels(texture: Texture, most: int) -> FloatArray:
-    """(h, w, 3) linear pixels, top row first, averaged down to about `most`.
-
-    :raises InputError: no image, or one too large
-    """
-    where = f"texture {texture.name}"
-    image = open_image(texture.data, where)
-    factor = int(np.sqrt(image.width * image.height / max(most, 1)))
-    return from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
 
 
 def _sampled(pixels: FloatArray, uv: FloatArray) -> FloatArray:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_regular
@@ -31,7 +29,24 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
 
     :raises InputError: not readable, damaged, or outputs that the face lacks
     """
-    arrays = _arrays(path)
+    fields = {"sliders": Field("str", ("inputs",)), "outputs": Field("str", ("outputs",))}
+    check_regular(path, MOST_BYTES)
+    names = array_names(path)
+    fields |= {name: Field("str", ()) for name in ("activation", "info") if name in names}
+    layers = 0
+    while f"layer{layers}.weight" in names and layers <= MOST_LAYERS:
+        before = "inputs" if layers == 0 else f"units{layers - 1}"
+        fields[f"layer{layers}.weight"] = Field("float", (f"units{layers}", before))
+        fields[f"layer{layers}.bias"] = Field("float", (f"units{layers}",))
+        layers += 1
+    extra = sorted(names - set(fields))
+    if not 0 < layers <= MOST_LAYERS or extra:
+        excess = f"array '{extra[0][:60]}'" if extra else f"{layers} layers"
+        expected = (
+            f"sliders, outputs, activation, info, layer0.weight, layer0.bias and so on, up to {MOST_LAYERS} layers"
+        )
+        raise InputError(path, f"{excess}, expected {expected}")
+    arrays = read_arrays(path, fields, {})
     outputs = [str(one) for one in arrays["outputs"]]
     found = [_output(path, output, joints, shapes) for output in outputs]
     order = [i for i, one in enumerate(found) if isinstance(one, tuple)]
@@ -56,27 +71,6 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
     if fault:
         raise InputError(path, fault)
     return network
-
-
-def _arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    fields = {"sliders": Field("str", ("inputs",)), "outputs": Field("str", ("outputs",))}
-    check_regular(path, MOST_BYTES)
-    names = array_names(path)
-    fields |= {name: Field("str", ()) for name in ("activation", "info") if name in names}
-    layers = 0
-    while f"layer{layers}.weight" in names and layers <= MOST_LAYERS:
-        before = "inputs" if layers == 0 else f"units{layers - 1}"
-        fields[f"layer{layers}.weight"] = Field("float", (f"units{layers}", before))
-        fields[f"layer{layers}.bias"] = Field("float", (f"units{layers}",))
-        layers += 1
-    extra = sorted(names - set(fields))
-    if not 0 < layers <= MOST_LAYERS or extra:
-        excess = f"array '{extra[0][:60]}'" if extra else f"{layers} layers"
-        expected = (
-            f"sliders, outputs, activation, info, layer0.weight, layer0.bias and so on, up to {MOST_LAYERS} layers"
-        )
-        raise InputError(path, f"{excess}, expected {expected}")
-    return read_arrays(path, fields, {})
 
 
 def _output(path: Path, name: str, joints: Sequence[str], shapes: Sequence[str]) -> tuple[str, str] | str:

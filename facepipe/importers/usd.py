@@ -13,7 +13,7 @@ from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
 from facepipe.importers.options import UsdOptions
-from facepipe.parts import Animation, FaceParts, Material, Mesh, Skeleton, Slider, SliderNetwork, Texture
+from facepipe.parts import Animation, FaceParts, Material, Mesh, Slider, SliderNetwork, Texture
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe.stage.imported import Imported, import_recipe, with_units
@@ -37,7 +37,25 @@ def read(source: Path, options: Options) -> Imported:
         source, root=options.prim, skeleton=options.skeleton, variants=options.variant
     )
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
-    skeleton, new_names = _renamed(parts.skeleton, warnings)
+    skeleton = parts.skeleton
+    paths: dict[str, str] = {}
+    siblings: dict[str, list[str]] = {}
+    for joint in skeleton.joints:
+        siblings.setdefault(joint.rpartition("/")[0], []).append(joint)
+    identifiers = {
+        joint: name
+        for joints in siblings.values()
+        for joint, name in zip(joints, unique_identifiers(one.rpartition("/")[2] for one in joints), strict=True)
+    }
+    for joint in skeleton.joints:
+        above = joint.rpartition("/")[0]
+        parent = paths.get(above) or "/".join(unique_identifiers([name])[0] for name in above.split("/") if name)
+        paths[joint] = f"{parent}/{identifiers[joint]}" if parent else identifiers[joint]
+    changed = [(old, new) for old, new in paths.items() if old != new]
+    if changed:
+        old, new = changed[0]
+        warnings.append(f"{len(changed)} joint paths made identifiers, like '{new}' of '{old}'; the names are kept")
+    skeleton, new_names = replace(skeleton, joints=tuple(paths.values())).called(skeleton.names), paths
     _check_transforms(source, parts)
     animations = tuple(
         kept
@@ -94,28 +112,6 @@ def _normalised(source: Path, mesh: Mesh, warnings: list[str]) -> Mesh:
             joint_weights=(weights / sums[:, None]).astype(np.float32),
         ),
     )
-
-
-def _renamed(skeleton: Skeleton, warnings: list[str]) -> tuple[Skeleton, dict[str, str]]:
-    """Joint paths of identifiers, and the new path of each old one."""
-    paths: dict[str, str] = {}
-    siblings: dict[str, list[str]] = {}
-    for joint in skeleton.joints:
-        siblings.setdefault(joint.rpartition("/")[0], []).append(joint)
-    identifiers = {
-        joint: name
-        for joints in siblings.values()
-        for joint, name in zip(joints, unique_identifiers(one.rpartition("/")[2] for one in joints), strict=True)
-    }
-    for joint in skeleton.joints:
-        above = joint.rpartition("/")[0]
-        parent = paths.get(above) or "/".join(unique_identifiers([name])[0] for name in above.split("/") if name)
-        paths[joint] = f"{parent}/{identifiers[joint]}" if parent else identifiers[joint]
-    changed = [(old, new) for old, new in paths.items() if old != new]
-    if changed:
-        old, new = changed[0]
-        warnings.append(f"{len(changed)} joint paths made identifiers, like '{new}' of '{old}'; the names are kept")
-    return replace(skeleton, joints=tuple(paths.values())).called(skeleton.names), paths
 
 
 def _kept(animation: Animation, new_names: Mapping[str, str], shapes: set[str]) -> Animation | None:

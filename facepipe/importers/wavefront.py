@@ -205,12 +205,6 @@ def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
             except (OverflowError, ValueError):
                 break
             return counts, flat[:, 0], flat[:, 1] if "/uv" in style else None
-    return counts, *_mixed_corners(lines, numbers, words)
-
-
-def _mixed_corners(
-    lines: _Lines, numbers: Sequence[int], words: Sequence[Sequence[str]]
-) -> tuple[IntArray, IntArray | None]:
     points: list[int] = []
     uvs: list[int] = []
     for number, row in zip(numbers, words, strict=True):
@@ -222,7 +216,7 @@ def _mixed_corners(
             if match[2]:
                 uvs.append(int(match[2]))
     complete = len(uvs) == len(points) and bool(uvs)
-    return np.array(points, dtype=np.int64), np.array(uvs, dtype=np.int64) if complete else None
+    return counts, *(np.array(points, dtype=np.int64), np.array(uvs, dtype=np.int64) if complete else None)
 
 
 def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, available: int) -> IntArray:

@@ -112,7 +112,11 @@ def _faces(
     turned = np.ascontiguousarray(np.rot90(pixels, quarters))
     if near is not None:
         near = quarter_turned(near, quarters, (pixels.shape[1], pixels.shape[0]))
-    faces = _upright_faces(network, turned, near)
+    photo, scale = _shrunk(torch.as_tensor(turned))
+    settled = _settled(network, photo, _candidates(network, photo) if near is None else near[None] / scale)
+    judged = [_judged(network, photo, landmarks) for landmarks in settled]
+    faces = _apart([face for face in judged if face is not None])
+    faces = [replace(face, landmarks=face.landmarks * scale) for face in faces]
     if faces and closer:
         second = own_dense_session()
         faces = [_looked_closer(second, torch.as_tensor(turned), face) for face in faces]
@@ -141,14 +145,6 @@ def _turned_back(face: FoundFace, quarters: int, size: tuple[int, int]) -> Found
     if pupils is not None:
         pupils = np.column_stack([quarter_turned(pupils[:, :2], -quarters, size), pupils[:, 2]])
     return replace(face, landmarks=landmarks, dense=dense, pupils=pupils)
-
-
-def _upright_faces(network: LandmarkSession, pixels: FloatArray, near: FloatArray | None) -> list[FoundFace]:
-    photo, scale = _shrunk(torch.as_tensor(pixels))
-    settled = _settled(network, photo, _candidates(network, photo) if near is None else near[None] / scale)
-    judged = [_judged(network, photo, landmarks) for landmarks in settled]
-    faces = _apart([face for face in judged if face is not None])
-    return [replace(face, landmarks=face.landmarks * scale) for face in faces]
 
 
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:

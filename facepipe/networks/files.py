@@ -57,7 +57,13 @@ def presence_map(model: Any) -> tuple[bytes, int]:
     if kernel is None:
         raise ValueError(f"{weight} is no constant")
     kernel.dims[:] = [1, math.prod(kernel.dims), 1, 1]
-    nodes = _before(model.graph, name)
+    # the nodes that make `name`
+    wanted, nodes = {name}, []
+    for node in reversed(model.graph.node):
+        if wanted & set(node.output):
+            wanted |= set(node.input)
+            nodes.append(node)
+    nodes = nodes[::-1]
     nodes.append(helper.make_node("AveragePool", [name], ["mean"], kernel_shape=[window, window]))
     nodes.append(helper.make_node("Conv", ["mean", weight, bias], ["map"]))
     del graph.node[:], graph.output[:]
@@ -66,16 +72,6 @@ def presence_map(model: Any) -> tuple[bytes, int]:
     for axis, length in zip(graph.input[0].type.tensor_type.shape.dim[2:], ("height", "width"), strict=True):
         axis.dim_param = length
     return result.SerializeToString(), size // window
-
-
-def _before(graph: Any, name: str) -> list[Any]:
-    """The nodes that make `name`."""
-    wanted, nodes = {name}, []
-    for node in reversed(graph.node):
-        if wanted & set(node.output):
-            wanted |= set(node.input)
-            nodes.append(node)
-    return nodes[::-1]
 
 
 def landmark_model() -> Path:

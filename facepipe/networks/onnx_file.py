@@ -128,7 +128,17 @@ def describe(path: Path, metadata: str | None, kind: Kind | None) -> Description
 
 
 def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Description:
-    kinds = _kinds(where, values, wanted)
+    kinds = values.get("kinds")
+    if kinds is None:
+        single = values.get("kind", wanted)
+        kinds = {} if single is None else {single: []}
+    if not isinstance(kinds, Mapping) or not kinds:
+        raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
+    for kind in kinds:
+        if kind not in KINDS:
+            raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
+    if len(kinds) > 1 and not all(kinds.values()):
+        raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
     if wanted is not None and wanted not in kinds:
         raise InputError(where, f"gives {', '.join(kinds)}, expected {wanted}")
     usual = DEFAULTS[next(iter(kinds))]  # whichever is wanted: one forward serves them all
@@ -139,21 +149,6 @@ def _described(where: object, values: Mapping[str, Any], wanted: Kind | None) ->
     if min(description.std) <= 0:
         raise InputError(f"{where} -> std", f"{str(list(description.std))[:40]}, expected numbers above 0")
     return description
-
-
-def _kinds(where: object, values: Mapping[str, Any], wanted: Kind | None) -> Mapping[Kind, Any]:
-    several = values.get("kinds")
-    if several is None:
-        single = values.get("kind", wanted)
-        several = {} if single is None else {single: []}
-    if not isinstance(several, Mapping) or not several:
-        raise InputError(where, 'neither "kind" nor "kinds" with the outputs of each, expected one')
-    for kind in several:
-        if kind not in KINDS:
-            raise InputError(where, f"kind {kind!r}, expected one of {', '.join(KINDS)}")
-    if len(several) > 1 and not all(several.values()):
-        raise InputError(f"{where} -> kinds", "a kind without outputs beside others, expected the names of its outputs")
-    return several
 
 
 def read_model(path: Path) -> Any:

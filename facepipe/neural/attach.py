@@ -113,21 +113,6 @@ def own_shapes(parts: FaceParts) -> frozenset[str]:
     return frozenset(name for name in names - set(network.shapes) if not name.startswith("clip_"))
 
 
-def kept_sliders(parts: FaceParts, rig: NeuralRig, shapes: Collection[str]) -> tuple[Slider, ...]:
-    """Sliders that are no controls of the rig, and whose shapes and joints still move the face.
-
-    :param shapes: that the face keeps
-    """
-    controls = {control.name for control in rig.controls}
-    return tuple(
-        slider
-        for slider in parts.sliders
-        if slider.name not in controls
-        and all(shape in shapes for shape, _ in slider.shapes)
-        and (rig.bones is not None or not slider.channels)
-    )
-
-
 def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
     """A shape whose offsets are turned point by point.
 
@@ -148,46 +133,6 @@ class BakedClips:
     animations: tuple[Animation, ...]
     shapes: FloatArray  # (k, n, 3) millimetres, that they play beside those of the rig
     error_mm: float  # the largest, of any point
-
-
-def baked_clips(
-    parts: FaceParts,
-    attached: FaceParts,
-    animations: Sequence[Animation],
-    shapes: Mapping[str, FloatArray],
-    spaces: Sequence[FloatArray],
-    tolerance: float,
-) -> BakedClips:
-    """Clips that turn joints, for a face with another skin: weights of shapes for where its joints don't bring points.
-
-    :param attached: the face with that skin, without shapes
-    :param shapes: (n, 3) millimetres at a weight of 1 of the shapes that it has for its rig
-    :param spaces: (3, 3) of every mesh from skeleton space at bind time to millimetres of the shapes
-    :param tolerance: millimetres that weights and further shapes may leave, RMS
-    """
-    frames = np.stack(
-        [moved for animation in animations for moved in _beyond_joints(parts, attached, spaces, animation)]
-    )
-    left = frames.reshape(len(frames), -1)  # in place: frames may be many
-    rig_shapes = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
-    weights = np.linalg.lstsq(rig_shapes @ rig_shapes.T, rig_shapes.astype(np.float32) @ left.T, rcond=1e-9)[0].T
-    left -= weights.astype(np.float32) @ rig_shapes.astype(np.float32)
-    further = _further(frames, tolerance)
-    amounts = left @ further.reshape(len(further), left.shape[1]).T.astype(np.float32)
-    sizes = np.maximum(np.abs(amounts).max(axis=0, initial=0.0), np.finfo(np.float32).eps)
-    further, amounts = further * sizes[:, None, None], amounts / sizes
-    left -= amounts @ further.reshape(len(further), left.shape[1]).astype(np.float32)
-    every = (*shapes, *map(clip_shape_name, range(len(further))))
-    rows = np.concatenate([weights, amounts], axis=1)
-    ends = np.cumsum([animation.samples for animation in animations])
-    return BakedClips(
-        animations=tuple(
-            replace(one, shapes=every, shape_weights=own_rows)
-            for one, own_rows in zip(animations, np.split(rows, ends[:-1]), strict=True)
-        ),
-        shapes=further,
-        error_mm=float(max(np.linalg.norm(frame, axis=1).max() for frame in frames)),
-    )
 
 
 def _further(frames: FloatArray, tolerance: float) -> FloatArray:
@@ -257,8 +202,20 @@ class AttachNeuralRig:
         shapes = dict(zip(names, offsets, strict=True))
         clips = _clips(parts, rig, kept_shapes, shapes, tolerance)
         shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clips.shapes)}
-        _check_names(where, kept_shapes & shapes.keys())
-        kept = kept_sliders(parts, rig, kept_shapes)
+        taken = kept_shapes & shapes.keys()
+        if taken:
+            raise InputError(
+                f"{where} -> {min(taken)}", "a shape called as one of the neural rig's, expected another name"
+            )
+        # sliders that are no controls of the rig, and whose shapes and joints still move the face
+        controls = {control.name for control in rig.controls}
+        kept = tuple(
+            slider
+            for slider in parts.sliders
+            if slider.name not in controls
+            and all(shape in kept_shapes for shape, _ in slider.shapes)
+            and (rig.bones is not None or not slider.channels)
+        )
         attached = replace(
             parts,
             meshes=_meshes(parts, rig, kept_shapes, shapes),
@@ -267,9 +224,10 @@ class AttachNeuralRig:
             animations=clips.animations,
             photos=_photos(parts, clips.animations),
         )
+        moves = _moves(whole, output_reach(whole)[: len(whole.shapes)])
         return AttachedNeuralRig(
             parts=attached,
-            dropped_mm=_left_out(whole, tolerance),
+            dropped_mm=float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0)),
             shapes=len(names),
             offsets=int(moved.sum()),
             clips_mm=clips.error_mm,
@@ -339,18 +297,6 @@ def _moves(rig: NeuralRig, scales: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(rig.shapes, axis=2) * scales[:, None])
 
 
-def _left_out(rig: NeuralRig, tolerance: float) -> float:
-    """Millimetres, of the point that lacks most, all shapes together."""
-    moves = _moves(rig, output_reach(rig)[: len(rig.shapes)])
-    return float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0))
-
-
-def _check_names(where: str, taken: Collection[str]) -> None:
-    """:raises InputError: shapes of the face that are called as further ones"""
-    if taken:
-        raise InputError(f"{where} -> {min(taken)}", "a shape called as one of the neural rig's, expected another name")
-
-
 def _meshes(
     parts: FaceParts, rig: NeuralRig, kept_shapes: Collection[str], shapes: Mapping[str, FloatArray]
 ) -> tuple[Mesh, ...]:
@@ -398,7 +344,32 @@ def _clips(
     if joints:
         pairs = zip(_spaces(parts, rig), mesh_spaces(parts), strict=True)
         spaces = [(there @ np.linalg.inv(here))[:3, :3] for there, here in pairs]
-        baked = baked_clips(parts, replace(parts, meshes=meshes), joints, shapes, spaces, tolerance)
+        attached = replace(parts, meshes=meshes)
+        # clips that turn joints, for a face with another skin: weights of shapes for where its joints don't bring
+        # points
+        frames = np.stack(
+            [moved for animation in joints for moved in _beyond_joints(parts, attached, spaces, animation)]
+        )
+        left = frames.reshape(len(frames), -1)  # in place: frames may be many
+        rig_shapes = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
+        weights = np.linalg.lstsq(rig_shapes @ rig_shapes.T, rig_shapes.astype(np.float32) @ left.T, rcond=1e-9)[0].T
+        left -= weights.astype(np.float32) @ rig_shapes.astype(np.float32)
+        further = _further(frames, tolerance)
+        amounts = left @ further.reshape(len(further), left.shape[1]).T.astype(np.float32)
+        sizes = np.maximum(np.abs(amounts).max(axis=0, initial=0.0), np.finfo(np.float32).eps)
+        further, amounts = further * sizes[:, None, None], amounts / sizes
+        left -= amounts @ further.reshape(len(further), left.shape[1]).astype(np.float32)
+        every = (*shapes, *map(clip_shape_name, range(len(further))))
+        rows = np.concatenate([weights, amounts], axis=1)
+        ends = np.cumsum([animation.samples for animation in joints])
+        baked = BakedClips(
+            animations=tuple(
+                replace(one, shapes=every, shape_weights=own_rows)
+                for one, own_rows in zip(joints, np.split(rows, ends[:-1]), strict=True)
+            ),
+            shapes=further,
+            error_mm=float(max(np.linalg.norm(frame, axis=1).max() for frame in frames)),
+        )
     again = {animation.name: animation for animation in baked.animations}
     kept = [
         again.get(animation.name, animation)

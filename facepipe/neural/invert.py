@@ -177,7 +177,9 @@ class Frames:
         random, again = np.random.default_rng(self.options.seed), np.arange(count)
         still = self.data.cost(rest, again)
         for attempt in range(1, self.options.starts):
-            again = np.intersect1d(again, self._worse(settled.cost, still))
+            share = settled.cost / np.maximum(still, 1e-30)
+            usual = _WORSE * float(np.median(share)) if len(settled.cost) >= _FEW else 0.0
+            again = np.intersect1d(again, np.flatnonzero((share > usual) & (settled.cost > _SMALL)))
             shape = (len(again), rest.shape[1])
             other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
             near = _nearest_good(again, count)
@@ -223,15 +225,6 @@ class Frames:
     def _settle(self, start: FloatArray, frames: IntArray, smoothness: Smoothness | None = None) -> Settled:
         data = _Some(data=self.data, frames=frames)
         return settle(data, start, self.box, smoothness=smoothness, steps=self.options.steps, enough=ENOUGH)
-
-    def _worse(self, cost: FloatArray, still: FloatArray) -> IntArray:
-        """Frames that may be in a poor valley.
-
-        :param still: (f,) costs at rest: what moves further is less well met
-        """
-        share = cost / np.maximum(still, 1e-30)
-        usual = _WORSE * float(np.median(share)) if len(cost) >= _FEW else 0.0
-        return np.flatnonzero((share > usual) & (cost > _SMALL))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,7 +303,19 @@ class InvertNeuralRig:
         """
         begun = time.perf_counter()
         points = np.asarray(points)
-        _check(rig, points, start, blocks)
+        where, count = "target points", len(rig.rest)
+        if points.ndim != 3 or points.shape[1:] != (count, 3):
+            raise TopologyError(where, f"shape {points.shape}, expected (frames, {count}, 3) as the rig has")
+        if not len(points):
+            raise InputError(where, "no frames, expected one or more")
+        bad = next((number for number, own in enumerate(points) if not np.isfinite(own).all()), None)
+        if bad is not None:
+            raise InputError(f"{where} -> frame {bad}", "NaN or infinity, expected finite numbers")
+        shape = (len(points), len(rig.controls))
+        if start is not None and (np.shape(start) != shape or not np.isfinite(start).all()):
+            raise InputError("start", f"shape {np.shape(start)}, expected {shape} finite numbers")
+        if blocks is not None and np.shape(blocks) != shape[:1]:
+            raise InputError("blocks", f"shape {np.shape(blocks)}, expected {shape[:1]}: one for each frame")
         first = None if start is None else from_default(rig.controls, np.asarray(start, dtype=np.float64))
         with one_thread():
             rig = rig if rig.bones else with_orthonormal_shapes(rig)
@@ -376,22 +381,6 @@ class InvertNeuralRig:
             seconds_per_frame=seconds / len(points),
             controls=_control_reports(names, matrices, np.maximum(rms, self.options.accuracy_mm), outputs),
         )
-
-
-def _check(rig: NeuralRig, points: FloatArray, start: FloatArray | None, blocks: IntArray | None) -> None:
-    where, count = "target points", len(rig.rest)
-    if points.ndim != 3 or points.shape[1:] != (count, 3):
-        raise TopologyError(where, f"shape {points.shape}, expected (frames, {count}, 3) as the rig has")
-    if not len(points):
-        raise InputError(where, "no frames, expected one or more")
-    bad = next((number for number, own in enumerate(points) if not np.isfinite(own).all()), None)
-    if bad is not None:
-        raise InputError(f"{where} -> frame {bad}", "NaN or infinity, expected finite numbers")
-    shape = (len(points), len(rig.controls))
-    if start is not None and (np.shape(start) != shape or not np.isfinite(start).all()):
-        raise InputError("start", f"shape {np.shape(start)}, expected {shape} finite numbers")
-    if blocks is not None and np.shape(blocks) != shape[:1]:
-        raise InputError("blocks", f"shape {np.shape(blocks)}, expected {shape[:1]}: one for each frame")
 
 
 @dataclass(frozen=True, kw_only=True)

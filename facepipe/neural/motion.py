@@ -195,7 +195,16 @@ class ReadClips:
                 added = _clip_frames(clip, controls, self.options)
                 values, blocks = added.after(frames.values, frames.blocks)
                 frames = RecordedClips(values=values, blocks=blocks, between=frames.between + added.between)
-        held, beyond = _within(frames.values, controls)
+        # values within limits, as a rig clamps them, and a line where some were beyond
+        low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
+        held = np.clip(frames.values, low, high)
+        beyond = [
+            control.name for control, one in zip(controls, (held != frames.values).any(axis=0), strict=True) if one
+        ]
+        held, beyond = (
+            held,
+            [f"clips go beyond the limits of {first_names(beyond, _SHOWN)}, and are held there"] if beyond else [],
+        )
         return replace(frames, values=held, warnings=(*warnings, *beyond))
 
 
@@ -231,11 +240,3 @@ def _clip_frames(clip: Clip, controls: Sequence[Control], options: FrameBlocksOp
         rows[:, places[track.name]] = track.at(codes)
     kept, blocks = frame_blocks(codes, rows, options)
     return RecordedClips(values=rows[kept], blocks=blocks, between=len(codes) - len(kept))
-
-
-def _within(values: FloatArray, controls: Sequence[Control]) -> tuple[FloatArray, list[str]]:
-    """Values within limits, as a rig clamps them, and a line where some were beyond."""
-    low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
-    held = np.clip(values, low, high)
-    beyond = [control.name for control, one in zip(controls, (held != values).any(axis=0), strict=True) if one]
-    return held, [f"clips go beyond the limits of {first_names(beyond, _SHOWN)}, and are held there"] if beyond else []

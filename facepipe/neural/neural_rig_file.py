@@ -54,7 +54,9 @@ def save_neural_rig(
         arrays |= {f"bones.weights.{name}": np.asarray(getattr(rig.bones.influences, name)) for name in _SPARSE}
         arrays["channels"] = rig.channels
     if encoder is not None:
-        _check_encoder(path, rig, encoder)
+        encoder.check(rig.topology, f"{path} -> encoder")
+        if encoder.controls != rig.controls:
+            raise InputError(f"{path} -> encoder", "other controls than the rig's, expected the same in the same order")
         content[_ENCODER], more = _encoder_arrays(encoder)
         arrays |= more
     write_arrays(path, KIND, content, arrays)
@@ -90,12 +92,6 @@ def load_encoder(path: Path) -> NeuralEncoder:
     :raises InputError: not readable, damaged, not such a file, or one without an encoder
     """
     return _encoder_from(path, read_arrays(path, KIND))
-
-
-def _check_encoder(path: Path, rig: NeuralRig, encoder: NeuralEncoder) -> None:
-    encoder.check(rig.topology, f"{path} -> encoder")
-    if encoder.controls != rig.controls:
-        raise InputError(f"{path} -> encoder", "other controls than the rig's, expected the same in the same order")
 
 
 def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
@@ -191,7 +187,24 @@ def _encoder_from(where: object, file: Content) -> NeuralEncoder:
             layers=layers,
             **_encoder_values(file, "", _ENCODER_ARRAYS),
         )
-        _check_encoder_arrays(where, encoder)
+        for name, shape in encoder_shapes(encoder).items():
+            holder: Any = encoder
+            if "." in name:
+                number, name_of = name.split(".")
+                holder, name = encoder.layers[int(number)], name_of
+            if getattr(holder, name).shape != shape:
+                raise InputError(
+                    f"{where} -> {_ENCODER}.{name}", f"shape {getattr(holder, name).shape}, expected {shape}"
+                )
+        low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
+        if low < 0 or high >= encoder.point_count:
+            problem = f"points {low} to {high}, expected some of {encoder.point_count}"
+            raise InputError(f"{where} -> {_ENCODER}.chosen", problem)
+        if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
+            problem = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
+            raise InputError(
+                f"{where} -> {_ENCODER}", f"{problem}, expected heads that share a token evenly and a scale above 0"
+            )
     except (LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(where, f"its encoder is damaged ({error}), expected a whole one") from None
     return encoder
@@ -199,25 +212,6 @@ def _encoder_from(where: object, file: Content) -> NeuralEncoder:
 
 def _encoder_values(file: Content, prefix: str, names: tuple[str, ...]) -> Mapping[str, Any]:
     return {name: np.asarray(file.arrays[f"{_ENCODER}.{prefix}{name}"], np.float64) for name in names}
-
-
-def _check_encoder_arrays(where: object, encoder: NeuralEncoder) -> None:
-    for name, shape in encoder_shapes(encoder).items():
-        holder: Any = encoder
-        if "." in name:
-            number, name_of = name.split(".")
-            holder, name = encoder.layers[int(number)], name_of
-        if getattr(holder, name).shape != shape:
-            raise InputError(f"{where} -> {_ENCODER}.{name}", f"shape {getattr(holder, name).shape}, expected {shape}")
-    low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
-    if low < 0 or high >= encoder.point_count:
-        problem = f"points {low} to {high}, expected some of {encoder.point_count}"
-        raise InputError(f"{where} -> {_ENCODER}.chosen", problem)
-    if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
-        problem = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
-        raise InputError(
-            f"{where} -> {_ENCODER}", f"{problem}, expected heads that share a token evenly and a scale above 0"
-        )
 
 
 def encoder_shapes(encoder: NeuralEncoder) -> dict[str, tuple[int, ...]]:

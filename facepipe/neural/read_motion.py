@@ -113,20 +113,16 @@ def read_targets(path: Path, rig: NeuralRig) -> Targets:
         animated = AnimatedFace.read(path)
         codes = codes if animated is None else animated.codes(cache.codes_per_second)
     placed = animated or cached_points(cache, path)
-    _check(path, Topology.of(FaceParts(meshes=placed.meshes)), rig)
+    topology = Topology.of(FaceParts(meshes=placed.meshes))
+    if topology.digest != rig.topology:
+        what = f"meshes {', '.join(topology.names[:4])} of {topology.point_count:,} points"
+        expected = f"expected those that the neural rig was learned on, of {len(rig.rest):,} points, with their faces"
+        raise TopologyError(path, f"{what}, {expected}")
     to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
     points = np.empty((placed.count, len(rig.rest), 3), np.float32)
     for number, own in enumerate(points):
         own[:] = transformed(placed.sample(number), to)
     return Targets(points=points, codes=codes, codes_per_second=cache.codes_per_second)
-
-
-def _check(path: Path, topology: Topology, rig: NeuralRig) -> None:
-    """:raises TopologyError: another one than the rig's"""
-    if topology.digest != rig.topology:
-        what = f"meshes {', '.join(topology.names[:4])} of {topology.point_count:,} points"
-        expected = f"expected those that the neural rig was learned on, of {len(rig.rest):,} points, with their faces"
-        raise TopologyError(path, f"{what}, {expected}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,11 +285,6 @@ def read_subject_frames(path: Path, rig: NeuralRig) -> SubjectFrames:
     motion = ReadMotion()(path)
     if motion.topology.digest != rig.topology:
         raise TopologyError(path, "other meshes than those of the neural rig, expected its topology")
-    return SubjectFrames(points=motion.points, values=_known_values(path, motion, rig), between=motion.between)
-
-
-def _known_values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:
-    """(f, c) in the order of the rig, within its limits."""
     names = [control.name for control in motion.controls]
     if not set(names) & {control.name for control in rig.controls}:
         some = ", ".join(control.name for control in rig.controls[:6])
@@ -303,4 +294,4 @@ def _known_values(path: Path, motion: Motion, rig: NeuralRig) -> FloatArray:
         if control.name in names:
             column = motion.values[:, names.index(control.name)]
             values[:, number] = np.clip(column, control.minimum, control.maximum)
-    return values
+    return SubjectFrames(points=motion.points, values=values, between=motion.between)

@@ -80,15 +80,10 @@ def learned_by_network(
         seed=0,
     )
     added = network((base.outputs(sampled) @ metric - middle) @ axes)
-    both = _with_units(base, own_shapes, sampled, added)
-    return with_basis(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
-
-
-def _with_units(base: NeuralRig, own_shapes: FloatArray, values: FloatArray, added: FloatArray) -> NeuralRig:
-    """The rig with shapes (q, n, 3), and units for their activations (f, q) at values (f, c)."""
+    # the rig with shapes (q, n, 3), and units for their activations (f, q) at values (f, c)
     from facepipe.rig.torch.distil import Samples, train
 
-    x, count = from_default(base.controls, values), len(base.shapes)
+    x, count = from_default(base.controls, sampled), len(base.shapes)
     watched = np.arange(len(x)) % 10 == 0
     parts = [Samples(inputs=x[rows], outputs=added[rows]) for rows in (~watched, watched)]
     trained = train(
@@ -100,7 +95,7 @@ def _with_units(base: NeuralRig, own_shapes: FloatArray, values: FloatArray, add
         np.concatenate([parted[0], before, parted[1]]),
         np.insert(after, [count] * len(own_shapes), trained.last, axis=0),
     ]
-    return replace(
+    both = replace(
         base,
         shapes=np.concatenate([base.shapes, own_shapes]),
         linear=np.concatenate([base.linear[:, :count], trained.linear, base.linear[:, count:]], axis=1),
@@ -109,6 +104,7 @@ def _with_units(base: NeuralRig, own_shapes: FloatArray, values: FloatArray, add
         last=np.concatenate(last, axis=1),
         last_bias=np.concatenate([base.last_bias[:count], trained.last_bias, base.last_bias[count:]]),
     )
+    return with_basis(both, both.shapes, np.zeros((len(base.controls), *base.rest.shape)), tolerance, most)
 
 
 def _coordinates(outputs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -280,7 +276,17 @@ class RetargetNeuralRig:
         :raises InputError: NaN, or fewer than two frames
         :raises TopologyError: other meshes or joints than those of the rig, or counts that don't fit
         """
-        _check(rig, subject, values, points)
+        subject.checked(rig)
+        if len(points) < 2:
+            raise InputError(subject.where, f"{len(points)} frames, expected two or more")
+        for label, array, shape in (
+            ("points", points, (len(points), len(rig.rest), 3)),
+            ("controls", values, (len(points), len(rig.controls))),
+        ):
+            if array is not None and np.shape(array) != shape:
+                raise TopologyError(f"{subject.where} -> {label}", f"shape {np.shape(array)}, expected {shape}")
+            if array is not None:
+                require_finite(array, subject.where, label)
         points = np.asarray(points, dtype=np.float64)
         kept = min(max(1, round(len(points) * (1.0 - self.options.held_out))), len(points) - 1)
         base = carried(rig, subject)
@@ -319,38 +325,21 @@ class RetargetNeuralRig:
         base = with_own_gains(base, values, points)
         examples = _subject_examples(base, values, points)
         if self.options.mode == "network":
-            return self._by_network(base, values, examples.moved), 0.0
+            options = self.options
+            return learned_by_network(
+                base,
+                values,
+                examples.moved,
+                noise=options.noise,
+                steps=options.steps,
+                tolerance=options.tolerance_mm,
+                most=options.shapes,
+            ), 0.0
         noise = self.options.noise_mm if self.options.noise_mm >= 0.0 else noise
         noise = examples.best_noise(_NOISES) if noise < 0.0 else noise
         maps = examples.maps(max(noise, 1e-6))
         shapes = base.shapes + np.einsum("rni,nij->rnj", base.shapes, maps.by_vector)
         return with_basis(base, shapes, maps.by_input, self.options.tolerance_mm, self.options.shapes), noise
-
-    def _by_network(self, base: NeuralRig, values: FloatArray, moved: FloatArray) -> NeuralRig:
-        options = self.options
-        return learned_by_network(
-            base,
-            values,
-            moved,
-            noise=options.noise,
-            steps=options.steps,
-            tolerance=options.tolerance_mm,
-            most=options.shapes,
-        )
-
-
-def _check(rig: NeuralRig, subject: Subject, values: FloatArray | None, points: FloatArray) -> None:
-    subject.checked(rig)
-    if len(points) < 2:
-        raise InputError(subject.where, f"{len(points)} frames, expected two or more")
-    for label, array, shape in (
-        ("points", points, (len(points), len(rig.rest), 3)),
-        ("controls", values, (len(points), len(rig.controls))),
-    ):
-        if array is not None and np.shape(array) != shape:
-            raise TopologyError(f"{subject.where} -> {label}", f"shape {np.shape(array)}, expected {shape}")
-        if array is not None:
-            require_finite(array, subject.where, label)
 
 
 def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Examples:
@@ -415,7 +404,18 @@ def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> Ne
     noise, gains = _subject_examples(some, values, points).best_noise(_GAIN_NOISES), np.ones(len(moving))
     for _ in range(_GAIN_STEPS):
         now = _scaled(some, moving, gains)
-        slopes = _slopes(some, now, moving, values, points)
+        # (f, k, n, 3) how points before bones answer to the gains of k controls
+        x, outputs, shapes = from_default(some.controls, values), now.outputs(values), len(some.shapes)
+        still = _before_bones(now, outputs, points)
+        slopes = np.zeros((len(x), len(moving), *still.shape[1:]))
+        for frame, row in enumerate(x[:, moving]):
+            moved = np.flatnonzero(row)
+            if not len(moved):
+                continue
+            changed = np.tile(outputs[frame], (len(moved), 1))
+            changed[:, shapes:] += _GAIN_CHANGE * row[moved, None] * some.linear[moving[moved], shapes:]
+            there = _before_bones(now, changed, np.broadcast_to(points[frame], (len(moved), *still.shape[1:])))
+            slopes[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
         matrix, off = _subject_examples(now, values, points).normal(slopes, max(noise, 1e-6))
         # Gauss-Newton on r'Wr + d |g - 1|^2: d holds the gains that frames don't determine at 1.
         gains -= np.linalg.solve(matrix + _GAIN_DOUBT * np.eye(len(moving)), off + _GAIN_DOUBT * (gains - 1.0))
@@ -426,19 +426,3 @@ def _scaled(rig: NeuralRig, controls: IntArray, gains: FloatArray) -> NeuralRig:
     linear = rig.linear.copy()
     linear[controls, len(rig.shapes) :] *= gains[:, None]
     return replace(rig, linear=linear)
-
-
-def _slopes(rig: NeuralRig, now: NeuralRig, controls: IntArray, values: FloatArray, points: FloatArray) -> FloatArray:
-    """(f, k, n, 3) how points before bones answer to the gains of k controls."""
-    x, outputs, shapes = from_default(rig.controls, values), now.outputs(values), len(rig.shapes)
-    still = _before_bones(now, outputs, points)
-    slopes = np.zeros((len(x), len(controls), *still.shape[1:]))
-    for frame, row in enumerate(x[:, controls]):
-        moved = np.flatnonzero(row)
-        if not len(moved):
-            continue
-        changed = np.tile(outputs[frame], (len(moved), 1))
-        changed[:, shapes:] += _GAIN_CHANGE * row[moved, None] * rig.linear[controls[moved], shapes:]
-        there = _before_bones(now, changed, np.broadcast_to(points[frame], (len(moved), *still.shape[1:])))
-        slopes[frame, moved] = (there - still[frame]) / _GAIN_CHANGE
-    return slopes

@@ -259,18 +259,13 @@ class BakeMotion:
             motion.values,
             motion.points,
             motion.rest,
-            _frame_codes(motion.blocks),
+            np.concatenate([[0.0], np.cumsum(np.where(np.diff(motion.blocks), _APART, 1.0))]),
             face.stage.GetTimeCodesPerSecond() or 24.0,
         )
         return _report(motion, clips)
 
     def _moved(self, path: Path) -> set[str]:
         return _moved_by((path, *self.clips))
-
-
-def _frame_codes(blocks: IntArray) -> FloatArray:
-    """(f,) time codes: frames of a block follow one another, blocks are apart."""
-    return np.concatenate([[0.0], np.cumsum(np.where(np.diff(blocks), _APART, 1.0))])
 
 
 def _moved_by(paths: Iterable[Path]) -> set[str]:

@@ -163,7 +163,23 @@ class TrainEncoder:
             state=kept.state() if kept else None,
             keep=kept.keep if kept else lambda _: None,
         )
-        encoder = _encoder(moving, chosen, fitted.weights)
+        arrays = {name: array for name, array in fitted.weights.items() if "." not in name and name != "scale"}
+        layers: dict[str, dict[str, FloatArray]] = {}
+        for name, array in fitted.weights.items():
+            if "." in name:
+                number, key = name.split(".")
+                layers.setdefault(number, {})[key] = array
+        encoder = NeuralEncoder(
+            controls=moving.controls,
+            topology=moving.topology.digest,
+            point_count=moving.topology.point_count,
+            chosen=chosen,
+            rest=moving.rest[chosen].astype(np.float32),
+            scale=float(fitted.weights["scale"]),
+            heads=HEADS,
+            layers=tuple(EncoderLayer(**layers[number]) for number in sorted(layers, key=int)),
+            **arrays,
+        )
         report = _report(encoder, _pairs(learned, chosen), _pairs(checked, chosen), options)
         return TrainedEncoder(encoder=encoder, report=replace(report, steps=fitted.steps, left_out=still))
 
@@ -197,26 +213,6 @@ def _pairs(motion: Motion, chosen: IntArray) -> EncoderSamples:
 
     offsets = np.asarray(motion.points[:, chosen] - motion.rest[chosen], np.float32)
     return EncoderSamples(offsets=offsets, controls=inputs(motion.controls, motion.values))
-
-
-def _encoder(motion: Motion, chosen: IntArray, weights: Mapping[str, FloatArray]) -> NeuralEncoder:
-    arrays = {name: array for name, array in weights.items() if "." not in name and name != "scale"}
-    layers: dict[str, dict[str, FloatArray]] = {}
-    for name, array in weights.items():
-        if "." in name:
-            number, key = name.split(".")
-            layers.setdefault(number, {})[key] = array
-    return NeuralEncoder(
-        controls=motion.controls,
-        topology=motion.topology.digest,
-        point_count=motion.topology.point_count,
-        chosen=chosen,
-        rest=motion.rest[chosen].astype(np.float32),
-        scale=float(weights["scale"]),
-        heads=HEADS,
-        layers=tuple(EncoderLayer(**layers[number]) for number in sorted(layers, key=int)),
-        **arrays,
-    )
 
 
 def _straight(samples: EncoderSamples, options: TrainEncoderOptions) -> tuple[FloatArray, FloatArray]:

@@ -183,26 +183,6 @@ def _rows(motion: Motion) -> FloatArray:
     return np.concatenate([x, np.ones((len(x), 1))], axis=1)
 
 
-def straight_rig(motion: Motion, basis: OutputBasis) -> NeuralRig:
-    """The map of least squared error on all frames, which is 0 where the controls are at their defaults."""
-    inputs = from_default(motion.controls, motion.values)
-    outputs = basis.outputs(motion) @ np.linalg.inv(basis.metric)
-    count = outputs.shape[1]
-    return NeuralRig(
-        controls=motion.controls,
-        rest=basis.rest,
-        shapes=basis.shapes,
-        linear=np.linalg.lstsq(inputs, outputs, rcond=None)[0],
-        hidden=np.zeros((0, len(motion.controls))),
-        hidden_bias=np.zeros(0),
-        last=np.zeros((count, 0)),
-        last_bias=np.zeros(count),
-        topology=motion.topology.digest,
-        bones=motion.bones,
-        channels=basis.channels,
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class NeuralRigReport(Report):
     """How near a neural rig comes to frames that it was not trained on, in millimetres."""
@@ -273,7 +253,8 @@ class TrainNeuralRig:
             raise InputError(motion.where, "no control moves in any frame, expected one or more that do")
         learned, checked = motion.without(still).split(options.held_out, options.seed)
         straight = best_blendshapes(learned)
-        if _largest_mm(straight, checked) <= _STRAIGHT_MM:
+        off = (straight.points(row) - points for row, points in zip(checked.values, checked.points, strict=True))
+        if float(max(np.linalg.norm(one, axis=1).max() for one in off)) <= _STRAIGHT_MM:
             return self._straight(motion, learned, checked, straight)
         kept = Checkpoint.for_training(checkpoint, "rig", motion, options) if checkpoint else None
         taught, watched = _watched(learned, options)
@@ -300,22 +281,29 @@ class TrainNeuralRig:
     def _straight(self, motion: Motion, learned: Motion, checked: Motion, straight: Straight) -> TrainedNeuralRig:
         """The rig where nothing is to be learned."""
         basis = OutputBasis.from_motion(learned, self.options.tolerance_mm, self.options.shapes, self.options.detail)
-        rig = straight_rig(learned, basis)
+        # the map of least squared error on all frames, which is 0 where the controls are at their defaults
+        inputs = from_default(learned.controls, learned.values)
+        outputs = basis.outputs(learned) @ np.linalg.inv(basis.metric)
+        count = outputs.shape[1]
+        rig = NeuralRig(
+            controls=learned.controls,
+            rest=basis.rest,
+            shapes=basis.shapes,
+            linear=np.linalg.lstsq(inputs, outputs, rcond=None)[0],
+            hidden=np.zeros((0, len(learned.controls))),
+            hidden_bias=np.zeros(0),
+            last=np.zeros((count, 0)),
+            last_bias=np.zeros(count),
+            topology=learned.topology.digest,
+            bones=learned.bones,
+            channels=basis.channels,
+        )
         report = _report(rig, learned, checked, straight, self.options)
-        warnings = (*motion.warnings, _nothing_to_learn(motion, report))
+        found = f"{len(motion.controls)} controls move the points straight, within {report.linear_max_mm:.5f} mm"
+        plain = "" if motion.source == "samples" else ": a plain `facepipe export` is smaller, and exact"
+        warnings = (*motion.warnings, f"{motion.where}: nothing to learn: {found}{plain}")
         report = replace(report, left_out=motion.constant, source=motion.source, warnings=warnings)
         return TrainedNeuralRig(rig=rig, report=report, curve=np.zeros((0, 3)))
-
-
-def _largest_mm(straight: Straight, checked: Motion) -> float:
-    off = (straight.points(row) - points for row, points in zip(checked.values, checked.points, strict=True))
-    return float(max(np.linalg.norm(one, axis=1).max() for one in off))
-
-
-def _nothing_to_learn(motion: Motion, report: NeuralRigReport) -> str:
-    found = f"{len(motion.controls)} controls move the points straight, within {report.linear_max_mm:.5f} mm"
-    plain = "" if motion.source == "samples" else ": a plain `facepipe export` is smaller, and exact"
-    return f"{motion.where}: nothing to learn: {found}{plain}"
 
 
 def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, Motion]:

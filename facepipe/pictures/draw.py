@@ -51,15 +51,6 @@ def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width:
     return _enlarged(np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32), cell, light.shape[:2])
 
 
-def smoothed(values: Float32Array, share: Float32Array, depth: Float32Array, focal: float) -> Float32Array:
-    """(h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth.
-
-    :param values: (h, w) premultiplied by `share`, as `depth` is; see `spread`
-    """
-    far = _mean(depth, share)
-    return _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
-
-
 def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, width: float) -> Float32Array:
     """(h, w, c) values, the last of which is their share, blurred along rows, then columns, where the depth is alike.
 
@@ -153,19 +144,14 @@ def hidden(screen: ScreenTriangles, nearness: Float32Array, samples: int, top: i
             row = np.minimum((first[at] >> number) + down, last[at] >> number)
             column = np.minimum((left[at] >> number) + across, right[at] >> number)
             nearest[at] = np.minimum(nearest[at], cells[row, column])
-        cells = _halved(cells)
+        even = np.pad(cells, [(0, side % 2) for side in cells.shape], mode="edge")
+        cells = least(even, 2)
     return np.asarray(screen.limits[1] <= nearest)
 
 
 def _pixels(positions: FloatArray, samples: int, start: int, count: int) -> IntArray:
     """Pixels from `start` on, of `count`, in which positions in samples are."""
     return np.asarray(np.clip(positions // samples - start, 0, count - 1), np.int64)
-
-
-def _halved(cells: Float32Array) -> Float32Array:
-    """The least of two by two cells, or fewer at the far borders."""
-    even = np.pad(cells, [(0, side % 2) for side in cells.shape], mode="edge")
-    return least(even, 2)
 
 
 def least(values: Float32Array, side: int) -> Float32Array:
@@ -501,7 +487,12 @@ def _paint(picture: Float32Array, shader: Shader, spots: Spots, size: int, mm: f
         return
     shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
     if shader.studio.soft:
-        shaded = _softened(shaded, spots, _window(spots.pixel, size), shader.camera.focal, mm)
+        row, column = np.divmod(spots.pixel, size)
+        top, left = row.min(), column.min()
+        shape = int(row.max() - top) + 1, int(column.max() - left) + 1
+        shaded = _softened(
+            shaded, spots, _Window(shape=shape, place=(row - top) * shape[1] + column - left), shader.camera.focal, mm
+        )
     color = shaded.toned(shader.studio.tone) * spots.share[:, None]
     picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
     for channel in range(3):
@@ -524,20 +515,18 @@ class _Window:
         return image.reshape(-1, *image.shape[2:])[self.place]
 
 
-def _window(pixel: IntArray, size: int) -> _Window:
-    row, column = np.divmod(pixel, size)
-    top, left = row.min(), column.min()
-    shape = int(row.max() - top) + 1, int(column.max() - left) + 1
-    return _Window(shape=shape, place=(row - top) * shape[1] + column - left)
-
-
 def _softened(shaded: Shaded, spots: Spots, window: _Window, focal: float, mm: float) -> Shaded:
     """Samples with shadows free of grain, and with the light that comes to them below the surface."""
     share, depth = window.image(spots.share), window.image(spots.share * shaded.depth)
     open_to = window.read(open_share(depth, share, _HOLLOW_MM / mm, focal))
     apart = np.abs(shaded.depth * window.read(share) - window.read(depth)) > _STEP / focal * shaded.depth
     open_to[apart] = 1.0  # edges before something farther away are no hollows
-    hidden = window.read(smoothed(window.image(spots.share * shaded.key_light), share, depth, focal))
+    values = window.image(spots.share * shaded.key_light)
+    # (h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth
+    far = _mean(depth, share)
+    hidden = window.read(
+        _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
+    )
     shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=shaded.lit.dimmed(open_to))
     light = np.stack([window.image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)
     change = window.read(spread(light, share, depth, _SCATTERED / mm, focal))

@@ -62,18 +62,22 @@ def color_scale(limits: tuple[float, float], text: str, none: str = "") -> Marku
     ]
     name = "heat"  # the same gradient wherever it stands
     placed = [((value - low) / (high - low), figures) for value, figures in ticks(low, high)]
-    marks = [tag("text", text, x=f"{at * 560:.1f}", y=34, text_anchor=_anchor(at)) for at, text in placed]
+    marks = [
+        tag(
+            "text",
+            text,
+            x=f"{at * 560:.1f}",
+            y=34,
+            text_anchor="start" if at < 0.01 else "end" if at > 0.99 else "middle",
+        )
+        for at, text in placed
+    ]
     gradient = tag("defs", tag("linearGradient", *stops, id=name))
     strip = tag("rect", width=560, height=14, rx=2, fill=f"url(#{name})")
     drawn = tag("svg", gradient, strip, *marks, viewBox="0 0 560 40", font_size=12, fill="currentColor")
     grey = ",".join(str(round(255 * level)) for level in NO_VALUE)
     square = tag("svg", tag("rect", width=12, height=12, rx=2, fill=f"rgb({grey})"), width=12, height=12)
     return tag("div", tag("small", text, ", mm", *((" · ", square, " ", none) if none else ())), drawn, class_="scale")
-
-
-def _anchor(share: float) -> str:
-    """Numbers below a scale stay within it."""
-    return "start" if share < 0.01 else "end" if share > 0.99 else "middle"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +119,10 @@ def loss_chart(history: Sequence[Mapping[str, float]], title: str = "") -> Marku
     :param history: by step, term -> weighted loss
     :param title: above the curves
     """
-    terms = _terms(history)
+    # losses by step for each term, the total first; NaN where a step lacks one
+    names = sorted({name for step in history for name in step}, key=lambda name: (name != TOTAL, name))
+    losses = {name: np.array([float(step.get(name, np.nan)) for step in history]) for name in names}
+    terms = {name: np.where(np.isfinite(values), values, np.nan) for name, values in losses.items()}
     if not terms:
         return _chart(60, tag("text", "no steps were made", x=0, y=20, fill_opacity=0.6))
     axes = _axes(terms, len(history))
@@ -146,13 +153,6 @@ def _chart(height: int, *content: Markup) -> Markup:
         "svg", *content, xmlns="http://www.w3.org/2000/svg", viewBox=f"-4 0 {_WIDTH + 8} {height}", width=_WIDTH,
         font_family="system-ui,sans-serif", font_size=12, fill="currentColor",
     )  # fmt: skip
-
-
-def _terms(history: Sequence[Mapping[str, float]]) -> dict[str, FloatArray]:
-    """Losses by step for each term, the total first; NaN where a step lacks one."""
-    names = sorted({name for step in history for name in step}, key=lambda name: (name != TOTAL, name))
-    losses = {name: np.array([float(step.get(name, np.nan)) for step in history]) for name in names}
-    return {name: np.where(np.isfinite(values), values, np.nan) for name, values in losses.items()}
 
 
 def _axes(terms: Mapping[str, FloatArray], count: int) -> Axes:
@@ -186,7 +186,7 @@ def _curve(axes: Axes, losses: FloatArray, color: str, width: float) -> Markup:
     rows = axes.y(losses)
     known = np.flatnonzero(np.isfinite(rows))
     runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
-    # A run of one step becomes a dot: a line of no length with round ends.
+    # a run of one step becomes a dot: a line of no length with round ends.
     path = "".join(f"M{'L'.join(f'{axes.x(step):.1f} {rows[step]:.1f}' for step in (*run, run[-1]))}" for run in runs)
     return tag(
         "path", d=path, fill="none", stroke=color, stroke_width=width, stroke_linejoin="round", stroke_linecap="round"

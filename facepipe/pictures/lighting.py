@@ -235,7 +235,7 @@ class Portrait:
         seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
         # The mean of a linear dome over the cosine lobe.
         total = seen * self._dome(samples.normals @ samples.up * 2 / 3)
-        creep = _creep(samples.base)
+        creep = _CREEP / _SCATTER * scatter_share(samples.base)
         each = []
         for box, light in zip(self.boxes, boxes, strict=True):
             wrap = creep + 0.4 * box.spread
@@ -271,7 +271,13 @@ class _View:
         self.alpha = np.maximum(samples.roughness**2, _LEAST_ALPHA)
         self.facing = np.maximum(_dot(self.normals, self.towards_eye), _LEAST_FACING)
         self.mirrored = 2 * self.facing[:, None] * self.normals - self.towards_eye
-        self.sheen = _sheen(self.mirror, samples.roughness, self.facing)
+        # (m, 3) share of even light that a rough surface reflects: Karis' fit of the split-sum integral
+        r0, r1, r2, r3 = (
+            a * samples.roughness + b for a, b in ((-1, 1), (-0.0275, 0.0425), (-0.572, 1.04), (0.022, -0.04))
+        )
+        bend = np.minimum(r0 * r0, np.exp2(-9.28 * self.facing)) * r0 + r1
+        scale, offset = r2 - 1.04 * bend, r3 + 1.04 * bend
+        self.sheen = np.asarray(self.mirror * scale[:, None] + np.maximum(offset, 0)[:, None])
 
     def reflection(self, box: Softbox, light: FloatArray) -> FloatArray:
         """(m, 3) what of a box's light (m, 3) is reflected to the viewer."""
@@ -300,19 +306,6 @@ class _View:
         strength = box.glare * cosine * (lobe * alpha / widened) ** 2 / (4 * unmasked)
         mirror = self.mirror[at]
         return np.asarray((mirror + (1 - mirror) * ((1 - _dot(light, half)) ** 5)[:, None]) * strength[:, None])
-
-
-def _sheen(mirror: FloatArray, roughness: FloatArray, facing: FloatArray) -> FloatArray:
-    """(m, 3) share of even light that a rough surface reflects: Karis' fit of the split-sum integral."""
-    r0, r1, r2, r3 = (a * roughness + b for a, b in ((-1, 1), (-0.0275, 0.0425), (-0.572, 1.04), (0.022, -0.04)))
-    bend = np.minimum(r0 * r0, np.exp2(-9.28 * facing)) * r0 + r1
-    scale, offset = r2 - 1.04 * bend, r3 + 1.04 * bend
-    return np.asarray(mirror * scale[:, None] + np.maximum(offset, 0)[:, None])
-
-
-def _creep(base: FloatArray) -> FloatArray:
-    """(m, 3) how far light creeps around the terminator: farthest in the colour that a surface absorbs least."""
-    return _CREEP / _SCATTER * scatter_share(base)
 
 
 def scatter_share(base: FloatArray) -> FloatArray:

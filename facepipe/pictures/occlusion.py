@@ -54,7 +54,22 @@ class DepthMap:
 
     def lit(self, points: FloatArray, normals: FloatArray, radius: int = 1) -> FloatArray:
         """(n,) share of light that reaches points with unit normals, softened over `radius` map pixels."""
-        return _compare(self.nearness, self._coordinates(points, normals, 0.6 + radius), radius)
+        at = self._coordinates(points, normals, 0.6 + radius)
+        # percentage-closer filtering: the share of a bilinearly weighted window that is not nearer than the point
+        size = self.nearness.shape[0]
+        x, y = at[:, 0] - 0.5, at[:, 1] - 0.5
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        fx, fy = x - column, y - row
+        limit = at[:, 2]
+        flat = self.nearness.ravel()
+        lit = np.zeros(len(at), np.float32)
+        for dy in range(-radius, radius + 2):
+            weight_y = _window(dy, radius, fy)
+            line = np.clip(row + dy, 0, size - 1) * size
+            for dx in range(-radius, radius + 2):
+                clear = flat[line + np.clip(column + dx, 0, size - 1)] <= limit
+                lit += weight_y * _window(dx, radius, fx) * clear
+        return lit / (2 * radius + 1) ** 2
 
     def softly_lit(self, points: FloatArray, normals: FloatArray, spread: float, turn: FloatArray) -> FloatArray:
         """(n,) share of the light of a disc that reaches points: sharp at the contact, softer away from it.
@@ -74,7 +89,7 @@ class DepthMap:
         width = np.clip(gap / np.maximum(blockers, 1) * spread, 1.0, _WIDEST)
         lit = np.zeros(len(at), np.float32)
         for x, y in _spiral(turn):
-            # A wide kernel reaches along the surface: what is not clearly above the point does not hide it.
+            # a wide kernel reaches along the surface: what is not clearly above the point does not hide it.
             lit += self._above(at, x * width, y * width) <= 0.5 * width * np.hypot(x, y)
         return np.where(blockers > 0, lit / _TAPS, 1.0)
 
@@ -177,24 +192,6 @@ def _spiral(turn: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         radius, angle = np.sqrt((number + 0.5) / _TAPS), number * _GOLDEN
         x, y = np.float32(radius * np.cos(angle)), np.float32(radius * np.sin(angle))
         yield x * cosine - y * sine, x * sine + y * cosine
-
-
-def _compare(nearness: Float32Array, at: Float32Array, radius: int) -> FloatArray:
-    """Percentage-closer filtering: the share of a bilinearly weighted window that is not nearer than the point."""
-    size = nearness.shape[0]
-    x, y = at[:, 0] - 0.5, at[:, 1] - 0.5
-    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = x - column, y - row
-    limit = at[:, 2]
-    flat = nearness.ravel()
-    lit = np.zeros(len(at), np.float32)
-    for dy in range(-radius, radius + 2):
-        weight_y = _window(dy, radius, fy)
-        line = np.clip(row + dy, 0, size - 1) * size
-        for dx in range(-radius, radius + 2):
-            clear = flat[line + np.clip(column + dx, 0, size - 1)] <= limit
-            lit += weight_y * _window(dx, radius, fx) * clear
-    return lit / (2 * radius + 1) ** 2
 
 
 def _window(step: int, radius: int, fraction: Float32Array) -> FloatArray:

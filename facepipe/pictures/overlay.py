@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.geometry.colors import from_srgb
@@ -134,7 +134,15 @@ def draw_landmarks(
     points, numbers = landmark_points(parts, scheme)
     screen = camera.project(scene.points)
     where = screen[points, :2] / screen[points, 3:]
-    seen = _visible(scene, screen, points, image.size)
+    width, height = image.size
+    solid = scene.triangles[~scene.see_through]
+    nearness = rasterise(screen_triangles(screen, solid), width, height).nearness
+    at = screen[points, :2] / screen[points, 3:]
+    column = np.clip(np.floor(at[:, 0]), 0, width - 1).astype(np.int64)
+    row = np.clip(np.floor(at[:, 1]), 0, height - 1).astype(np.int64)
+    depth = screen[points, 3]
+    slack = 0.02 * float(np.ptp(screen[np.unique(scene.triangles), 3])) if len(scene.triangles) else 0.0
+    seen = np.asarray(nearness[row, column] * (depth - slack) <= 1.0)
     radius = max(1.6, image.width / 260)
     pixels = np.asarray(image, dtype=np.float64).copy()
     for (x, y), clear in zip(where, seen, strict=True):
@@ -186,19 +194,6 @@ def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
         known = sorted({name for mesh in parts.meshes for name in mesh.landmarks})
         raise InputError(f"{parts.name} -> landmarks", unknown(scheme, known, "scheme"))
     return np.concatenate(points), np.concatenate(numbers)
-
-
-def _visible(scene: Scene, screen: FloatArray, points: IntArray, size: tuple[int, int]) -> BoolArray:
-    """(l,) points with nothing opaque clearly in front of them."""
-    width, height = size
-    solid = scene.triangles[~scene.see_through]
-    nearness = rasterise(screen_triangles(screen, solid), width, height).nearness
-    at = screen[points, :2] / screen[points, 3:]
-    column = np.clip(np.floor(at[:, 0]), 0, width - 1).astype(np.int64)
-    row = np.clip(np.floor(at[:, 1]), 0, height - 1).astype(np.int64)
-    depth = screen[points, 3]
-    slack = 0.02 * float(np.ptp(screen[np.unique(scene.triangles), 3])) if len(scene.triangles) else 0.0
-    return np.asarray(nearness[row, column] * (depth - slack) <= 1.0)
 
 
 def _disc(pixels: FloatArray, x: float, y: float, radius: float, color: tuple[int, int, int], opacity: float) -> None:

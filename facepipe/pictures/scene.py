@@ -242,7 +242,21 @@ def build_scene(
     pieces: list[tuple[IntArray, IntArray, IntArray, IntArray]] = []
     start = 0
     for mesh in parts.meshes:
-        triangles, corners, surface = _mesh_triangles(mesh, materials, surfaces)
+        # local triangles (t, 3), their corners (t, 3) and surfaces (t,); adds the mesh's surfaces to the list. A
+        # material that the face lacks, as its prim has no UsdPreviewSurface, is drawn as none.
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        if np.linalg.det(mesh.transform[:3, :3]) < 0:
+            corners = corners[:, ::-1]  # a mirrored mesh is seen from the other side of its winding
+        of_face = np.full(len(mesh.face_vertex_counts), len(surfaces))
+        surfaces.append(Surface(mesh=mesh, material=materials.get(mesh.material or "")))
+        for bound in mesh.material_faces:
+            of_face[np.asarray(bound.faces, dtype=np.int64)] = len(surfaces)
+            surfaces.append(Surface(mesh=mesh, material=materials.get(bound.material)))
+        triangles, corners, surface = (
+            np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners],
+            corners,
+            of_face[faces],
+        )
         pieces.append((triangles + start, corners, surface, np.full(len(triangles), start)))
         start += len(mesh.points)
     empty = np.zeros((0, 3), np.int64)
@@ -261,24 +275,6 @@ def build_scene(
         textures=textures or TextureCache(largest=size * 5 // 4),  # a face fills the picture
         size=size,
     )
-
-
-def _mesh_triangles(
-    mesh: Mesh, materials: dict[str, Material], surfaces: list[Surface]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """Local triangles (t, 3), their corners (t, 3) and surfaces (t,); adds the mesh's surfaces to the list.
-
-    A material that the face lacks, as its prim has no UsdPreviewSurface, is drawn as none.
-    """
-    corners, faces = triangulate(mesh.face_vertex_counts)
-    if np.linalg.det(mesh.transform[:3, :3]) < 0:
-        corners = corners[:, ::-1]  # a mirrored mesh is seen from the other side of its winding
-    of_face = np.full(len(mesh.face_vertex_counts), len(surfaces))
-    surfaces.append(Surface(mesh=mesh, material=materials.get(mesh.material or "")))
-    for bound in mesh.material_faces:
-        of_face[np.asarray(bound.faces, dtype=np.int64)] = len(surfaces)
-        surfaces.append(Surface(mesh=mesh, material=materials.get(bound.material)))
-    return np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners], corners, of_face[faces]
 
 
 def _welded(points: FloatArray, normals: FloatArray) -> FloatArray:

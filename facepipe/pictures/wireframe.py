@@ -35,19 +35,7 @@ def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Im
     scene = build_scene(parts, None)
     points = np.asarray(screen, dtype=np.float64) * (FINE, FINE, 1.0)
     solid = scene.triangles[~scene.see_through]
-    pairs = _front_edges(parts, points, solid)
-    cover = np.zeros((height, width), np.uint8)
-    if len(pairs):
-        depth = np.maximum(points[:, 2:], NEAR / 2)
-        homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
-        nearness = rasterise(screen_triangles(homogeneous, solid), width, height).nearness
-        farthest = _nearby(np.minimum, nearness)  # steep surfaces must not hide their own edges
-        _draw(cover, farthest, points[pairs])
-    return Image.fromarray(_nearby(np.maximum, cover)).reduce(FINE)
-
-
-def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntArray:
-    """(e, 2) polygon edges of opaque surfaces between points that face the camera and are in front of it."""
+    # (e, 2) polygon edges of opaque surfaces between points that face the camera and are in front of it
     (ax, ay), (bx, by), (cx, cy) = points[solid.T, :2].transpose(0, 2, 1)
     ahead = (points[solid, 2] > NEAR).all(axis=1)
     facing = ahead & ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0)  # y points down
@@ -59,7 +47,15 @@ def _front_edges(parts: FaceParts, points: FloatArray, solid: IntArray) -> IntAr
         meshes.append(edges(mesh.face_vertex_counts, mesh.face_vertex_indices)[0] + start)
         start += len(mesh.points)
     pairs = np.concatenate(meshes)
-    return np.asarray(pairs[seen[pairs].all(axis=1)])
+    pairs = np.asarray(pairs[seen[pairs].all(axis=1)])
+    cover = np.zeros((height, width), np.uint8)
+    if len(pairs):
+        depth = np.maximum(points[:, 2:], NEAR / 2)
+        homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
+        nearness = rasterise(screen_triangles(homogeneous, solid), width, height).nearness
+        farthest = _nearby(np.minimum, nearness)  # steep surfaces must not hide their own edges
+        _draw(cover, farthest, points[pairs])
+    return Image.fromarray(_nearby(np.maximum, cover)).reduce(FINE)
 
 
 def _nearby(extreme: np.ufunc, samples: Samples) -> Samples:

@@ -42,7 +42,11 @@ def local_transforms(skeleton: Skeleton, animation: Animation, joints: IntArray 
         at_rest = decompose(rest)
         rotations = at_rest.rotation if animation.rotations is None else np.asarray(animation.rotations)[:, chosen]
         scales = at_rest.scale if animation.scales is None else np.asarray(animation.scales)[:, chosen]
-        _refuse_zero(animation, chosen, rotations)
+        lengths = np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1)
+        short = (np.atleast_2d(lengths) < _NO_QUATERNION).any(axis=0)
+        if short.any():
+            joint = animation.joints[chosen[int(np.argmax(short))]]
+            raise InputError(f"{animation.name} -> {joint}", "a rotation quaternion of length 0, expected unit length")
         matrices[..., :3, :3] = rotation_matrices(rotations) * np.asarray(scales, np.float64)[..., None, :]
     if animation.translations is not None:
         matrices[..., :3, 3] = np.asarray(animation.translations)[:, chosen]
@@ -82,14 +86,6 @@ def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = N
     if missing:
         raise InputError(animation.name, f"'{missing[0]}' is not a joint of the skeleton")
     return np.array([place[joint] for joint in paths], dtype=np.int64)
-
-
-def _refuse_zero(animation: Animation, chosen: IntArray, rotations: FloatArray) -> None:
-    lengths = np.linalg.norm(np.asarray(rotations, dtype=np.float64), axis=-1)
-    short = (np.atleast_2d(lengths) < _NO_QUATERNION).any(axis=0)
-    if short.any():
-        joint = animation.joints[chosen[int(np.argmax(short))]]
-        raise InputError(f"{animation.name} -> {joint}", "a rotation quaternion of length 0, expected unit length")
 
 
 def whole_frames(first: float, last: float, fps: float) -> FloatArray:

@@ -10,7 +10,7 @@ import json
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.resources import files
@@ -106,7 +106,9 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
     both = ("left", "right")
     # form by form over all names, not name by name: a loose match never takes the shape that a later name spells
     for form, sides in ((spelling, ("",)), (_meant, ("",)), (spelling, both), (_meant, both)):
-        index = _index(form, shapes)
+        forms = [form(shape) for shape in shapes]
+        count = Counter(forms)
+        index = {text: shape for text, shape in zip(forms, shapes, strict=True) if count[text] == 1}
         for name in incoming:
             meant = tuple(index[text] for side in sides if (text := form(name) + side) in index)
             if name not in matched and len(meant) == len(sides) and not taken.intersection(meant):
@@ -134,13 +136,6 @@ def _meant(name: str) -> str:
     """The key of what a name means; nothing that any shape means where it means nothing."""
     found = meaning(name)
     return f"?{name}" if found is None else shape_key(found)
-
-
-def _index(form: Callable[[str], str], shapes: Sequence[str]) -> dict[str, str]:
-    """Form -> the one shape that has it."""
-    forms = [form(shape) for shape in shapes]
-    count = Counter(forms)
-    return {text: shape for text, shape in zip(forms, shapes, strict=True) if count[text] == 1}
 
 
 ARKIT_SHAPES = frozenset(CONVENTIONS["arkit"].written)

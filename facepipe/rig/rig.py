@@ -287,32 +287,17 @@ def _dual_quaternion_blend(influences: sparse.csr_array, matrices: FloatArray) -
     take ``q = sum +-w q_j / |sum +-w q_j|``, d by the same sum and length, and ``sum w K_j``; the translation is the
     vector part of ``2 d conj(q)``.
     """
-    stretch, turned = _polar(matrices)
-    real = decompose(turned).rotation  # (j, 4) x y z w
-    dual = 0.5 * _product(np.pad(turned[:, :3, 3], ((0, 0), (0, 1))), real)
-    signed = _on_one_side(influences, real)
-    length = np.linalg.norm(signed @ real, axis=1)[:, None]
-    length[length == 0] = 1.0
-    real, dual = (signed @ real) / length, (signed @ dual) / length
-    blended = np.empty((influences.shape[0], 3, 4))
-    blended[..., :3] = rotation_matrices(real) @ (influences @ stretch.reshape(-1, 9)).reshape(-1, 3, 3)
-    blended[..., 3] = 2.0 * _product(dual, real * (-1.0, -1.0, -1.0, 1.0))[:, :3]
-    return blended
-
-
-def _polar(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(j, 3, 3) symmetric stretches, negative where a matrix mirrors, and the (j, 4, 4) rigid motions after them."""
+    # (j, 3, 3) symmetric stretches, negative where a matrix mirrors, and the (j, 4, 4) rigid motions after them
     linear = matrices[:, :3, :3]
     U, _, Vt = np.linalg.svd(linear)
     rotation = U @ Vt
     rotation *= np.where(np.linalg.det(rotation) < 0, -1.0, 1.0)[:, None, None]
     rigid = np.array(matrices)
     rigid[:, :3, :3] = rotation
-    return np.swapaxes(rotation, 1, 2) @ linear, rigid
-
-
-def _on_one_side(influences: sparse.csr_array, real: FloatArray) -> sparse.csr_array:
-    """The weights, negative where a joint's quaternion lies on the other side than that of the largest weight."""
+    stretch, turned = np.swapaxes(rotation, 1, 2) @ linear, rigid
+    real = decompose(turned).rotation  # (j, 4) x y z w
+    dual = 0.5 * _product(np.pad(turned[:, :3, 3], ((0, 0), (0, 1))), real)
+    # the weights, negative where a joint's quaternion lies on the other side than that of the largest weight
     rows = np.repeat(np.arange(influences.shape[0]), np.diff(influences.indptr))
     order = np.lexsort((influences.indices, -influences.data, rows))
     first = order[np.concatenate([[True], rows[order][1:] != rows[order][:-1]])] if len(order) else order
@@ -320,7 +305,14 @@ def _on_one_side(influences: sparse.csr_array, real: FloatArray) -> sparse.csr_a
     pivot[rows[first]] = influences.indices[first]
     opposite = np.einsum("ij,ij->i", real[influences.indices], real[pivot[rows]]) < 0
     data = np.where(opposite, -influences.data, influences.data)
-    return sparse.csr_array((data, influences.indices, influences.indptr), shape=influences.shape)
+    signed = sparse.csr_array((data, influences.indices, influences.indptr), shape=influences.shape)
+    length = np.linalg.norm(signed @ real, axis=1)[:, None]
+    length[length == 0] = 1.0
+    real, dual = (signed @ real) / length, (signed @ dual) / length
+    blended = np.empty((influences.shape[0], 3, 4))
+    blended[..., :3] = rotation_matrices(real) @ (influences @ stretch.reshape(-1, 9)).reshape(-1, 3, 3)
+    blended[..., 3] = 2.0 * _product(dual, real * (-1.0, -1.0, -1.0, 1.0))[:, :3]
+    return blended
 
 
 def _product(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -74,7 +74,16 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
         points = np.einsum("nij,nj->ni", linear, points) + whole[:, :3, 3]
     if np.array_equal(points, mesh.points) and linear is None:
         return mesh
-    turn = _normal_turn(mesh, points, linear)
+    # (n, 3, 3) what takes normals along: the cofactor of `linear`, then the turn that the surface makes beside it
+    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+    before, after = point_normals(mesh.points, triangles), point_normals(points, triangles)
+    cofactor = np.tile(np.eye(3), (len(points), 1, 1)) if linear is None else _cofactors(linear)
+    carried = np.einsum("nij,nj->ni", cofactor, before)
+    length = np.linalg.norm(carried, axis=1, keepdims=True)
+    carried /= np.where(length == 0, 1.0, length)
+    sign = np.where(np.linalg.det(cofactor) < 0, -1.0, 1.0)  # a mirrored surface is wound the other way
+    size = np.where(length == 0, 1.0, length)[:, :, None]
+    turn = np.asarray(_rotations(carried, after * sign[:, None]) @ (cofactor / size))
     shapes = tuple(_on_top(shape, weights.get(shape.name, 0.0), linear, turn) for shape in mesh.blendshapes)
     return replace(mesh, points=points.astype(np.float32), normals=_normals(mesh, turn), blendshapes=shapes)
 
@@ -127,19 +136,6 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
         inbetweens.append(Inbetween(name=names[knot], weight=knot, offsets=offsets, normal_offsets=normal_offsets))
     offsets, normal_offsets = at(1.0)
     return replace(shape, offsets=offsets, normal_offsets=normal_offsets, inbetweens=tuple(inbetweens))
-
-
-def _normal_turn(mesh: Mesh, points: FloatArray, linear: FloatArray | None) -> FloatArray:
-    """(n, 3, 3) what takes normals along: the cofactor of `linear`, then the turn that the surface makes beside it."""
-    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
-    before, after = point_normals(mesh.points, triangles), point_normals(points, triangles)
-    cofactor = np.tile(np.eye(3), (len(points), 1, 1)) if linear is None else _cofactors(linear)
-    carried = np.einsum("nij,nj->ni", cofactor, before)
-    length = np.linalg.norm(carried, axis=1, keepdims=True)
-    carried /= np.where(length == 0, 1.0, length)
-    sign = np.where(np.linalg.det(cofactor) < 0, -1.0, 1.0)  # a mirrored surface is wound the other way
-    size = np.where(length == 0, 1.0, length)[:, :, None]
-    return np.asarray(_rotations(carried, after * sign[:, None]) @ (cofactor / size))
 
 
 def _cofactors(linear: FloatArray) -> FloatArray:
@@ -208,25 +204,29 @@ def _stretch(worlds: FloatArray) -> FloatArray:
     return np.asarray((np.swapaxes(Vt, -1, -2) * scale[:, None, :]) @ Vt)
 
 
-def animations_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Animation, ...]:
-    """The animations as expressions on top of the person.
-
-    Poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
-    are expressions already.
-    """
-    of_photos = {photo.animation for photo in parts.photos}
-    return tuple(
-        _animation_on(parts, animation, person, new, holds_person=animation.name in of_photos)
-        for animation in parts.animations
-        if not is_person(parts, animation, person)
-    )
-
-
 def _animation_on(
     parts: FaceParts, animation: Animation, person: Person, new: NewRest, *, holds_person: bool
 ) -> Animation:
     if holds_person:
-        animation = _without(parts, animation, person)
+        # a pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's
+        skeleton, joints = parts.skeleton, parts.skeleton.joints
+        count = animation.samples
+        local = np.tile(np.asarray(skeleton.rest_transforms, dtype=np.float64), (count, 1, 1, 1))
+        local[:, places(skeleton, animation)] = local_transforms(skeleton, animation)
+        under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices
+        given = (
+            np.zeros((count, 0)) if animation.shape_weights is None else np.asarray(animation.shape_weights, np.float64)
+        )
+        given_weights = dict(zip(animation.shapes, given.T, strict=False))
+        names = tuple(sorted({*given_weights, *person.weights}))
+        columns = [given_weights.get(name, np.zeros(count)) - person.weights.get(name, 0.0) for name in names]
+        animation = replace(
+            animation,
+            joints=joints,
+            coefficients=matrix_coefficients(np.linalg.solve(under, local)) if joints else None,
+            shapes=names,
+            shape_weights=np.stack(columns, axis=1) if names else None,
+        )
     if not animation.joints or all(
         getattr(animation, field) is None for field in ("translations", "rotations", "scales", "coefficients")
     ):
@@ -248,26 +248,6 @@ def _animation_on(
     # be a plain turn again
     posed = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
     return replace(animation, translations=posed.translation, rotations=posed.rotation, scales=posed.scale)
-
-
-def _without(parts: FaceParts, animation: Animation, person: Person) -> Animation:
-    """A pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's."""
-    skeleton, joints = parts.skeleton, parts.skeleton.joints
-    count = animation.samples
-    local = np.tile(np.asarray(skeleton.rest_transforms, dtype=np.float64), (count, 1, 1, 1))
-    local[:, places(skeleton, animation)] = local_transforms(skeleton, animation)
-    under = np.asarray(skeleton.rest_transforms, dtype=np.float64) @ person.matrices
-    given = np.zeros((count, 0)) if animation.shape_weights is None else np.asarray(animation.shape_weights, np.float64)
-    given_weights = dict(zip(animation.shapes, given.T, strict=False))
-    names = tuple(sorted({*given_weights, *person.weights}))
-    columns = [given_weights.get(name, np.zeros(count)) - person.weights.get(name, 0.0) for name in names]
-    return replace(
-        animation,
-        joints=joints,
-        coefficients=matrix_coefficients(np.linalg.solve(under, local)) if joints else None,
-        shapes=names,
-        shape_weights=np.stack(columns, axis=1) if names else None,
-    )
 
 
 def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLimits | None:
@@ -409,11 +389,27 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
 
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
-    _refuse_flat(rig, person, parts.name)
+    by_person = f"by the person ({person.description})"
+    for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
+        worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
+        finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
+        sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
+        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT_SIZE)
+        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT_SIZE * np.maximum(sizes[:, 0], 1.0)))
+        if flat.size:
+            what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
+            raise InputError(f"{parts.name} -> {rig.joints[flat[0]]}", what)
     new = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
     moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     bounds = rig.mesh_offsets
-    animations = animations_on(parts, person, new)
+    # poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
+    # are expressions already.
+    of_photos = {photo.animation for photo in parts.photos}
+    animations = tuple(
+        _animation_on(parts, animation, person, new, holds_person=animation.name in of_photos)
+        for animation in parts.animations
+        if not is_person(parts, animation, person)
+    )
     result = replace(
         parts,
         meshes=tuple(
@@ -431,19 +427,6 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
     where = " in the joints" if in_joints else ""
     error = set_error(rig, build(result), person, new, parts, result)
     return SetFace(parts=result, pose=person.description + where, error=error, stretch=new.stretch)
-
-
-def _refuse_flat(rig: Rig, person: Person, where: str) -> None:
-    by_person = f"by the person ({person.description})"
-    for local, who in ((rig.rest, "at rest"), (rig.rest @ person.matrices, by_person)):
-        worlds = rig.joint_worlds(local.copy(), np.eye(4))[:, :3, :3]
-        finite = np.asarray(np.isfinite(worlds).all(axis=(1, 2)))
-        sizes = np.linalg.svd(np.where(finite[:, None, None], worlds, 0.0), compute_uv=False)
-        large = ~finite | (sizes[:, 0] > 1.0 / _FLAT_SIZE)
-        flat = np.flatnonzero(large | (sizes[:, 2] < _FLAT_SIZE * np.maximum(sizes[:, 0], 1.0)))
-        if flat.size:
-            what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
-            raise InputError(f"{where} -> {rig.joints[flat[0]]}", what)
 
 
 @dataclass(frozen=True, kw_only=True)

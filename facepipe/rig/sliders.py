@@ -189,7 +189,15 @@ def independent(sliders: Sequence[Slider]) -> BoolArray:
     Sliders with curves are none of these.
     """
     straight = [not (slider.channel_curves or slider.shape_curves) for slider in sliders]
-    effects, names = _effects(sliders), {slider.name: i for i, slider in enumerate(sliders)}
+    gains = [
+        {**{(joint, channel): gain for joint, channel, gain in slider.channels}, **dict(slider.shapes)}
+        for slider in sliders
+    ]
+    columns = {target: i for i, target in enumerate(dict.fromkeys(target for effect in gains for target in effect))}
+    table = np.zeros((len(sliders), len(columns)))
+    for row, effect in zip(table, gains, strict=True):
+        row[[columns[target] for target in effect]] = list(effect.values())
+    effects, names = table, {slider.name: i for i, slider in enumerate(sliders)}
     span: FloatArray = np.zeros((0, effects.shape[1]))
     kept = np.array([not plain for plain in straight])
     for i, slider in enumerate(sliders):
@@ -200,19 +208,6 @@ def independent(sliders: Sequence[Slider]) -> BoolArray:
             both = effects[i] + effects[names[slider.mirror]] if slider.mirror in names else effects[i]
             kept[i] = _extended(span, both)[1]
     return kept
-
-
-def _effects(sliders: Sequence[Slider]) -> FloatArray:
-    """(s, targets) gains of each slider on each shape and channel."""
-    gains = [
-        {**{(joint, channel): gain for joint, channel, gain in slider.channels}, **dict(slider.shapes)}
-        for slider in sliders
-    ]
-    columns = {target: i for i, target in enumerate(dict.fromkeys(target for effect in gains for target in effect))}
-    table = np.zeros((len(sliders), len(columns)))
-    for row, effect in zip(table, gains, strict=True):
-        row[[columns[target] for target in effect]] = list(effect.values())
-    return table
 
 
 def _extended(span: FloatArray, effect: FloatArray) -> tuple[FloatArray, bool]:

@@ -23,7 +23,7 @@ from facepipe.geometry.texels import Texels, spread
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.parts import FaceParts, Texture, TextureInput
 from facepipe.scanning.rebuild import BakeScanOptions
-from facepipe.scans import Scan, ScanPicture, ScanTexture, SurfaceColors
+from facepipe.scans import Scan, ScanTexture, SurfaceColors
 from facepipe.stage import Face
 from facepipe.textures.bake import Baker
 from facepipe.textures.evened import inner, missed_light, one_sided
@@ -147,7 +147,22 @@ def _colors(scan: Scan, owners: IntArray, corners: IntArray, shares: FloatArray)
     for number, texels in enumerate(_texels(scan.texture)):
         here = np.flatnonzero(scan.texture.picture[owners] == number)
         uv = np.einsum("sk,skc->sc", shares[here], scan.texture.uvs[owners[here]])
-        colors[here] = _looked_up(texels, uv, scan.texture.pictures[number])
+        picture = scan.texture.pictures[number]
+        # (s, 3) linear colours of the texels (h, w, 3) at UVs (s, 2), bilinear
+        height, width = texels.shape[:2]
+        x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
+        left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        # Decoded before they are mixed: means of sRGB bytes are too dark.
+        levels = from_srgb(np.arange(256) / 255).astype(np.float32)
+        total = np.zeros((len(uv), 3), np.float32)
+        for column, row, share in (
+            (left, top, (1 - x + left) * (1 - y + top)),
+            (left + 1, top, (x - left) * (1 - y + top)),
+            (left, top + 1, (1 - x + left) * (y - top)),
+            (left + 1, top + 1, (x - left) * (y - top)),
+        ):
+            total += share.astype(np.float32)[:, None] * levels[texels[row % height, column % width]]
+        colors[here] = np.asarray(np.clip(total * np.array(picture.gain) + np.array(picture.bias), 0, 1), np.float32)
     return colors
 
 
@@ -156,24 +171,6 @@ def _texels(texture: ScanTexture) -> Iterator[npt.NDArray[np.uint8]]:
     for number, picture in enumerate(texture.pictures):
         where = f"picture {number + 1} of the scan"
         yield pixels(open_image(picture.data, where), "RGB", where)
-
-
-def _looked_up(texels: npt.NDArray[np.uint8], uv: FloatArray, picture: ScanPicture) -> Float32Array:
-    """(s, 3) linear colours of the texels (h, w, 3) at UVs (s, 2), bilinear."""
-    height, width = texels.shape[:2]
-    x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    # Decoded before they are mixed: means of sRGB bytes are too dark.
-    levels = from_srgb(np.arange(256) / 255).astype(np.float32)
-    total = np.zeros((len(uv), 3), np.float32)
-    for column, row, share in (
-        (left, top, (1 - x + left) * (1 - y + top)),
-        (left + 1, top, (x - left) * (1 - y + top)),
-        (left, top + 1, (1 - x + left) * (y - top)),
-        (left + 1, top + 1, (x - left) * (y - top)),
-    ):
-        total += share.astype(np.float32)[:, None] * levels[texels[row % height, column % width]]
-    return np.asarray(np.clip(total * np.array(picture.gain) + np.array(picture.bias), 0, 1), np.float32)
 
 
 def _mixed(values: FloatArray, corners: IntArray, shares: FloatArray) -> FloatArray:

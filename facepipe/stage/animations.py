@@ -84,11 +84,11 @@ def _differing(before: Animation, done: Animation) -> tuple[str, ...]:
     pairs = {field: (getattr(before, field), getattr(done, field)) for field in _ATTRIBUTES}
     if pairs["scales"][0] is not None and pairs["scales"][1] is not None:
         pairs["scales"] = (_halves(before.scales), _halves(done.scales))
-    return tuple(field for field, (one, other) in pairs.items() if not same(one, other) or (retimed and _has(other)))
-
-
-def _has(value: Any) -> bool:
-    return value is not None and len(value) > 0
+    return tuple(
+        field
+        for field, (one, other) in pairs.items()
+        if not same(one, other) or (retimed and (other is not None and len(other) > 0))
+    )
 
 
 def _halves(scales: FloatArray | None) -> FloatArray:
@@ -133,12 +133,7 @@ def _completed(animation: Animation, skeleton: Skeleton, where: object) -> Anima
         animation = replace(animation, shapes=(), shape_weights=None)
     if not animation.joints:
         return replace(animation, translations=None, rotations=None, scales=None, coefficients=None)
-    translations, rotations, scales = _transforms(animation, skeleton, where)
-    return replace(animation, translations=translations, rotations=rotations, scales=scales)
-
-
-def _transforms(animation: Animation, skeleton: Skeleton, where: object) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(T, j, 3), (T, j, 4), (T, j, 3): as given, or what the rig makes of what is given."""
+    # (T, j, 3), (T, j, 4), (T, j, 3): as given, or what the rig makes of what is given
     samples = animation.samples
     given = (animation.translations, animation.rotations, animation.scales)
     shape = (samples, len(animation.joints))
@@ -150,8 +145,9 @@ def _transforms(animation: Animation, skeleton: Skeleton, where: object) -> tupl
     if not np.isfinite(_halves(trs.scale)).all():
         raise InputError(where, "scales too large for the half precision of SkelAnimation, expected them below 65520")
     kept = animation.coefficients is None or all(part is not None for part in given)
-    return (
+    translations, rotations, scales = (
         translations if kept and translations is not None else trs.translation,
         rotations if kept and rotations is not None else trs.rotation,
         scales if kept and scales is not None else trs.scale,
     )
+    return replace(animation, translations=translations, rotations=rotations, scales=scales)

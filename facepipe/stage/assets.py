@@ -36,7 +36,12 @@ def copy_refusal(
     """Why the file that a value of an attribute names may not be copied: it is outside the roots and the folder of the
     layer that names it. A stage that is all in memory is the caller's own.
     """
-    namer = _naming_file(attribute, time)
+    # the file of the layer that a value comes from; None where all of the stage is in memory
+    layer = _layer(attribute, time)
+    if layer is None or layer.anonymous:  # a repair in memory of what a file says
+        below = [layer for layer in attribute.GetStage().GetLayerStack() if not layer.anonymous]
+        layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
+    namer = None if layer is None else file_of(layer.realPath or layer.identifier)
     try:
         if namer is not None:
             check_copied(where, file_of(asset.resolvedPath), namer)
@@ -86,15 +91,6 @@ def _values(attribute: Usd.Attribute) -> Iterator[tuple[Usd.Attribute, Usd.TimeC
         value = attribute.Get(time)
         for one in [value] if isinstance(value, Sdf.AssetPath) else value or ():
             yield attribute, time, one
-
-
-def _naming_file(attribute: Usd.Attribute, time: Usd.TimeCode) -> Path | None:
-    """The file of the layer that a value comes from; None where all of the stage is in memory."""
-    layer = _layer(attribute, time)
-    if layer is None or layer.anonymous:  # a repair in memory of what a file says
-        below = [layer for layer in attribute.GetStage().GetLayerStack() if not layer.anonymous]
-        layer = _layer(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
-    return None if layer is None else file_of(layer.realPath or layer.identifier)
 
 
 def _layer(attribute: Usd.Attribute, time: Usd.TimeCode, *, files: bool = False) -> Sdf.Layer | None:

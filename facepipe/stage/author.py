@@ -56,7 +56,14 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     :param textures: asset path by texture name; names themselves where not given
     """
     # what our own reader would refuse is not written
-    _check_counts(parts)
+    counts = {
+        "Mesh": len(parts.meshes),
+        "BlendShape": sum(len(mesh.blendshapes) for mesh in parts.meshes),
+        "GeomSubset": sum(len(mesh.material_faces) + len(mesh.point_subsets) for mesh in parts.meshes),
+        "Material": len(parts.materials),
+        "Shader": sum(1 + 2 * len(material.textured) for material in parts.materials),
+    }
+    check_counts(parts.name, counts)
     require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
     root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
@@ -81,18 +88,6 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     if parts.recipe:
         author_recipe(prim, parts.recipe)
     return stage
-
-
-def _check_counts(parts: FaceParts) -> None:
-    """:raises InputError: more of a kind than a face that is read can have"""
-    counts = {
-        "Mesh": len(parts.meshes),
-        "BlendShape": sum(len(mesh.blendshapes) for mesh in parts.meshes),
-        "GeomSubset": sum(len(mesh.material_faces) + len(mesh.point_subsets) for mesh in parts.meshes),
-        "Material": len(parts.materials),
-        "Shader": sum(1 + 2 * len(material.textured) for material in parts.materials),
-    }
-    check_counts(parts.name, counts)
 
 
 def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textures: dict[str, str]) -> None:

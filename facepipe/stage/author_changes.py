@@ -43,7 +43,13 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     old, values = face.parts(), dict(primvars or {})
     _check(face, old, parts)
     for name, array in values.items():
-        _check_point_values(face, name, array)
+        check_property_name(face.where, "primvar", name)
+        count = sum(len(mesh.points) for mesh in face.meshes)
+        if np.shape(array) != (count,):
+            raise InputError(f"{face.where} -> {name}", f"values of shape {np.shape(array)}, expected ({count},)")
+        for mesh, own in zip(face.meshes, _per_mesh(face, array), strict=True):
+            if not np.isfinite(own).all() and not np.isnan(own).all():
+                raise InputError(f"{face.where} -> {mesh.name} -> {name}", "NaN or infinity, expected finite numbers")
     meshes = [face.mesh_prim(mesh.name).GetPath() for mesh in old.meshes]
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
     animations = _paths(face, UsdSkel.Animation)
@@ -98,16 +104,6 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
     require_same(face.where, old, new, ("name", "meters_per_unit", "up_axis", "materials"))
 
 
-def _check_point_values(face: Face, name: str, values: FloatArray) -> None:
-    check_property_name(face.where, "primvar", name)
-    count = sum(len(mesh.points) for mesh in face.meshes)
-    if np.shape(values) != (count,):
-        raise InputError(f"{face.where} -> {name}", f"values of shape {np.shape(values)}, expected ({count},)")
-    for mesh, own in zip(face.meshes, _per_mesh(face, values), strict=True):
-        if not np.isfinite(own).all() and not np.isnan(own).all():
-            raise InputError(f"{face.where} -> {mesh.name} -> {name}", "NaN or infinity, expected finite numbers")
-
-
 def _per_mesh(face: Face, values: FloatArray) -> list[FloatArray]:
     ends = np.cumsum([len(mesh.points) for mesh in face.meshes])
     return np.split(np.asarray(values), ends[:-1])
@@ -157,15 +153,14 @@ def _check_skeleton_change(where: str, old: Skeleton, new: Skeleton) -> None:
         if np.shape(transforms) != (len(new.joints), 4, 4):
             raise TopologyError(where, f"{name} transforms {np.shape(transforms)}, expected one (4, 4) per joint")
     if not old.joints and new.joints:
-        _check_joints(where, new.joints)
+        joints = new.joints
+        topology = UsdSkel.Topology(list(joints))
+        valid, reason = topology.Validate()
+        if not valid or len(set(joints)) != len(joints) or not all(map(Sdf.Path.IsValidPathString, joints)):
+            raise InputError(
+                where, f"joints that no skeleton can have, expected different paths, parents first {reason}"
+            )
     require_same(where, old, new, ("name", "transform"))
-
-
-def _check_joints(where: str, joints: Sequence[str]) -> None:
-    topology = UsdSkel.Topology(list(joints))
-    valid, reason = topology.Validate()
-    if not valid or len(set(joints)) != len(joints) or not all(map(Sdf.Path.IsValidPathString, joints)):
-        raise InputError(where, f"joints that no skeleton can have, expected different paths, parents first {reason}")
 
 
 def _author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tuple[str, ...]:

@@ -130,7 +130,12 @@ def author_mesh(
         prim.CreateDoubleSidedAttr(True)
     if not np.array_equal(mesh.transform, np.eye(4)):
         prim.AddTransformOp().Set(to_matrix(mesh.transform))
-    _author_primvars(prim, mesh)
+    if mesh.normals is not None:
+        author_normals(prim, mesh.normals)
+    _author_uv_sets(prim, mesh)
+    if mesh.colors is not None:
+        prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
+    author_regions(prim.GetPrim(), mesh)
     names = _ChildNames(mesh)
     _author_materials(prim, mesh, materials, names.material_faces)
     if mesh.skin or mesh.blendshapes:
@@ -171,15 +176,6 @@ def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:
     if mesh.anchor is not None:
         apply_schema(prim, tokens.ANCHOR_API)
         put_value(prim, tokens.ANCHOR, int(mesh.anchor))
-
-
-def _author_primvars(prim: UsdGeom.Mesh, mesh: Mesh) -> None:
-    if mesh.normals is not None:
-        author_normals(prim, mesh.normals)
-    _author_uv_sets(prim, mesh)
-    if mesh.colors is not None:
-        prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
-    author_regions(prim.GetPrim(), mesh)
 
 
 def _author_uv_sets(prim: UsdGeom.Mesh, mesh: Mesh) -> None:

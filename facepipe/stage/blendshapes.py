@@ -45,7 +45,11 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         raise SchemaError(where, f"no BlendShape there, expected the target of '{name}'")
     authored = shape.GetPointIndicesAttr().Get()
     offsets = floats(shape.GetOffsetsAttr().Get(), 3)
-    others = _other_offsets(shape)
+    # how many normal offsets and offsets of inbetweens a shape has, where it has some
+    arrays = [shape.GetNormalOffsetsAttr().Get()]
+    for inbetween in shape.GetInbetweens():
+        arrays += [inbetween.GetOffsets(), inbetween.GetNormalOffsets()]
+    others = [len(array) for array in arrays if array]
     count = len(offsets) or max(others, default=0)
     indices = ints(authored) if authored else np.arange(count, dtype=np.int32)
     if not authored and count not in (0, points):
@@ -64,14 +68,6 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         inbetweens=_inbetweens(shape, merge),
         label=label(shape.GetPrim(), name) if shape.GetPrim().HasAuthoredDisplayName() else None,
     )
-
-
-def _other_offsets(shape: UsdSkel.BlendShape) -> list[int]:
-    """How many normal offsets and offsets of inbetweens a shape has, where it has some."""
-    arrays = [shape.GetNormalOffsetsAttr().Get()]
-    for inbetween in shape.GetInbetweens():
-        arrays += [inbetween.GetOffsets(), inbetween.GetNormalOffsets()]
-    return [len(array) for array in arrays if array]
 
 
 def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ...]:
@@ -222,19 +218,19 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
         _put_normals(target.CreateNormalOffsetsAttr, target.GetNormalOffsetsAttr(), shape.normal_offsets)
         written.append("normalOffsets")
     known = {inbetween.name: inbetween for inbetween in present.inbetweens} if present else {}
-    for name, inbetween in zip(_inbetween_names(target, shape), shape.inbetweens, strict=True):
+    # names for the attributes: as the target has them, or identifiers that it has not
+    there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
+    fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
+    names = iter(unique_identifiers([*there, *fresh])[len(there) :])
+    for name, inbetween in zip(
+        [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens],
+        shape.inbetweens,
+        strict=True,
+    ):
         if not same(inbetween, known.get(inbetween.name)):
             _author_inbetween(target, name, inbetween, known.get(inbetween.name))
             written.append(f"inbetween {inbetween.name}")
     return written
-
-
-def _inbetween_names(target: UsdSkel.BlendShape, shape: Blendshape) -> list[str]:
-    """Names for the attributes: as the target has them, or identifiers that it has not."""
-    there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
-    fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
-    names = iter(unique_identifiers([*there, *fresh])[len(there) :])
-    return [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens]
 
 
 def _author_inbetween(target: UsdSkel.BlendShape, name: str, new: Inbetween, present: Inbetween | None) -> None:

@@ -207,7 +207,15 @@ class Composition:
         self._context = Ar.GetResolver().CreateDefaultContextForAsset(str(path))
         with Ar.ResolverContextBinder(self._context):
             self.root = self._stack(str(path), {})
-            self._find_all()
+            todo, seen = [self.root], set()
+            while todo:
+                stack = todo.pop()
+                if stack is None or id(stack) in seen:
+                    continue
+                seen.add(id(stack))
+                for table in stack.with_arcs:
+                    assets = {arc.asset for arcs in table.arcs.values() for arc in arcs if arc.asset}
+                    todo.extend(self._target(stack, table, asset) for asset in sorted(assets))
 
     def count(self) -> _Count | None:
         """What arcs make of the stage; None where it has none."""
@@ -310,18 +318,6 @@ class Composition:
         return list(targets.values())
 
     # layers
-
-    def _find_all(self) -> None:
-        """Every layer that an arc leads to is opened, or refused."""
-        todo, seen = [self.root], set()
-        while todo:
-            stack = todo.pop()
-            if stack is None or id(stack) in seen:
-                continue
-            seen.add(id(stack))
-            for table in stack.with_arcs:
-                assets = {arc.asset for arcs in table.arcs.values() for arc in arcs if arc.asset}
-                todo.extend(self._target(stack, table, asset) for asset in sorted(assets))
 
     def _target(self, stack: _Stack, table: LayerTable, asset: str) -> _Stack | None:
         """The layers that an arc leads to."""

@@ -217,21 +217,7 @@ def _track(attribute: Usd.Attribute) -> ControlTrack:
         if value is None or not np.isfinite(float(value)):
             when = "" if code is None else f" at time code {code:g}"
             raise InputError(where, f"{'no value' if value is None else 'NaN or infinity'}{when}, expected a number")
-    low, high = _limits(attribute)
-    untimed = attribute.Get(Usd.TimeCode.Default())
-    return ControlTrack(
-        name=str(attribute.GetName()).removeprefix(tokens.CONTROL_PREFIX).removeprefix(_USER_PREFIX),
-        where=where,
-        codes=np.array(codes, dtype=np.float64),
-        values=np.array([float(value) for _, value in read]),
-        minimum=low,
-        maximum=high,
-        default=None if untimed is None or not np.isfinite(float(untimed)) else float(untimed),
-    )
-
-
-def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
-    """What the attribute declares: USD's limits, the hard ones first (USD 25.11 and later), or customData."""
+    # what the attribute declares: USD's limits, the hard ones first (USD 25.11 and later), or customData
     kinds = (attribute.GetHardLimits(), attribute.GetSoftLimits()) if hasattr(attribute, "GetHardLimits") else ()
     pairs = [(kind.GetMinimum(), kind.GetMaximum()) for kind in kinds]
     data = attribute.GetCustomData()
@@ -242,7 +228,16 @@ def _limits(attribute: Usd.Attribute) -> tuple[float | None, float | None]:
             raise InputError(str(attribute.GetPath()), f"limit {end}, expected a finite number")
     if low is not None and high is not None and not low < high:
         raise InputError(str(attribute.GetPath()), f"from {low:g} to {high:g}, expected a range")
-    return low, high
+    untimed = attribute.Get(Usd.TimeCode.Default())
+    return ControlTrack(
+        name=str(attribute.GetName()).removeprefix(tokens.CONTROL_PREFIX).removeprefix(_USER_PREFIX),
+        where=where,
+        codes=np.array(codes, dtype=np.float64),
+        values=np.array([float(value) for _, value in read]),
+        minimum=low,
+        maximum=high,
+        default=None if untimed is None or not np.isfinite(float(untimed)) else float(untimed),
+    )
 
 
 def _sliders(stage: Usd.Stage) -> tuple[tuple[ControlTrack, ...], set[str]]:

@@ -68,7 +68,11 @@ class Face:
         """
         self.stage = stage
         self.prim = prim or _find(stage)
-        _check_metadata(self)
+        made_by = str(self.prim.GetAttribute(tokens.VERSION).Get() or "0")
+        major = made_by.partition(".")[0]
+        if major.isdecimal() and int(major) > int(__version__.partition(".")[0]):
+            raise SchemaError(self.where, f"made by facepipe {made_by}, expected {__version__} or older")
+        check_units(self.where, self.stage)
         below = list(self._below())
         check_kinds(below, self.where)
         check_arrays(below, self.where)
@@ -128,7 +132,19 @@ class Face:
         prims = [prim for prim in self._below() if prim.IsA(UsdGeom.Mesh)]
         own = distinct_names(prims, [str(prim.GetPath().MakeRelativePath(self.prim.GetPath())) for prim in prims])
         with errors_below(self.where):
-            bindings, materials = self._bindings(), dict(self.material_names)
+            cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
+            if not root:
+                raise SchemaError(self.where, f"is of type '{self.prim.GetTypeName()}', expected SkelRoot")
+            cache.Populate(root, INSTANCES)
+            bound = cache.ComputeSkelBindings(root, INSTANCES)
+            bindings, materials = (
+                {
+                    str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
+                    for binding in bound
+                    for query in binding.GetSkinningTargets()
+                },
+                dict(self.material_names),
+            )
             return self._finite(
                 tuple(
                     read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
@@ -480,26 +496,6 @@ class Face:
         prims = [prim for prim in self._below() if prim.IsA(UsdShade.Material)]
         paths = [str(prim.GetPath()) for prim in prims]
         return dict(zip(paths, distinct_names(prims, paths), strict=True))
-
-    def _bindings(self) -> dict[str, Binding]:
-        cache, root = UsdSkel.Cache(), UsdSkel.Root(self.prim)
-        if not root:
-            raise SchemaError(self.where, f"is of type '{self.prim.GetTypeName()}', expected SkelRoot")
-        cache.Populate(root, INSTANCES)
-        bound = cache.ComputeSkelBindings(root, INSTANCES)
-        return {
-            str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
-            for binding in bound
-            for query in binding.GetSkinningTargets()
-        }
-
-
-def _check_metadata(face: Face) -> None:
-    made_by = str(face.prim.GetAttribute(tokens.VERSION).Get() or "0")
-    major = made_by.partition(".")[0]
-    if major.isdecimal() and int(major) > int(__version__.partition(".")[0]):
-        raise SchemaError(face.where, f"made by facepipe {made_by}, expected {__version__} or older")
-    check_units(face.where, face.stage)
 
 
 def animation_prims(face: Face) -> dict[str, Usd.Prim]:

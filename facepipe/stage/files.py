@@ -55,22 +55,18 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         stage = Usd.Stage.Open(str(file))
         problems = [str(error) for error in stage.GetCompositionErrors()] if strict else []
         del held
-        _check_clocks(file, stage)
+        # USD maps times between layers by their rates, and never returns where one is zero or not finite
+        layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
+        for layer in layers if len(layers) > 1 else ():
+            rate = layer.timeCodesPerSecond
+            if not (math.isfinite(rate) and rate > 0):
+                where = file if layer == stage.GetRootLayer() else f"{file} -> {layer.identifier}"
+                raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
         check_counts(file, stage)
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(file, f"composition error: {problems[0]}{more}")
     return stage
-
-
-def _check_clocks(file: Path, stage: Usd.Stage) -> None:
-    """USD maps times between layers by their rates, and never returns where one is zero or not finite."""
-    layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]
-    for layer in layers if len(layers) > 1 else ():
-        rate = layer.timeCodesPerSecond
-        if not (math.isfinite(rate) and rate > 0):
-            where = file if layer == stage.GetRootLayer() else f"{file} -> {layer.identifier}"
-            raise InputError(where, f"timeCodesPerSecond is {rate:g}, expected a finite number above 0")
 
 
 def check_units(where: object, stage: Usd.Stage) -> None:
@@ -131,44 +127,41 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
     with replacing(target) as temporary, quiet_diagnostics():
         try:
             if target.suffix.lower() == ".usdz":
-                _package(layer, target, temporary, beside)
+                # A .usdz of the layer and of the files in `folder` that it names, and of no others
+                for name in layer.GetCompositionAssetDependencies():
+                    raise ExportError(target, f"a .usdz package can't hold the reference @{name}@; flatten first")
+                named: dict[str, None] = {}
+                UsdUtils.ModifyAssetPaths(layer, lambda name: named.setdefault(name) or name)
+                root = temporary.with_name("root.usdc")
+                try:
+                    layer.Export(str(root))
+                    with Sdf.ZipFileWriter.CreateNew(str(temporary)) as package:
+                        package.AddFile(str(root), f"{target.stem}.usdc")
+                        for name in named:
+                            file = (beside or target) / name
+                            if (
+                                beside is not None
+                                and name.startswith("./")
+                                and is_below(file, [beside])
+                                and file.is_file()
+                            ):
+                                package.AddFile(str(file), name.removeprefix("./"))
+                finally:
+                    root.unlink(missing_ok=True)
+                # the same zip with every entry dated 1980-01-01: USD writes the files' times, in the local time zone
+                data = bytearray(temporary.read_bytes())
+                with zipfile.ZipFile(temporary) as archive:
+                    entries, central = archive.infolist(), archive.start_dir
+                for entry in entries:
+                    data[entry.header_offset + 10 : entry.header_offset + 14] = _MIDNIGHT_1980
+                    data[central + 12 : central + 16] = _MIDNIGHT_1980
+                    central += 46 + sum(struct.unpack_from("<3H", data, central + 28))
+                temporary.write_bytes(data)
             elif not layer.Export(str(temporary)):
                 raise ExportError(target, "USD could not write the layer")
         except USD_ERRORS as error:
             raise ExportError(target, f"can't be written: {reason(error)}") from None
     when_placed(lambda: _forget(target))
-
-
-def _package(layer: Sdf.Layer, target: Path, temporary: Path, folder: Path | None) -> None:
-    """A .usdz of the layer and of the files in `folder` that it names, and of no others."""
-    for name in layer.GetCompositionAssetDependencies():
-        raise ExportError(target, f"a .usdz package can't hold the reference @{name}@; flatten first")
-    named: dict[str, None] = {}
-    UsdUtils.ModifyAssetPaths(layer, lambda name: named.setdefault(name) or name)
-    root = temporary.with_name("root.usdc")
-    try:
-        layer.Export(str(root))
-        with Sdf.ZipFileWriter.CreateNew(str(temporary)) as package:
-            package.AddFile(str(root), f"{target.stem}.usdc")
-            for name in named:
-                file = (folder or target) / name
-                if folder is not None and name.startswith("./") and is_below(file, [folder]) and file.is_file():
-                    package.AddFile(str(file), name.removeprefix("./"))
-    finally:
-        root.unlink(missing_ok=True)
-    _without_times(temporary)
-
-
-def _without_times(package: Path) -> None:
-    """The same zip with every entry dated 1980-01-01: USD writes the files' times, in the local time zone."""
-    data = bytearray(package.read_bytes())
-    with zipfile.ZipFile(package) as archive:
-        entries, central = archive.infolist(), archive.start_dir
-    for entry in entries:
-        data[entry.header_offset + 10 : entry.header_offset + 14] = _MIDNIGHT_1980
-        data[central + 12 : central + 16] = _MIDNIGHT_1980
-        central += 46 + sum(struct.unpack_from("<3H", data, central + 28))
-    package.write_bytes(data)
 
 
 def _forget(path: Path) -> None:

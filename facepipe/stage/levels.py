@@ -43,22 +43,22 @@ def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
         with levels_of.GetVariantEditContext():
             for path in meshes:
                 face.stage.GetPrimAtPath(path).SetActive(False)
-            _author_level(face, name, level)
+            prims = list(prims_below(face.prim, face.where))
+            (skeleton,) = (UsdSkel.Skeleton(prim) for prim in prims if prim.IsA(UsdSkel.Skeleton))
+            materials = {
+                label: UsdShade.Material(face.stage.GetPrimAtPath(path)) for path, label in face.material_names.items()
+            }
+            taken = [str(child.GetName()) for child in face.prim.GetAllChildren()]
+            children = unique_identifiers([*taken, *(f"{mesh.name}_{name}" for mesh in level)])[len(taken) :]
+            to_face = np.linalg.inv(
+                matrix(UsdGeom.Xformable(face.prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
+            )
+            for mesh, child in zip(level, children, strict=True):
+                here = replace(mesh, transform=to_face @ mesh.transform)
+                author_mesh(
+                    face.stage, face.prim.GetPath().AppendChild(child), here, skeleton, face.skeleton.joints, materials
+                )
     levels_of.SetVariantSelection(names[0])
-
-
-def _author_level(face: Face, name: str, meshes: Sequence[Mesh]) -> None:
-    prims = list(prims_below(face.prim, face.where))
-    (skeleton,) = (UsdSkel.Skeleton(prim) for prim in prims if prim.IsA(UsdSkel.Skeleton))
-    materials = {
-        label: UsdShade.Material(face.stage.GetPrimAtPath(path)) for path, label in face.material_names.items()
-    }
-    taken = [str(child.GetName()) for child in face.prim.GetAllChildren()]
-    children = unique_identifiers([*taken, *(f"{mesh.name}_{name}" for mesh in meshes)])[len(taken) :]
-    to_face = np.linalg.inv(matrix(UsdGeom.Xformable(face.prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())))
-    for mesh, child in zip(meshes, children, strict=True):
-        here = replace(mesh, transform=to_face @ mesh.transform)
-        author_mesh(face.stage, face.prim.GetPath().AppendChild(child), here, skeleton, face.skeleton.joints, materials)
 
 
 def level_names(prim: Usd.Prim) -> tuple[str, ...]:

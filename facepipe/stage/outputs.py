@@ -31,16 +31,11 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
     if output.exists() and not overwrite:
         raise InputError(output, "exists, expected a new file (or --force)")
     if output.exists():
-        _check_not_needed(output, inputs)
-
-
-def _check_not_needed(output: Path, inputs: Sequence[Path]) -> None:
-    """:raises InputError: `output` is a layer or texture of a stage among the inputs"""
-    for stage in inputs:
-        if stage.is_file() and stage.suffix.lower() in SUFFIXES:
-            for needed in dependencies(stage):
-                if needed.exists() and output.samefile(needed):
-                    raise InputError(output, f"is needed by {stage}, expected another output file")
+        for stage in inputs:
+            if stage.is_file() and stage.suffix.lower() in SUFFIXES:
+                for needed in dependencies(stage):
+                    if needed.exists() and output.samefile(needed):
+                        raise InputError(output, f"is needed by {stage}, expected another output file")
 
 
 def check_report_folder(

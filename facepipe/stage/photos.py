@@ -62,7 +62,17 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
         raise InputError(camera.GetPath(), "stands below a transform that can't be inverted")
     place = camera.MakeMatrixXform().GetAttr()
     put(place, to_matrix(np.linalg.inv(above) @ np.asarray(photo.transform, dtype=np.float64)))
-    film = _to_film(photo.width, photo.height, photo.focal, photo.center, UsdGeom.GetStageMetersPerUnit(stage))
+    meters_per_unit = UsdGeom.GetStageMetersPerUnit(stage)
+    # a pixel is a power of two of them, so that float32 holds its multiples as exactly as it holds pixels; the longer
+    # side comes to 25 to 51 mm
+    pixel = 2.0 ** round(math.log2(_FILM_METRES / meters_per_unit * _TENTHS_A_UNIT / max(photo.width, photo.height)))
+    film = _Film(
+        photo.focal * pixel,
+        photo.width * pixel,
+        photo.height * pixel,
+        (photo.width / 2 - photo.center[0]) * pixel,
+        (photo.center[1] - photo.height / 2) * pixel,
+    )
     put(camera.CreateProjectionAttr(), UsdGeom.Tokens.perspective)
     for name, value in zip(_FILM_ATTRIBUTES, film, strict=True):
         put(camera.GetPrim().GetAttribute(name), value)
@@ -158,28 +168,6 @@ class _Film(NamedTuple):
     vertical_offset: float
 
 
-def _to_film(width: int, height: int, focal: float, center: tuple[float, float], meters_per_unit: float) -> _Film:
-    """The film of a pinhole camera in pixels, y down.
-
-    A pixel is a power of two of them, so that float32 holds its multiples as exactly as it holds pixels; the longer
-    side comes to 25 to 51 mm.
-    """
-    pixel = 2.0 ** round(math.log2(_FILM_METRES / meters_per_unit * _TENTHS_A_UNIT / max(width, height)))
-    return _Film(
-        focal * pixel, width * pixel, height * pixel, (width / 2 - center[0]) * pixel, (center[1] - height / 2) * pixel
-    )
-
-
-def _from_film(film: _Film, width: int, height: int) -> tuple[float, tuple[float, float]]:
-    """Focal length and principal point in pixels, y down, of a film that `width` by `height` pixels cover.
-
-    Pixels are as wide as high, as the width says.
-    """
-    across, up = film.horizontal_aperture / width, film.vertical_aperture / height
-    center = (width / 2 - film.horizontal_offset / across, height / 2 + film.vertical_offset / up)
-    return film.focal_length / across, center
-
-
 def is_photo(prim: Usd.Prim) -> bool:
     """Whether a prim is the camera of a photo."""
     return bool(prim.IsA(UsdGeom.Camera)) and is_applied(prim, tokens.PHOTO_API)
@@ -203,7 +191,11 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     materials, tints = list(value(tokens.PHOTO_TINTED_MATERIALS) or []), floats(value(tokens.PHOTO_TINTS), 3).tolist()
     if len(materials) != len(tints):
         raise SchemaError(f"{where}.{tokens.PHOTO_TINTS}", f"{len(tints)} tints of {len(materials)} materials")
-    focal, center = _from_film(film, width, height)
+    # focal length and principal point in pixels, y down, of a film that `width` by `height` pixels cover. Pixels are as
+    # wide as high, as the width says.
+    across, up = film.horizontal_aperture / width, film.vertical_aperture / height
+    center = (width / 2 - film.horizontal_offset / across, height / 2 + film.vertical_offset / up)
+    focal, center = film.focal_length / across, center
     near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
     photo = PhotoView(
         name=str(prim.GetName()),

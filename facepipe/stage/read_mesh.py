@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import SchemaError, TopologyError
 from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.blendshapes import read_blendshapes
@@ -67,7 +67,9 @@ def read_mesh(
         uv_sets=_uv_sets(prim, len(points), len(indices)),
         colors=_colors(prim, len(points)),
         skin=_skin(where, len(points), binding) if binding else None,
-        blendshapes=read_blendshapes(prim, len(points)) if unbound_shapes or _has_shapes(binding) else (),
+        blendshapes=read_blendshapes(prim, len(points))
+        if unbound_shapes or (binding is not None and bool(binding.query.HasBlendShapes()))
+        else (),
         regions=_regions(prim, len(points)),
         point_subsets=_point_subsets(prim, len(points)),
         landmarks=_landmarks(prim, len(points)),
@@ -148,19 +150,7 @@ def _skin(where: str, points: int, binding: Binding) -> Skin | None:
         indices, weights = np.repeat(indices[:1], points, axis=0), np.repeat(weights[:1], points, axis=0)
     if len(indices) != points:
         raise TopologyError(where, f"joint influences of {len(indices)} points, expected {points}")
-    indices = _in_skeleton_order(where, indices, weights, query, joints)
-    return Skin(
-        joint_indices=indices,
-        joint_weights=weights,
-        geom_bind_transform=matrix(query.GetGeomBindTransform(Usd.TimeCode.Default())),
-        dual_quaternion=query.GetSkinningMethod() == UsdSkel.Tokens.dualQuaternion,
-    )
-
-
-def _in_skeleton_order(
-    where: str, indices: IntArray, weights: FloatArray, query: UsdSkel.SkinningQuery, joints: tuple[str, ...]
-) -> npt.NDArray[np.int32]:
-    """Indices into the skeleton's joints; those without weight are 0."""
+    # indices into the skeleton's joints; those without weight are 0
     order = query.GetJointOrder()
     names = tuple(str(joint) for joint in order) if order else joints
     used = weights != 0
@@ -171,11 +161,13 @@ def _in_skeleton_order(
     if missing:
         raise SchemaError(f"{where}.skel:joints", f"'{missing[0]}' is not a joint of the skeleton")
     table = np.array([place[joint] for joint in names], dtype=np.int32)
-    return np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
-
-
-def _has_shapes(binding: Binding | None) -> bool:
-    return binding is not None and bool(binding.query.HasBlendShapes())
+    indices = np.where(used, table[np.where(used, indices, 0)], 0).astype(np.int32)
+    return Skin(
+        joint_indices=indices,
+        joint_weights=weights,
+        geom_bind_transform=matrix(query.GetGeomBindTransform(Usd.TimeCode.Default())),
+        dual_quaternion=query.GetSkinningMethod() == UsdSkel.Tokens.dualQuaternion,
+    )
 
 
 def _regions(prim: Usd.Prim, points: int) -> dict[str, FloatArray]:

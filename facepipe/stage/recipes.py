@@ -88,14 +88,9 @@ def named_source(where: str, source: str, file: Path) -> Path:
         check_model(path)
     except InputError as error:
         raise InputError(where, f"{path.name} {error.what}") from None
-    if not _is_stage(path):
+    if not all(file.suffix.lower() in SUFFIXES for file in (path, real_path(path) or path)):
         check_copied(where, path, file)
     return path
-
-
-def _is_stage(path: Path) -> bool:
-    """Whether it is a USD file by its name, and so is what a link there leads to: a photo is read under any name."""
-    return all(file.suffix.lower() in SUFFIXES for file in (path, real_path(path) or path))
 
 
 def existing_source(where: str, path: Path, instead: str) -> Path:
@@ -190,30 +185,22 @@ def layer_links(path: Path) -> LayerLinks:
     """
     facepipe_schemas.register()
     with quiet_diagnostics(), usd_errors(path, RuntimeError):
-        layer = _fresh(path)
+        was_open = Sdf.Layer.Find(str(path)) is not None
+        layer = open_layer(str(path))  # holds it; what Find gives can go while another thread closes its stage
+        if layer is None:
+            raise InputError(path, "can't be read as USD")
+        if was_open and layer.dirty:
+            raise InputError(path, "is open with changes that are not saved, expected them saved first")
+        if was_open:
+            layer.Reload()
         names = [Sdf.Layer.SplitIdentifier(asset)[0] for asset in layer.GetCompositionAssetDependencies()]
-        layers = tuple(dict.fromkeys(Path(layer.ComputeAbsolutePath(name)) for name in names if not _packed(name)))
-        return LayerLinks(layers, _has_recipe(layer))
-
-
-def _fresh(path: Path) -> Sdf.Layer:
-    was_open = Sdf.Layer.Find(str(path)) is not None
-    layer = open_layer(str(path))  # holds it; what Find gives can go while another thread closes its stage
-    if layer is None:
-        raise InputError(path, "can't be read as USD")
-    if was_open and layer.dirty:
-        raise InputError(path, "is open with changes that are not saved, expected them saved first")
-    if was_open:
-        layer.Reload()
-    return layer
-
-
-def _packed(name: str) -> bool:
-    """Whether it is inside a package, or of no kind that can hold a recipe."""
-    return Ar.IsPackageRelativePath(name) or Path(name).suffix.lower() not in SUFFIXES
-
-
-def _has_recipe(layer: Sdf.Layer) -> bool:
-    prim = layer.GetPrimAtPath(f"/{layer.defaultPrim}") if layer.defaultPrim else None
-    verb = prim.attributes.get(tokens.RECIPE_VERB) if prim else None
-    return verb is not None and isinstance(verb.default, str) and bool(verb.default)
+        layers = tuple(
+            dict.fromkeys(
+                Path(layer.ComputeAbsolutePath(name))
+                for name in names
+                if not (Ar.IsPackageRelativePath(name) or Path(name).suffix.lower() not in SUFFIXES)
+            )
+        )
+        prim = layer.GetPrimAtPath(f"/{layer.defaultPrim}") if layer.defaultPrim else None
+        verb = prim.attributes.get(tokens.RECIPE_VERB) if prim else None
+        return LayerLinks(layers, verb is not None and isinstance(verb.default, str) and bool(verb.default))

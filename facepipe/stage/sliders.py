@@ -232,25 +232,21 @@ def author_sliders(prim: Usd.Prim, sliders: Sequence[Slider]) -> None:
     for slider in sliders:  # all before any attribute: USD composes the prim's definition anew after each
         apply_schema(prim, tokens.SLIDER_API, slider.name)
     for slider in sliders:
-        _author_slider(prim, slider)
-
-
-def _author_slider(prim: Usd.Prim, slider: Slider) -> None:
-    prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
-    for name in ("group", "default", "minimum", "maximum"):
-        put_value(prim, prefix + name, getattr(slider, name))
-    put_value(prim, f"{prefix}value", slider.value)
-    for fields, rows in (
-        (("joints", "channels", "channelGains"), slider.channels),
-        (("shapes", "shapeGains"), slider.shapes),
-    ):
-        for i, field in enumerate(fields):
-            put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)
-    put_value(prim, f"{prefix}mirror", slider.mirror)
-    lists = (("channelKnots", slider.channel_curves), ("shapeKnots", slider.shape_curves))
-    knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
-    for field, curves in lists:
-        counts = [len(curve or ()) for curve in curves]
-        put_value(prim, prefix + field, counts if any(counts) else None)
-    for i, field in enumerate(("knotValues", "knotAmounts")):
-        put_value(prim, prefix + field, [knot[i] for knot in knots] or None)
+        prefix = f"{tokens.SLIDER_PREFIX}{slider.name}:"
+        for name in ("group", "default", "minimum", "maximum"):
+            put_value(prim, prefix + name, getattr(slider, name))
+        put_value(prim, f"{prefix}value", slider.value)
+        for fields, rows in (
+            (("joints", "channels", "channelGains"), slider.channels),
+            (("shapes", "shapeGains"), slider.shapes),
+        ):
+            for i, field in enumerate(fields):
+                put_value(prim, prefix + field, [row[i] for row in rows] if rows else None)
+        put_value(prim, f"{prefix}mirror", slider.mirror)
+        lists = (("channelKnots", slider.channel_curves), ("shapeKnots", slider.shape_curves))
+        knots = [knot for _, curves in lists for curve in curves for knot in curve or ()]
+        for field, curves in lists:
+            counts = [len(curve or ()) for curve in curves]
+            put_value(prim, prefix + field, counts if any(counts) else None)
+        for i, field in enumerate(("knotValues", "knotAmounts")):
+            put_value(prim, prefix + field, [knot[i] for knot in knots] or None)

@@ -77,7 +77,15 @@ def registered(texels: Texels, first: Observed, other: Observed, flat: FloatArra
     :param texel: width of one, in shares of the eyes' distance
     """
     both = _level(texels, first, flat, texel), _level(texels, other, flat, texel)
-    return _moved(texels, other, flat, _flow(*both, texel))
+    flow = _flow(*both, texel)
+    shown = other.ratio + np.log(flat[other.place])
+    values = _picture(texels, other, np.column_stack([shown * other.trust[:, None], other.trust]))
+    row, column = np.divmod(texels.at, texels.size)
+    at = np.stack([row, column]) + flow[:, row, column]
+    *colors, trust = (map_coordinates(each, at, order=1, mode="constant") for each in values)
+    place = np.flatnonzero(trust > _FAINT)
+    ratio = np.stack(colors, axis=1)[place] / trust[place, None] - np.log(flat[place])
+    return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust[place])
 
 
 def _level(texels: Texels, one: Observed, flat: FloatArray, texel: float) -> _Level:
@@ -125,18 +133,6 @@ def _step(first: _Level, other: _Level, flow: FloatArray, texel: float) -> Float
     ridge = _RIDGE * texel**2 * gaussian_filter(weight, _WINDOW / texel) + 1e-12
     xx, yy, xr, yr = xx + ridge, yy + ridge, xr - ridge * flow[0], yr - ridge * flow[1]
     return np.asarray(np.stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2))
-
-
-def _moved(texels: Texels, one: Observed, flat: FloatArray, flow: FloatArray) -> Observed:
-    """What a photo shows at displaced places, by the colours that it has there."""
-    shown = one.ratio + np.log(flat[one.place])
-    values = _picture(texels, one, np.column_stack([shown * one.trust[:, None], one.trust]))
-    row, column = np.divmod(texels.at, texels.size)
-    at = np.stack([row, column]) + flow[:, row, column]
-    *colors, trust = (map_coordinates(each, at, order=1, mode="constant") for each in values)
-    place = np.flatnonzero(trust > _FAINT)
-    ratio = np.stack(colors, axis=1)[place] / trust[place, None] - np.log(flat[place])
-    return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust[place])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +185,13 @@ class Baker:
         :param bald: the scalp has the skin's colour instead
         """
         layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
-        color, paint, own = None, None, self._skin_color(layers)
+        # (3,) linear, the median of the face in the first photo
+        weight = layers[0].trust * self.skin.areas * inner(self.skin)
+        color, paint, own = (
+            None,
+            None,
+            np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T]),
+        )
         if scalp is not None and not bald:
             color = hair_color(photos, [layer.scale for layer in layers], scalp)
         if scalp is not None and (bald or color is not None):
@@ -207,11 +209,6 @@ class Baker:
             skin=own,
             hair=color,
         )
-
-    def _skin_color(self, layers: Sequence[_Layer]) -> FloatArray:
-        """(3,) linear, the median of the face in the first photo."""
-        weight = layers[0].trust * self.skin.areas * inner(self.skin)
-        return np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T])
 
     def _layer(self, photo: Exposure) -> _Layer:
         skin = self.skin

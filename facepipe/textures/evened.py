@@ -254,21 +254,8 @@ def relief(skin: SkinSurface, photo: Exposure, colors: FloatArray, trust: FloatA
     """Folds where an expression strains the skin, and strange hues, by colours (n, 3)."""
     level = (colors @ GREY)[:, None]
     around, hue = skin.smooth(level, trust, _LOCAL), skin.smooth(colors - level, trust, _LOCAL)
-    strained = skin.smooth(strain(skin, photo.points)[:, None], np.ones(len(trust)), _LOCAL)
-    plain = step(_off_features(skin), *_FEATURES)[:, None]
-    return Relief(level=around, hue=hue, folds=step(strained, *_STRAIN), plain=plain)
-
-
-def _off_features(skin: SkinSurface) -> FloatArray:
-    """(n,) distance from brows and lips in shares of the eyes'."""
-    marks = skin.points[skin.landmarks]
-    lips = np.concatenate([marks[48:68], (marks[_LIPS_OUTER] + marks[_LIPS_INNER]) / 2])
-    off = cKDTree(lips).query(skin.points)[0] / skin.eye_distance(skin.points)
-    return np.asarray(np.minimum(off, _forehead(skin)[1]))
-
-
-def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:
-    """(n,) mean size of the logarithm of how edges stretch from the neutral to points (n, 3)."""
+    points = photo.points
+    # (n,) mean size of the logarithm of how edges stretch from the neutral to points (n, 3)
     ends = skin.edges.T
     posed, neutral = (np.linalg.norm(each[ends[0]] - each[ends[1]], axis=1) for each in (points, skin.points))
     stretch = np.abs(np.log(np.maximum(posed, 1e-9) / np.maximum(neutral, 1e-9)))
@@ -276,7 +263,12 @@ def strain(skin: SkinSurface, points: FloatArray) -> FloatArray:
     for end in ends:
         sums += np.bincount(end, stretch, minlength=len(points))
         counts += np.bincount(end, minlength=len(points))
-    return np.asarray(sums / np.maximum(counts, 1))
+    strained = skin.smooth(np.asarray(sums / np.maximum(counts, 1))[:, None], np.ones(len(trust)), _LOCAL)
+    marks = skin.points[skin.landmarks]
+    lips = np.concatenate([marks[48:68], (marks[_LIPS_OUTER] + marks[_LIPS_INNER]) / 2])
+    off = cKDTree(lips).query(skin.points)[0] / skin.eye_distance(skin.points)
+    plain = step(np.asarray(np.minimum(off, _forehead(skin)[1])), *_FEATURES)[:, None]
+    return Relief(level=around, hue=hue, folds=step(strained, *_STRAIN), plain=plain)
 
 
 def quantile(values: FloatArray, weight: FloatArray, share: float) -> float:

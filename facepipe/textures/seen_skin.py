@@ -93,7 +93,9 @@ def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: 
     far = np.full(covered.shape, np.inf, np.float32)
     far[covered] = 1 / raster.nearness[covered]
     eyes = skin.eye_distance(points[skin.span])
-    opening = covered & ~_is_skin(skin)[np.maximum(raster.triangle, 0)]
+    outside = np.zeros(int(skin.opaque.max(initial=0)) + len(skin.points) + 1, bool)
+    outside[skin.span] = skin.outside
+    opening = covered & ~np.asarray(outside[skin.opaque].all(axis=1))[np.maximum(raster.triangle, 0)]
     return SeenSkin(
         view=view,
         eye_distance=eyes,
@@ -103,13 +105,6 @@ def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: 
         opening=_distance(opening),
         mask=face_mask(pixels, landmarks),
     )
-
-
-def _is_skin(skin: SkinSurface) -> BoolArray:
-    """(o,) whether each opaque triangle is on the outside of the skin."""
-    outside = np.zeros(int(skin.opaque.max(initial=0)) + len(skin.points) + 1, bool)
-    outside[skin.span] = skin.outside
-    return np.asarray(outside[skin.opaque].all(axis=1))
 
 
 def _outlines(depth: Float32Array, jump: float) -> BoolArray:

@@ -180,7 +180,9 @@ def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTex
     for (_, uv_set), places in shown.items():
         chosen = np.isin(of_faces(mesh)[faces], places)
         names = tuple(dict.fromkeys(names_of(mesh)[place] for place in places))
-        source = _source(materials[names[0]])
+        material = materials[names[0]]
+        assert isinstance(material.diffuse_color, TextureInput)
+        source = material.diffuse_color
         uv = next((one for one in mesh.uv_sets if one.name == uv_set), None)
         if uv is None or not chosen.any():
             continue
@@ -188,11 +190,6 @@ def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTex
         texels = texels_of(np.asarray(uv.values)[rows[chosen]], triangles[chosen], size or _side(source.texture))
         textures.append(SkinTexture(materials=names, source=source, texels=texels))
     return tuple(textures)
-
-
-def _source(material: Material) -> TextureInput:
-    assert isinstance(material.diffuse_color, TextureInput)
-    return material.diffuse_color
 
 
 def _side(texture: Texture) -> int:

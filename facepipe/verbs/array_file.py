@@ -87,25 +87,6 @@ def read_arrays(path: Path, kind: str) -> Content:
     :raises InputError: no such file, another format, or a damaged one
     """
     data = read_bytes(path, MAX_BYTES)
-    head, start = _read_header(path, data, kind)
-    metadata = head.pop("__metadata__", None)
-    if not isinstance(metadata, dict) or not isinstance(metadata.get("format"), str):
-        raise InputError(path, f"has no format, expected {kind}")
-    if metadata["format"] != kind:
-        raise InputError(path, f"is of format '{metadata['format'][:60]}', expected {kind}")
-    # a digest finds damage, not malice (whoever forges a file forges it too): all after it still distrusts the header
-    _check_sum(path, data, metadata.get("sha256"))
-    try:
-        content = json.loads(metadata["content"])
-        arrays = _arrays(path, memoryview(data)[start:], head)
-    except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise InputError(path, f"is damaged: {type(error).__name__} in its header") from None
-    if not isinstance(content, dict):
-        raise InputError(path, "is damaged: its content is no object")
-    return Content(arrays, content)
-
-
-def _read_header(path: Path, data: bytes, kind: str) -> tuple[dict[str, Any], int]:
     problem = f"is no {kind.removeprefix('facepipe ').rpartition(' ')[0]}"  # without its version
     size = _SIZE.unpack_from(data)[0] if len(data) >= _SIZE.size else 0
     if not 2 <= size <= min(_MAX_HEADER, len(data) - _SIZE.size):
@@ -119,10 +100,13 @@ def _read_header(path: Path, data: bytes, kind: str) -> tuple[dict[str, Any], in
         raise InputError(path, f"{problem}, or damaged: its header is no JSON") from None
     if not isinstance(head, dict):
         raise InputError(path, f"{problem}: its header is no object")
-    return head, start
-
-
-def _check_sum(path: Path, data: bytes, expected: object) -> None:
+    metadata = head.pop("__metadata__", None)
+    if not isinstance(metadata, dict) or not isinstance(metadata.get("format"), str):
+        raise InputError(path, f"has no format, expected {kind}")
+    if metadata["format"] != kind:
+        raise InputError(path, f"is of format '{metadata['format'][:60]}', expected {kind}")
+    # a digest finds damage, not malice (whoever forges a file forges it too): all after it still distrusts the header
+    expected = metadata.get("sha256")
     sum_ = expected.encode() if isinstance(expected, str) and len(expected) == len(_NO_SUM) else b""
     place = data.find(sum_) if sum_ else -1
     if place < 0:
@@ -131,6 +115,14 @@ def _check_sum(path: Path, data: bytes, expected: object) -> None:
     digest.update(memoryview(data)[place + len(_NO_SUM) :])
     if digest.hexdigest().encode() != sum_:
         raise InputError(path, "is damaged: its bytes don't have the sum that it states")
+    try:
+        content = json.loads(metadata["content"])
+        arrays = _arrays(path, memoryview(data)[start:], head)
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        raise InputError(path, f"is damaged: {type(error).__name__} in its header") from None
+    if not isinstance(content, dict):
+        raise InputError(path, "is damaged: its content is no object")
+    return Content(arrays, content)
 
 
 def _arrays(path: Path, data: memoryview, places: Mapping[str, Any]) -> dict[str, AnyArray]:

@@ -36,7 +36,26 @@ def cached_points(cache: PointCache, path: Path) -> CachedPoints:
     """
     untimed = all(mesh.untimed is not None for mesh in cache.meshes)
     if cache.has_face and untimed:
-        return _held(cache, path)
+        # points of a face, which its skin moves: as the skeleton at rest places them
+        parts = open_face(path).parts()
+        named = {cached.mesh.name: cached for cached in cache.meshes}
+        lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in named), None)
+        if lacking is not None:
+            raise TopologyError(path, f"no mesh '{lacking}' in the point cache, expected those of the face")
+        meshes = [named[mesh.name] for mesh in parts.meshes]
+        rig, spaces = build(parts), mesh_spaces(parts)
+        matrices = rig.skinning_matrices(rig.rest)
+
+        def placed(points_of: Callable[[CachedMesh], FloatArray | None]) -> FloatArray:
+            bound = [_moved(points_of(mesh), space) for mesh, space in zip(meshes, spaces, strict=True)]
+            return rig.skin(_joined(bound), matrices)
+
+        return CachedPoints(
+            meshes=tuple(cached.mesh for cached in meshes),
+            count=max(1, len(cache.codes)),
+            sample=lambda number: placed(lambda mesh: mesh.points[number]),
+            untimed=lambda: placed(lambda mesh: mesh.untimed),
+        )
 
     def sample(number: int) -> FloatArray:
         return _joined([_moved(cached.points[number], cached.worlds[number]) for cached in cache.meshes])
@@ -49,29 +68,6 @@ def cached_points(cache: PointCache, path: Path) -> CachedPoints:
         count=max(1, len(cache.codes)),
         sample=sample,
         untimed=still if untimed else None,
-    )
-
-
-def _held(cache: PointCache, path: Path) -> CachedPoints:
-    """Points of a face, which its skin moves: as the skeleton at rest places them."""
-    parts = open_face(path).parts()
-    named = {cached.mesh.name: cached for cached in cache.meshes}
-    lacking = next((mesh.name for mesh in parts.meshes if mesh.name not in named), None)
-    if lacking is not None:
-        raise TopologyError(path, f"no mesh '{lacking}' in the point cache, expected those of the face")
-    meshes = [named[mesh.name] for mesh in parts.meshes]
-    rig, spaces = build(parts), mesh_spaces(parts)
-    matrices = rig.skinning_matrices(rig.rest)
-
-    def placed(points_of: Callable[[CachedMesh], FloatArray | None]) -> FloatArray:
-        bound = [_moved(points_of(mesh), space) for mesh, space in zip(meshes, spaces, strict=True)]
-        return rig.skin(_joined(bound), matrices)
-
-    return CachedPoints(
-        meshes=tuple(cached.mesh for cached in meshes),
-        count=max(1, len(cache.codes)),
-        sample=lambda number: placed(lambda mesh: mesh.points[number]),
-        untimed=lambda: placed(lambda mesh: mesh.untimed),
     )
 
 

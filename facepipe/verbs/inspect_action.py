@@ -61,7 +61,11 @@ class InspectReport(Report):
                 for key in ("joints", "shapes", "regions", "animations", "sliders", "materials")
             ],
             *[("photos", _listing(self.photos)) for _ in self.photos[:1]],
-            *[("levels", _levels(levels)) for levels in [self.levels] if levels],
+            *[
+                ("levels", ", ".join(f"{name} ({count:,} faces)" for name, count in levels.items()))
+                for levels in [self.levels]
+                if levels
+            ],
             *[("shapes' names", convention_text(self.shape_names)) for _ in self.shapes[:1]],
             ("person", self.person),
             ("inbetweens", self.inbetweens or "none"),
@@ -151,10 +155,6 @@ def _neural_rig(face: Face) -> dict[str, str] | None:
         return {"file": link.file, "state": link.refusal or "lost"}
     state = "as applied" if digest([link.path]) == link.digest else "changed since"
     return {"file": link.file, "state": state}
-
-
-def _levels(levels: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} ({count:,} faces)" for name, count in levels.items())
 
 
 def _listing(names: tuple[str, ...]) -> str:

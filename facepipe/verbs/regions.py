@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, ByteArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names, identifier, select, unknown
 from facepipe.core.reading import read_json_object
@@ -75,10 +75,8 @@ def read_legend(path: Path) -> RegionLegend:
 
     :raises InputError: not such JSON
     """
-    return _legend(str(path), read_json_object(path, _MOST_BYTES))
-
-
-def _legend(where: str, content: dict[str, object]) -> RegionLegend:
+    where = str(path)
+    content = read_json_object(path, _MOST_BYTES)
     unknown = [key for key in content if not key.startswith("#") and key not in _KEYS]
     if unknown:
         raise InputError(where, f"key '{unknown[0][:60]}', expected colours like #ff0000, or {', '.join(_KEYS)}")
@@ -191,7 +189,20 @@ class SetRegions:
         reports = tuple(_counted(face, report, masks_of[name]) for name, (_, report) in done.items())
         for name, masks in masks_of.items():
             if name in done or len(masks) < len(mesh_of(face, name).regions):
-                _author(face, name, masks)
+                mesh, prim = mesh_of(face, name), face.mesh_prim(name)
+                old = [region for region in mesh.regions if identifier(region) in mesh.point_subsets]
+                if old:
+                    # region -> the points where no other has more
+                    first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
+                    author_region_subsets(
+                        prim,
+                        {
+                            identifier(name): np.flatnonzero(first == number).astype(np.int32)
+                            for number, name in enumerate(masks)
+                        },
+                        tuple(identifier(one) for one in old if one not in masks),
+                    )
+                author_regions(prim, replace(mesh, regions=masks))
         return RegionsReport(meshes=reports, warnings=self._warnings(face, reports, masks_of))
 
     def _chosen(self, face: Face) -> tuple[Mesh, ...]:
@@ -322,20 +333,6 @@ def draw_regions(face: Face, path: Path) -> None:
 
     parts = face.parts()
     save_png(picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.from_parts(parts))), path)
-
-
-def _author(face: Face, name: str, masks: Masks) -> None:
-    mesh, prim = mesh_of(face, name), face.mesh_prim(name)
-    old = [region for region in mesh.regions if identifier(region) in mesh.point_subsets]
-    if old:
-        author_region_subsets(prim, _subsets(masks), tuple(identifier(one) for one in old if one not in masks))
-    author_regions(prim, replace(mesh, regions=masks))
-
-
-def _subsets(masks: Masks) -> dict[str, IntArray]:
-    """Region -> the points where no other has more."""
-    first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
-    return {identifier(name): np.flatnonzero(first == number).astype(np.int32) for number, name in enumerate(masks)}
 
 
 def _uv_of(where: str, mesh: Mesh, name: str | None) -> UvSet:

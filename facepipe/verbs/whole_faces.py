@@ -333,7 +333,12 @@ def whole_face(
         topology=Topology.of(parts),
         points=points,
         deltas={shape: _delta(parts, shape) for shape in shapes},
-        meshes={shape: _having(parts, shape) for shape in shapes},
+        meshes={
+            shape: tuple(
+                mesh.name for mesh in parts.meshes if any(blendshape.name == shape for blendshape in mesh.blendshapes)
+            )
+            for shape in shapes
+        },
         warnings=tuple(warnings),
     )
 
@@ -347,10 +352,6 @@ def _delta(parts: FaceParts, shape: str) -> FloatArray:
                 start = int(end) - len(mesh.points)
                 delta[start + blendshape.point_indices] = np.asarray(blendshape.offsets, np.float64) @ to[:3, :3].T
     return delta
-
-
-def _having(parts: FaceParts, shape: str) -> tuple[str, ...]:
-    return tuple(mesh.name for mesh in parts.meshes if any(blendshape.name == shape for blendshape in mesh.blendshapes))
 
 
 def to_millimetres(parts: FaceParts) -> list[FloatArray]:

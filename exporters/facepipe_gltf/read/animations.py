@@ -79,17 +79,17 @@ def sample(sampler: Sampler, times: FloatArray, rotation: bool = False) -> Float
         values = a
     elif sampler.tangents is not None:
         arrive, leave = sampler.tangents
-        values = _hermite(a, span[:, None] * leave[left], b, span[:, None] * arrive[right], share)
+        out = span[:, None] * leave[left]
+        into = span[:, None] * arrive[right]
+        s2, s3 = share * share, share * share * share
+        values = np.asarray(
+            (2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + share) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into
+        )
     elif rotation:
         values = slerp(_unit(sampler, a), _unit(sampler, b), share)
     else:
         values = np.where(share == 0.0, a, a + share * (b - a))
     return _unit(sampler, values) if rotation else values
-
-
-def _hermite(a: FloatArray, out: FloatArray, b: FloatArray, into: FloatArray, s: FloatArray) -> FloatArray:
-    s2, s3 = s * s, s * s * s
-    return np.asarray((2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + s) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into)
 
 
 def _unit(sampler: Sampler, quaternions: FloatArray) -> FloatArray:
@@ -302,26 +302,18 @@ def _animation(
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
     shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
     label = given_name(value)
-    return _with_exact_scales(
-        document,
-        value,
-        joints,
-        Animation(
-            name=name,
-            label=label if label != name else None,
-            times=times if len(times) > 1 else None,
-            joints=tuple(joints.skeleton.joints[joint] for joint in moved),
-            translations=None if motion is None else motion[0].astype(np.float32),
-            rotations=None if motion is None else motion[1].astype(np.float32),
-            scales=None if motion is None else motion[2].astype(np.float32),
-            shapes=shape_names,
-            shape_weights=shape_weights,
-        ),
+    animation = Animation(
+        name=name,
+        label=label if label != name else None,
+        times=times if len(times) > 1 else None,
+        joints=tuple(joints.skeleton.joints[joint] for joint in moved),
+        translations=None if motion is None else motion[0].astype(np.float32),
+        rotations=None if motion is None else motion[1].astype(np.float32),
+        scales=None if motion is None else motion[2].astype(np.float32),
+        shapes=shape_names,
+        shape_weights=shape_weights,
     )
-
-
-def _with_exact_scales(document: Document, value: Value, joints: Joints, animation: Animation) -> Animation:
-    """The animation, with bone coefficients too where SkelAnimation would round its scales to half precision."""
+    # the animation, with bone coefficients too where SkelAnimation would round its scales to half precision
     scales = animation.scales
     if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
         return animation

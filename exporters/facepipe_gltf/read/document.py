@@ -131,7 +131,13 @@ class Document:
         """
         text = uri.text()
         if text[:5].lower() == "data:":
-            return _base64(uri, text)
+            head = _DATA.match(text)
+            if head is None:
+                raise uri.error("data URI without base64, expected data:<type>;base64,...")
+            try:
+                return base64.b64decode(text[head.end() :], validate=True)
+            except (binascii.Error, ValueError) as error:
+                raise uri.error(f"data URI with bad base64: {error}") from None
         path = _beside(uri, text, self.path)
         if path not in self.files:
             self.files.append(path)
@@ -164,8 +170,19 @@ def open_document(source: Path) -> Document:
     :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
     """
     document = read_document(source)
-    _check_version(document)
-    _check_extensions(document)
+    asset = document.root.require("asset")
+    version = asset.require("version")
+    if version.text().split(".")[0] != "2":
+        raise version.error(f"{quote(version.text())}, expected glTF 2.0")
+    minimum = asset.get("minVersion")
+    if minimum is not None and minimum.text() != "2.0":
+        raise minimum.error(f"{quote(minimum.text())}, expected 2.0")
+    for name in document.root.get_or("extensionsRequired", []).items():
+        if name.text() not in _SUPPORTED_EXTENSIONS:
+            raise name.error(f"the file needs the extension {quote(name.text())}, which is not supported")
+    for name in document.root.get_or("extensionsUsed", []).items():
+        if name.text() not in _SUPPORTED_EXTENSIONS:
+            document.warn(name, f"the extension {quote(name.text())} is ignored")
     return document
 
 
@@ -181,59 +198,38 @@ def read_document(source: Path) -> Document:
     binary: bytes | None = None
     text = data
     if data[:4] == _MAGIC:
-        text, binary = _chunks(data, trail)
+        if len(data) < 20:
+            raise InputError(trail, f"{len(data)} bytes, expected a GLB header and a JSON chunk")
+        version, length = struct.unpack_from("<II", data, 4)
+        if version != 2:
+            raise InputError(trail, f"GLB version {version}, expected 2")
+        if length > len(data):
+            raise InputError(trail, f"truncated: {len(data)} bytes, the header says {length}")
+        chunks: dict[int, bytes] = {}
+        offset = 12
+        while offset + 8 <= length:
+            size, kind = struct.unpack_from("<II", data, offset)
+            if offset + 8 + size > length:
+                raise InputError(trail, f"chunk at byte {offset} of {size} bytes ends beyond the file's {length}")
+            if not chunks and kind != _JSON_CHUNK:
+                raise InputError(trail, "the first chunk is not JSON")
+            # chunks of other kinds belong to extensions: the specification has readers ignore them
+            if kind in (_JSON_CHUNK, _BINARY_CHUNK):
+                if kind in chunks:
+                    raise InputError(
+                        trail, f"a second {'JSON' if kind == _JSON_CHUNK else 'BIN'} chunk at byte {offset}"
+                    )
+                chunks[kind] = data[offset + 8 : offset + 8 + size]
+            offset += 8 + size
+        if _JSON_CHUNK not in chunks:
+            raise InputError(trail, "no JSON chunk")
+        text, binary = chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
     elif source.suffix.lower() in (".glb", ".vrm"):
         raise InputError(trail, f"begins with {data[:4]!r}, expected the magic 'glTF'")
     document = Document(root=parse(text, trail), path=source, binary=binary, files=[source])
     if data[:4] == _MAGIC and int.from_bytes(data[8:12], "little") < len(data):
         document.warn(document.root, "bytes beyond the length in its header are left out")
     return document
-
-
-def _chunks(data: bytes, trail: str) -> tuple[bytes, bytes | None]:
-    if len(data) < 20:
-        raise InputError(trail, f"{len(data)} bytes, expected a GLB header and a JSON chunk")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise InputError(trail, f"GLB version {version}, expected 2")
-    if length > len(data):
-        raise InputError(trail, f"truncated: {len(data)} bytes, the header says {length}")
-    chunks: dict[int, bytes] = {}
-    offset = 12
-    while offset + 8 <= length:
-        size, kind = struct.unpack_from("<II", data, offset)
-        if offset + 8 + size > length:
-            raise InputError(trail, f"chunk at byte {offset} of {size} bytes ends beyond the file's {length}")
-        if not chunks and kind != _JSON_CHUNK:
-            raise InputError(trail, "the first chunk is not JSON")
-        # chunks of other kinds belong to extensions: the specification has readers ignore them
-        if kind in (_JSON_CHUNK, _BINARY_CHUNK):
-            if kind in chunks:
-                raise InputError(trail, f"a second {'JSON' if kind == _JSON_CHUNK else 'BIN'} chunk at byte {offset}")
-            chunks[kind] = data[offset + 8 : offset + 8 + size]
-        offset += 8 + size
-    if _JSON_CHUNK not in chunks:
-        raise InputError(trail, "no JSON chunk")
-    return chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
-
-
-def _check_version(document: Document) -> None:
-    asset = document.root.require("asset")
-    version = asset.require("version")
-    if version.text().split(".")[0] != "2":
-        raise version.error(f"{quote(version.text())}, expected glTF 2.0")
-    minimum = asset.get("minVersion")
-    if minimum is not None and minimum.text() != "2.0":
-        raise minimum.error(f"{quote(minimum.text())}, expected 2.0")
-
-
-def _check_extensions(document: Document) -> None:
-    for name in document.root.get_or("extensionsRequired", []).items():
-        if name.text() not in _SUPPORTED_EXTENSIONS:
-            raise name.error(f"the file needs the extension {quote(name.text())}, which is not supported")
-    for name in document.root.get_or("extensionsUsed", []).items():
-        if name.text() not in _SUPPORTED_EXTENSIONS:
-            document.warn(name, f"the extension {quote(name.text())} is ignored")
 
 
 def _read_whole(path: Path, where: str) -> bytes:
@@ -250,16 +246,6 @@ def _read_whole(path: Path, where: str) -> bytes:
 def uri_name(uri: str) -> str:
     """The file name that a URI ends in, empty for data."""
     return "" if uri[:5].lower() == "data:" else PurePosixPath(unquote(uri)).name
-
-
-def _base64(uri: Value, text: str) -> bytes:
-    head = _DATA.match(text)
-    if head is None:
-        raise uri.error("data URI without base64, expected data:<type>;base64,...")
-    try:
-        return base64.b64decode(text[head.end() :], validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise uri.error(f"data URI with bad base64: {error}") from None
 
 
 def _beside(uri: Value, text: str, document: Path) -> Path:

@@ -205,7 +205,22 @@ def read(source: Path, options: Options) -> Imported:
         with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which `_check_finite` refuses
             document = open_document(source)
             parts = _parts(document, source, options)
-            _check_finite(document, parts)
+            skeleton = parts.skeleton
+            if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
+                raise document.root.error("joint transforms that are not finite")
+            for mesh in parts.meshes:
+                arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
+                arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
+                for shape in mesh.blendshapes:
+                    arrays += [
+                        array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)
+                    ]
+                if not all(array is None or np.isfinite(array).all() for array in arrays):
+                    raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
+            for animation in parts.animations:
+                moving = (animation.translations, animation.rotations, animation.scales, animation.shape_weights)
+                if not all(array is None or np.isfinite(array).all() for array in moving):
+                    raise InputError(f"{document.root.trail} -> {animation.name}", "values that are not finite")
     except MemoryError:
         raise InputError(source.name, "needs more memory than there is") from None
     parts = with_units(parts, options.meters_per_unit, options.up_axis)
@@ -221,19 +236,14 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
                 record = resampled(record, read)
             face = filled(document, record, read)
             _note_losses(document, ours=True)
-            return _with_recipe(face, document, source, options)
+            recipe = import_recipe("gltf", {source: document.files}, options)
+            made = None if face.recipe is None else asdict(face.recipe)
+            return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))
         except InputError as error:
             document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
     face = _read(document, source, options)
     _note_losses(document, ours=False)
     return face
-
-
-def _with_recipe(face: FaceParts, document: Document, source: Path, options: Options) -> FaceParts:
-    """The face with the recipe of an import, which keeps the recipe from before the export."""
-    recipe = import_recipe("gltf", {source: document.files}, options)
-    made = None if face.recipe is None else asdict(face.recipe)
-    return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))
 
 
 def _read(document: Document, source: Path, options: Options, *, recorded: bool = False) -> FaceParts:
@@ -245,7 +255,10 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     meshes = assembly.meshes()
     if not meshes:
         raise document.root.error("no mesh with triangles in the scene")
-    _note_hidden(document, nodes)
+    shown = set(nodes.shown)
+    hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
+    if hidden:
+        document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
     animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
     return FaceParts(
         meters_per_unit=1.0,
@@ -266,30 +279,6 @@ def _bound(meshes: tuple[Mesh, ...]) -> Iterator[str]:
         if mesh.material is not None:
             yield mesh.material
         yield from (faces.material for faces in mesh.material_faces)
-
-
-def _note_hidden(document: Document, nodes: Nodes) -> None:
-    shown = set(nodes.shown)
-    hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
-    if hidden:
-        document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
-
-
-def _check_finite(document: Document, parts: FaceParts) -> None:
-    skeleton = parts.skeleton
-    if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
-        raise document.root.error("joint transforms that are not finite")
-    for mesh in parts.meshes:
-        arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
-        arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
-        for shape in mesh.blendshapes:
-            arrays += [array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)]
-        if not all(array is None or np.isfinite(array).all() for array in arrays):
-            raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
-    for animation in parts.animations:
-        moving = (animation.translations, animation.rotations, animation.scales, animation.shape_weights)
-        if not all(array is None or np.isfinite(array).all() for array in moving):
-            raise InputError(f"{document.root.trail} -> {animation.name}", "values that are not finite")
 
 
 def _note_losses(document: Document, *, ours: bool) -> None:

@@ -91,7 +91,16 @@ def build_mesh(
     welded = _numbered(geometry) if recorded else _weld(document, geometry, weld)
     corners, kept = _faces(document, geometry, welded)
     points = welded.points[corners].ravel()
-    shown = _materials(document, geometry, materials, recorded)
+    # the material by its number; -1 is glTF's default one, or none where display colours are to show
+    shown: dict[int, str | None] = dict(enumerate(materials[:-1]))
+    shown[-1] = materials[-1]
+    if geometry.vertices.colors is not None and not recorded:
+        shown[-1] = None
+        if (geometry.materials < 0).any():
+            document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")
+        tinted = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
+        if not all(_is_white(document, number) for number in tinted):
+            document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")
     # of triangles that are kept: a material of left out ones alone would make a subset without faces
     bound = [shown[number] for number in np.unique(geometry.materials[kept]).tolist()]
     return Mesh(
@@ -213,22 +222,6 @@ def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -
     used = max(1, int(np.flatnonzero(np.any(weights > 0.0, axis=0)).max(initial=0)) + 1)
     indices = np.where(weights > 0.0, slots[joints], 0)[:, :used]
     return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights[:, :used])
-
-
-def _materials(
-    document: Document, geometry: Geometry, materials: Sequence[str], recorded: bool
-) -> Mapping[int, str | None]:
-    """The material by its number; -1 is glTF's default one, or none where display colours are to show."""
-    result: dict[int, str | None] = dict(enumerate(materials[:-1]))
-    result[-1] = materials[-1]
-    if geometry.vertices.colors is not None and not recorded:
-        result[-1] = None
-        if (geometry.materials < 0).any():
-            document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")
-        tinted = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
-        if not all(_is_white(document, number) for number in tinted):
-            document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")
-    return result
 
 
 def _is_white(document: Document, material: int) -> bool:

@@ -34,7 +34,31 @@ def decode(data: bytes, count: int, size: int, mode: str, filtered: str = "NONE"
         raise ValueError(f"mode {mode[:20]}, filter {filtered[:20]}, expected ones of {EXTENSION}")
     try:
         if mode == "ATTRIBUTES":
-            elements = _attributes(data, count, size)
+            # (count, size): each byte of an element differs by little from that byte of the element before
+            if size % 4 or not 4 <= size <= 256 or data[0] != _ATTRIBUTES:
+                raise ValueError(
+                    f"elements of {size} bytes or another version, expected a multiple of 4 to 256, version 0"
+                )
+            end = len(data) - max(size, _LONGEST_TAIL)
+            block = min(8192 // size // _GROUP * _GROUP, 256)
+            if end < 1 + -(-count // block) * size:  # each byte of each block has a head
+                raise ValueError("its data ends too early")
+            elements = np.empty((count, size), np.uint8)
+            before = np.frombuffer(data, np.uint8, size, len(data) - size)
+            at = 1
+            for first in range(0, count, block):
+                rows = min(block, count - first)
+                groups = -(-rows // _GROUP)
+                differences = np.zeros((size, groups * _GROUP), np.uint8)
+                for lane in differences:
+                    at = _lane(data, at, groups, lane)
+                signed = (differences >> 1) ^ -(differences & 1)
+                signed[:, 0] += before
+                np.cumsum(signed[:, :rows], axis=1, dtype=np.uint8, out=differences[:, :rows])
+                elements[first : first + rows] = differences[:, :rows].T
+                before = elements[first + rows - 1]
+                if at > end:
+                    raise ValueError("its data ends too early")
             return (elements if filtered == "NONE" else _FILTERS[filtered](elements)).tobytes()
         if size not in (2, 4) or (mode == "TRIANGLES" and count % 3):
             raise ValueError(f"{count} indices of {size} bytes, expected triangles of 2 or 4")
@@ -45,33 +69,6 @@ def decode(data: bytes, count: int, size: int, mode: str, filtered: str = "NONE"
         return indices.astype(f"<u{size}").tobytes()
     except IndexError:
         raise ValueError("its data ends too early") from None
-
-
-def _attributes(data: bytes, count: int, size: int) -> Bytes:
-    """(count, size): each byte of an element differs by little from that byte of the element before."""
-    if size % 4 or not 4 <= size <= 256 or data[0] != _ATTRIBUTES:
-        raise ValueError(f"elements of {size} bytes or another version, expected a multiple of 4 to 256, version 0")
-    end = len(data) - max(size, _LONGEST_TAIL)
-    block = min(8192 // size // _GROUP * _GROUP, 256)
-    if end < 1 + -(-count // block) * size:  # each byte of each block has a head
-        raise ValueError("its data ends too early")
-    elements = np.empty((count, size), np.uint8)
-    before = np.frombuffer(data, np.uint8, size, len(data) - size)
-    at = 1
-    for first in range(0, count, block):
-        rows = min(block, count - first)
-        groups = -(-rows // _GROUP)
-        differences = np.zeros((size, groups * _GROUP), np.uint8)
-        for lane in differences:
-            at = _lane(data, at, groups, lane)
-        signed = (differences >> 1) ^ -(differences & 1)
-        signed[:, 0] += before
-        np.cumsum(signed[:, :rows], axis=1, dtype=np.uint8, out=differences[:, :rows])
-        elements[first : first + rows] = differences[:, :rows].T
-        before = elements[first + rows - 1]
-        if at > end:
-            raise ValueError("its data ends too early")
-    return elements
 
 
 def _lane(data: bytes, at: int, groups: int, lane: Bytes) -> int:

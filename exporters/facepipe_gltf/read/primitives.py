@@ -222,7 +222,13 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         if number < 4:
             document.warn(primitive, f"{_MODES[number]} are left out, only triangles are read")
             continue
-        key = _pool_key(document, primitive)
+        # a key of the vertices that a primitive uses: its attributes and those of its targets
+        sets = [primitive.require("attributes"), *primitive.get_or("targets", []).items()]
+        key = tuple(
+            (f"{i}{name}", document.index("accessors", attributes.require(name)))
+            for i, attributes in enumerate(sets)
+            for name in sorted(attributes.member_names())
+        )
         if key not in pools:
             read.append(_read_vertices(document, primitive, skinned))
             pools[key] = (total, len(read[-1].positions))
@@ -238,16 +244,6 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         vertices=_join(document, value, read),
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
-    )
-
-
-def _pool_key(document: Document, primitive: Value) -> tuple[tuple[str, int], ...]:
-    """A key of the vertices that a primitive uses: its attributes and those of its targets."""
-    sets = [primitive.require("attributes"), *primitive.get_or("targets", []).items()]
-    return tuple(
-        (f"{i}{name}", document.index("accessors", attributes.require(name)))
-        for i, attributes in enumerate(sets)
-        for name in sorted(attributes.member_names())
     )
 
 
@@ -276,9 +272,5 @@ def _triangles(document: Document, primitive: Value, mode: int, count: int) -> I
     odd = np.arange(len(corners) - 2) % 2  # every other triangle of a strip turns round
     steps = np.arange(len(corners) - 2)
     strip = np.stack([corners[steps], corners[steps + 1 + odd], corners[steps + 2 - odd]], axis=1)
-    return np.asarray(strip[_distinct(strip)])  # strips jump by triangles without area
-
-
-def _distinct(triangles: IntArray) -> IntArray:
-    a, b, c = triangles.T
-    return np.asarray((a != b) & (b != c) & (c != a))
+    a, b, c = strip.T
+    return np.asarray(strip[np.asarray((a != b) & (b != c) & (c != a))])  # strips jump by triangles without area

@@ -51,24 +51,6 @@ def joints_as_recorded(record: Record, read: Skeleton) -> None:
         raise InputError("facepipe", "joints moved by another program since facepipe wrote the file")
 
 
-def filled_animations(
-    record: Record, read: FaceParts, new_names: Mapping[str, str], shapes: Sequence[str]
-) -> tuple[Animation, ...]:
-    """The record's animations, moved as those that were read.
-
-    :param new_names: the record's name of every shape that was read
-    :param shapes: names of the record's shapes
-    :raises InputError: other animations than the record's
-    """
-    recorded = record.face.animations
-    if not len(recorded) == len(read.animations) == len(record.joints) == len(record.shapes):
-        raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(recorded)}")
-    return tuple(
-        _animation(record, read.skeleton, *of_animation, new_names, shapes)
-        for of_animation in zip(recorded, read.animations, record.joints, record.shapes, strict=True)
-    )
-
-
 def _animation(
     record: Record,
     skeleton: Skeleton,
@@ -134,20 +116,19 @@ def _moved(
     if husk.coefficients is not None:
         rest = np.asarray(recorded.rest_transforms, np.float64)[joints]
         # local = rest C; rounding of float32 nodes would make coefficients of joints that never moved
-        values["coefficients"] = _at_rest_where_near(matrix_coefficients(np.linalg.inv(rest) @ local), rest)
+        coefficients = matrix_coefficients(np.linalg.inv(rest) @ local)
+        # float32 coefficients without the noise of float32 nodes
+        still = rest_coefficients(1)[0]
+        reach = np.full(9, _NOISE)
+        reach[:3] *= max(float(np.abs(rest[:, :3, 3]).max(initial=0.0)), 1.0)
+        values["coefficients"] = np.asarray(
+            np.where(np.abs(coefficients - still) <= reach, still, coefficients).astype(np.float32)
+        )
     trs = decompose(local)
     for name, value in zip(("translations", "rotations", "scales"), trs[:3], strict=True):
         if getattr(husk, name) is not None:
             values[name] = value.astype(np.float32)
     return replace(husk, **values)  # type: ignore[arg-type]
-
-
-def _at_rest_where_near(coefficients: FloatArray, rest: FloatArray) -> FloatArray:
-    """float32 coefficients without the noise of float32 nodes."""
-    still = rest_coefficients(1)[0]
-    reach = np.full(9, _NOISE)
-    reach[:3] *= max(float(np.abs(rest[:, :3, 3]).max(initial=0.0)), 1.0)
-    return np.asarray(np.where(np.abs(coefficients - still) <= reach, still, coefficients).astype(np.float32))
 
 
 def _stage_matrices(record: Record, matrices: FloatArray, roots: npt.NDArray[np.bool_]) -> FloatArray:
@@ -200,10 +181,17 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
     pairs = zip(face.meshes, record.meshes, read.meshes, strict=True)
     meshes = tuple(_mesh(*pair) for pair in pairs)
     renamed = _new_names(read.meshes, face.meshes)
+    shapes = shape_names(face.meshes)
+    recorded = record.face.animations
+    if not len(recorded) == len(read.animations) == len(record.joints) == len(record.shapes):
+        raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(recorded)}")
     return replace(
         face,
         meshes=meshes,
-        animations=filled_animations(record, read, renamed, shape_names(face.meshes)),
+        animations=tuple(
+            _animation(record, read.skeleton, *of_animation, renamed, shapes)
+            for of_animation in zip(recorded, read.animations, record.joints, record.shapes, strict=True)
+        ),
         materials=with_recorded_images(document, face.materials, read.materials),
     )
 

@@ -176,7 +176,15 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     order = _parent_first(nodes, [node for skin in listed for node in skin])
     of_node = {node: joint for joint, node in enumerate(order)}
-    joint_parents, above = _hierarchy(nodes, order, of_node)
+    # parent joint of every joint, -1 for roots, and the matrices of the nodes between
+    parents, above = [], np.tile(identity(), (len(order), 1, 1))
+    for joint, node in enumerate(order):
+        node = nodes.parents[node]
+        while node >= 0 and node not in of_node:
+            above[joint] = nodes.locals[node] @ above[joint]
+            node = nodes.parents[node]
+        parents.append(of_node.get(node, -1))
+    joint_parents, above = parents, above
     binds: dict[int, FloatArray] = {}
     skins = []
     for value, joint_nodes in zip(values, listed, strict=True):
@@ -218,18 +226,6 @@ def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:
             node = nodes.parents[node]
         placed.update(dict.fromkeys(reversed(chain)))
     return list(placed)
-
-
-def _hierarchy(nodes: Nodes, order: list[int], of_node: dict[int, int]) -> tuple[list[int], FloatArray]:
-    """Parent joint of every joint, -1 for roots, and the matrices of the nodes between."""
-    parents, above = [], np.tile(identity(), (len(order), 1, 1))
-    for joint, node in enumerate(order):
-        node = nodes.parents[node]
-        while node >= 0 and node not in of_node:
-            above[joint] = nodes.locals[node] @ above[joint]
-            node = nodes.parents[node]
-        parents.append(of_node.get(node, -1))
-    return parents, above
 
 
 def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int]) -> tuple[str, ...]:

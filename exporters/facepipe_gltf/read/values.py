@@ -185,7 +185,11 @@ def file_name(name: str, fallback: str) -> str:
     other scripts stay apart; the rest becomes ``_``. An empty name is `fallback`.
     """
     plain = unicodedata.normalize("NFKD", name[: 4 * _LONGEST])
-    safe = "".join(_safe(character) for character in plain if not unicodedata.combining(character))[:_LONGEST]
+    safe = "".join(
+        (character if character.isascii() else f"u{ord(character):x}_")
+        for character in plain
+        if not unicodedata.combining(character)
+    )[:_LONGEST]
     return names.identifier(safe, fallback)
 
 
@@ -217,7 +221,3 @@ class Names:
 def joint_identifier(name: str) -> str:
     """The part of a joint's path that stands for `name`."""
     return names.identifier(name[:_LONGEST], "joint")
-
-
-def _safe(character: str) -> str:
-    return character if character.isascii() else f"u{ord(character):x}_"

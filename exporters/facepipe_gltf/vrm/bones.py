@@ -199,12 +199,7 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
             raise InputError(where, f"is the {wrong.bone}, {below}, expected {due} (option bones names other joints)")
         unfit.append(f"{joints[bones[drop]]} is not the {drop}: it hangs elsewhere in the tree than VRM requires")
         del bones[drop]
-    _check_head(parts, bones)
-    return Humanoid(bones, tuple(unfit))
-
-
-def _check_head(parts: FaceParts, bones: dict[str, int]) -> None:
-    """:raises InputError: bones of a body, but no joint named like a head: turning the head would move nothing"""
     if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
         problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
+    return Humanoid(bones, tuple(unfit))

@@ -13,11 +13,11 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import first_names
-from facepipe.parts import Blendshape, FaceParts, Mesh
+from facepipe.parts import Blendshape, FaceParts
 from facepipe.records import Json
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes
-from facepipe_gltf.placement import Space, place, space_of
+from facepipe_gltf.placement import place, space_of
 
 _TABLE = Path(__file__).with_name("expressions.toml")
 _STRAIGHT = [[0.0, 0.0], [1.0, 1.0]]
@@ -137,7 +137,11 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
         for mesh, offsets in zip(parts.meshes, rig.split(full).values(), strict=True):
             moving = np.flatnonzero(np.abs(offsets).max(axis=1) > still)
             if len(moving):
-                local = _in_mesh(parts, mesh, space, offsets)[moving]
+                # (n, 3) world offsets of a mesh's points, as offsets of its own points before they are skinned at rest
+                matrices = place(mesh, parts.skeleton, space, skinned=False).matrices[:, :3, :3]
+                local = np.asarray(np.einsum("nij,nj->ni", np.linalg.inv(matrices) @ space.world[:3, :3], offsets))[
+                    moving
+                ]
                 made[mesh.name].append(Blendshape(name=name, point_indices=moving.astype(np.int32), offsets=local))
     meshes = tuple(replace(mesh, blendshapes=(*mesh.blendshapes, *made[mesh.name])) for mesh in parts.meshes)
     return replace(parts, meshes=meshes), _summary(names, worst * parts.meters_per_unit * 1000)
@@ -156,9 +160,3 @@ def _points(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> FloatArr
     """(n, 3) points of the face with these sliders moved."""
     coefficients, weights = slide(parts.sliders, parts.skeleton.joints, values, parts.slider_network)
     return rig.evaluate(weights, coefficients=coefficients)
-
-
-def _in_mesh(parts: FaceParts, mesh: Mesh, space: Space, offsets: FloatArray) -> FloatArray:
-    """(n, 3) world offsets of a mesh's points, as offsets of its own points before they are skinned at rest."""
-    matrices = place(mesh, parts.skeleton, space, skinned=False).matrices[:, :3, :3]
-    return np.asarray(np.einsum("nij,nj->ni", np.linalg.inv(matrices) @ space.world[:3, :3], offsets))

@@ -218,31 +218,6 @@ def standing_place(figure: Figure, hips: int | None) -> FloatArray:
     return np.array([-figure.middle[0], figure.height - figure.high[1], -figure.middle[2]])
 
 
-def add_body(tree: NodeTree, bones: dict[str, int], figure: Figure, roots: Sequence[int]) -> None:
-    """Add what is missing of the required human bones.
-
-    :param bones: human bone -> node; grows
-    :param figure: measures of the face where it stands now
-    :param roots: nodes of the skeleton at the scene's root
-    """
-    own_torso = [bone for bone in TORSO if bone in bones]
-    if "hips" not in bones:
-        root = tree.add("root", np.zeros(3), None)
-        legs = [tree.world(bones[f"{side}UpperLeg"])[:3, 3] for side in SIDES if f"{side}UpperLeg" in bones]
-        bones["hips"] = tree.add("hips", np.mean(legs, axis=0) if len(legs) == 2 else _at(figure, _HIPS), root)
-    if "spine" not in bones:
-        _add_spine(tree, bones, figure, own_torso)
-    elif "hips" not in own_torso:
-        tree.hang(tree.path(bones["spine"])[-1], bones["hips"])
-    if "head" not in bones:
-        bones["head"] = tree.add("head", _at(figure, _SKULL), bones["spine"])
-        for root in roots:
-            tree.hang(root, bones["head"])
-    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        _add_leg(tree, bones, figure, side, sign)
-        _add_arm(tree, bones, figure, side, sign)
-
-
 def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own_torso: Sequence[str]) -> None:
     """A spine above the hips, and what hangs there now above the spine."""
     next_up = next((bone for bone in own_torso if bone != "hips"), None)
@@ -260,17 +235,6 @@ def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own_torso:
         path = tree.path(bones[bone])
         if bones["spine"] not in path and bones["hips"] in path:
             tree.hang(path[path.index(bones["hips"]) - 1], bones["spine"])
-
-
-def _add_leg(tree: NodeTree, bones: dict[str, int], figure: Figure, side: str, sign: float) -> None:
-    upper, lower, foot = (f"{side}{part}" for part in ("UpperLeg", "LowerLeg", "Foot"))
-    if upper not in bones:
-        x, y, z = tree.world(bones["hips"])[:3, 3]
-        bones[upper] = tree.add(upper, np.array([x + sign * _LEG_OUT * figure.height, y, z]), bones["hips"])
-    for bone, above, part in ((lower, upper, _KNEE / _HIPS), (foot, lower, _ANKLE / _KNEE)):
-        if bone not in bones:
-            place = tree.world(bones[above])[:3, 3] * (1, part, 1)
-            bones[bone] = tree.add(bone, place, bones[above])
 
 
 def _add_arm(tree: NodeTree, bones: dict[str, int], figure: Figure, side: str, sign: float) -> None:
@@ -360,7 +324,15 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
     document.json.setdefault("extensions", {})[EXTENSION] = extension
     document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
     counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
-    warnings = (*document.warnings, *humanoid.unfit, *_scale_warnings(tree))
+    # a line on nodes whose scale is not one positive number, which VRM requires (tpose.md)
+    scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
+    odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
+    some = first_names(odd, 3)
+    warnings = (
+        *document.warnings,
+        *humanoid.unfit,
+        *([f"{some}: scaled unevenly or mirrored; VRM's runtimes may not keep that"] if odd else []),
+    )
     finished = replace(document, counts=document.counts | counts, warnings=warnings, dropped=tuple(lost))
     return finished, (*added, *slider_shapes)
 
@@ -373,9 +345,38 @@ def _human_nodes(
     bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
     missing = missing_bones([*bones])
     if missing:
-        add_body(tree, bones, figure, [root for root in tree.roots if "mesh" not in tree.nodes[root]])
+        roots = [root for root in tree.roots if "mesh" not in tree.nodes[root]]
+        own_torso = [bone for bone in TORSO if bone in bones]
+        if "hips" not in bones:
+            root = tree.add("root", np.zeros(3), None)
+            legs = [tree.world(bones[f"{side}UpperLeg"])[:3, 3] for side in SIDES if f"{side}UpperLeg" in bones]
+            bones["hips"] = tree.add("hips", np.mean(legs, axis=0) if len(legs) == 2 else _at(figure, _HIPS), root)
+        if "spine" not in bones:
+            _add_spine(tree, bones, figure, own_torso)
+        elif "hips" not in own_torso:
+            tree.hang(tree.path(bones["spine"])[-1], bones["hips"])
+        if "head" not in bones:
+            bones["head"] = tree.add("head", _at(figure, _SKULL), bones["spine"])
+            for root in roots:
+                tree.hang(root, bones["head"])
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+            upper, lower, foot = (f"{side}{part}" for part in ("UpperLeg", "LowerLeg", "Foot"))
+            if upper not in bones:
+                x, y, z = tree.world(bones["hips"])[:3, 3]
+                bones[upper] = tree.add(upper, np.array([x + sign * _LEG_OUT * figure.height, y, z]), bones["hips"])
+            for bone, above, part in ((lower, upper, _KNEE / _HIPS), (foot, lower, _ANKLE / _KNEE)):
+                if bone not in bones:
+                    place = tree.world(bones[above])[:3, 3] * (1, part, 1)
+                    bones[bone] = tree.add(bone, place, bones[above])
+            _add_arm(tree, bones, figure, side, sign)
         added.append(f"human bones that move no point: {', '.join(missing)}")
-        _check(parts, bones, tree)
+        wrong = misplaced(bones, tree.path)
+        if wrong is not None:
+            name = tree.nodes[bones[wrong.bone]]["name"]
+            what = f"is the {wrong.bone} below the {wrong.found}, expected it below the {wrong.expected}"
+            raise ExportError(
+                f"{parts.name} -> {name}", f"{what}: the joints between are missing (option bones names them)"
+            )
     loose = [node for node in tree.roots if "mesh" in tree.nodes[node] and "skin" not in tree.nodes[node]]
     for node in loose:
         tree.hang_mesh(node, bones["head"])
@@ -417,25 +418,6 @@ def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Lit
 def _first_person(tree: NodeTree) -> Json:
     shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
     return {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]}
-
-
-def _scale_warnings(tree: NodeTree) -> list[str]:
-    """A line on nodes whose scale is not one positive number, which VRM requires (tpose.md)."""
-    scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
-    odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
-    some = first_names(odd, 3)
-    return [f"{some}: scaled unevenly or mirrored; VRM's runtimes may not keep that"] if odd else []
-
-
-def _check(parts: FaceParts, bones: dict[str, int], tree: NodeTree) -> None:
-    """:raises ExportError: the face's bones leave no place for the added ones"""
-    wrong = misplaced(bones, tree.path)
-    if wrong is not None:
-        name = tree.nodes[bones[wrong.bone]]["name"]
-        what = f"is the {wrong.bone} below the {wrong.found}, expected it below the {wrong.expected}"
-        raise ExportError(
-            f"{parts.name} -> {name}", f"{what}: the joints between are missing (option bones names them)"
-        )
 
 
 def _look_at(tree: NodeTree, bones: Mapping[str, int], eyes: FloatArray, kind: Literal["bone", "expression"]) -> Json:

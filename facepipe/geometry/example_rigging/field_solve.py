@@ -99,7 +99,15 @@ class FieldSystem:
         self.shared_values = self.shared(points)
         self.own_spread = np.array([options.own_gain, *3 * [options.own_turn / np.sqrt(3.0)]])
         self.shared_spread = np.array([options.shared_gain, *3 * [options.shared_turn / np.sqrt(3.0)]])
-        self.trust = _trust(examples, self.sample, options)
+        # (c, s) inverse variance of each sampled point: the area that it stands for, in areas of one error. What fields
+        # can't hold of the templates' motion counts as error here.
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(examples.neutral[self.sample]).query(examples.neutral)[1]
+        areas = [np.bincount(nearest, examples.areas * row, minlength=len(self.sample)) for row in examples.confidence]
+        squares = (examples.templates[:, self.sample] ** 2).sum(axis=2) / 3.0
+        unheld = options.detail**2 * (examples.weights**2 @ squares)
+        self.trust = np.asarray(np.array(areas) / options.noise_length**2 / (options.noise**2 + unheld))
         sizes = [4 * len(row.basis) for row in self.rows] + [4 * len(self.shared)]
         self.starts = np.concatenate([[0], np.cumsum(sizes)])
 
@@ -140,12 +148,6 @@ def bent(field: FloatArray, template: FloatArray) -> FloatArray:
     return np.asarray(field[:, :1] * template + crossed(field[:, 1:], template))
 
 
-def bent_back(force: FloatArray, template: FloatArray) -> FloatArray:
-    """(p, 4) the transpose of `bent` for forces (p, 3)."""
-    gain = (force * template).sum(axis=1, keepdims=True)
-    return np.concatenate([gain, crossed(template, force)], axis=1)
-
-
 def _even(field: FloatArray, stiff: IntArray) -> FloatArray:
     """(p, 4) fields, the same all over each stiff piece (p,): their mean there."""
     inside = stiff >= 0
@@ -175,20 +177,6 @@ def _shape_rows(examples: Examples, sample: IntArray, length: float) -> list[Sha
             basis = SmoothBasis(points[moved][nodes], length)
             rows.append(ShapeRows(int(shape), moved, basis, basis(points[moved]), template[moved]))
     return rows
-
-
-def _trust(examples: Examples, sample: IntArray, options: SplitOptions) -> FloatArray:
-    """(c, s) inverse variance of each sampled point: the area that it stands for, in areas of one error.
-
-    What fields can't hold of the templates' motion counts as error here.
-    """
-    from scipy.spatial import cKDTree
-
-    nearest = cKDTree(examples.neutral[sample]).query(examples.neutral)[1]
-    areas = [np.bincount(nearest, examples.areas * row, minlength=len(sample)) for row in examples.confidence]
-    squares = (examples.templates[:, sample] ** 2).sum(axis=2) / 3.0
-    unheld = options.detail**2 * (examples.weights**2 @ squares)
-    return np.asarray(np.array(areas) / options.noise_length**2 / (options.noise**2 + unheld))
 
 
 def spread_points(points: FloatArray, spacing: float) -> IntArray:
@@ -333,10 +321,7 @@ class _Step:
 
     def _applied(self, x: FloatArray) -> FloatArray:
         x = x.ravel()
-        return np.asarray(x + self._pulled(self._system.trust[:, :, None] * self._pushed(x)))
-
-    def _pushed(self, x: FloatArray) -> FloatArray:
-        """(c, s, 3) what the unknowns add to the composites."""
+        # (c, s, 3) what the unknowns add to the composites
         system = self._system
         added = np.zeros((*system.trust.shape, 3))
         for number, (row, field) in enumerate(zip(system.rows, system.shape_fields(x), strict=True)):
@@ -345,7 +330,7 @@ class _Step:
                 added[composite, row.points] += self._weights[composite, row.shape] * personal
             for place, composite in enumerate(self._moving[number], self._changes[number]):
                 added[composite, row.points] += x[place] * self._spread[composite, row.shape] * row.template
-        return added
+        return np.asarray(x + self._pulled(self._system.trust[:, :, None] * added))
 
     def _pulled(self, forces: FloatArray) -> FloatArray:
         """The transpose of `_pushed`."""
@@ -353,7 +338,9 @@ class _Step:
         for number, row in enumerate(system.rows):
             weights = self._weights[self._uses[number], row.shape]
             force = np.tensordot(weights, forces[self._uses[number]][:, row.points], axes=1)
-            fields.append(bent_back(force, row.template))
+            # (p, 4) the transpose of `bent` for forces (p, 3)
+            gain = (force * row.template).sum(axis=1, keepdims=True)
+            fields.append(np.concatenate([gain, crossed(row.template, force)], axis=1))
             for place, composite in enumerate(self._moving[number], self._changes[number]):
                 along = (row.template * forces[composite, row.points]).sum()
                 result[place] = self._spread[composite, row.shape] * along
@@ -386,7 +373,12 @@ class Preconditioner:
             information = (weights[:, row.shape] ** 2) @ system.trust[:, row.points]
             products = information[:, None, None] * _products(row.template)
             self._factors.append(cho_factor(_block(row.values, products, system.own_spread), lower=True))
-        shared = _block(system.shared_values, _shared_products(system, weights), system.shared_spread)
+        # (s, 4, 4) of the composites that templates make
+        total = np.zeros((len(system.sample), 4, 4))
+        for weight, trust in zip(weights, system.trust, strict=True):
+            made = np.tensordot(weight, system.examples.templates[:, system.sample], axes=1)
+            total += trust[:, None, None] * _products(made)
+        shared = _block(system.shared_values, total, system.shared_spread)
         self._factors.append(cho_factor(shared, lower=True))
 
     def solve(self, right: FloatArray) -> FloatArray:
@@ -403,23 +395,10 @@ class Preconditioner:
 
 def _products(delta: FloatArray) -> FloatArray:
     """(p, 4, 4) J^T J of the motion that gain and turn make of deltas (p, 3)."""
-    columns = _columns(delta)
-    return np.asarray(columns.transpose(0, 2, 1) @ columns)
-
-
-def _columns(delta: FloatArray) -> FloatArray:
-    """(p, 3, 4) the Jacobian of that motion: the delta itself, and its turns about the axes."""
+    # (p, 3, 4) the Jacobian of that motion: the delta itself, and its turns about the axes
     axes = [crossed(np.broadcast_to(axis, delta.shape), delta) for axis in np.eye(3)]
-    return np.stack([delta, *axes], axis=2)
-
-
-def _shared_products(system: FieldSystem, weights: FloatArray) -> FloatArray:
-    """(s, 4, 4) of the composites that templates make."""
-    total = np.zeros((len(system.sample), 4, 4))
-    for weight, trust in zip(weights, system.trust, strict=True):
-        made = np.tensordot(weight, system.examples.templates[:, system.sample], axes=1)
-        total += trust[:, None, None] * _products(made)
-    return total
+    columns = np.stack([delta, *axes], axis=2)
+    return np.asarray(columns.transpose(0, 2, 1) @ columns)
 
 
 def _block(values: FloatArray, products: FloatArray, spread: FloatArray) -> FloatArray:

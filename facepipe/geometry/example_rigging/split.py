@@ -45,7 +45,7 @@ def added_detail(
         chosen, options.detail * motion, options.noise, examples.confidence.T, residuals.transpose(1, 0, 2)
     )
     corners = examples.triangles
-    slopes = poisson.gradient @ _columns(residuals)  # (2t, 3c)
+    slopes = poisson.gradient @ np.asarray(residuals.transpose(1, 0, 2).reshape(residuals.shape[1], -1))  # (2t, 3c)
     slopes = slopes.reshape(len(corners), 2, len(residuals), 3).transpose(0, 2, 1, 3).reshape(len(corners), -1, 6)
     steep = _steepness(poisson, deltas) + motion[corners].mean(axis=1) / options.field_length
     steep[(examples.stiff[corners] >= 0).any(axis=1)] = 0.0
@@ -93,11 +93,6 @@ def _steepness(poisson: AnchoredPoisson, deltas: FloatArray) -> FloatArray:
     """(t, x) the length of each shape's gradient."""
     found = [np.square(poisson.gradient @ delta).reshape(-1, 6).sum(axis=1) for delta in deltas]
     return np.asarray(np.sqrt(np.array(found).T))
-
-
-def _columns(values: FloatArray) -> FloatArray:
-    """(n, 3k) of (k, n, 3)."""
-    return np.asarray(values.transpose(1, 0, 2).reshape(values.shape[1], -1))
 
 
 def parts(count: int) -> list[slice]:
@@ -209,12 +204,24 @@ def _report(
     seen, together = observed(examples, solution.weights, options), _pairs(shared)
     undecided = np.unique(np.argwhere(shared >= _ONE_SHAPE_SHARE))
     seen[undecided] = 0.0
-    means, p95 = _residuals(examples, examples.residuals(deltas, solution.weights))
+    left = examples.residuals(deltas, solution.weights)
+    means, p95 = np.zeros(len(left)), np.zeros(len(left))
+    for number, (vectors, confidence) in enumerate(zip(left, examples.confidence, strict=True)):
+        distances = np.linalg.norm(vectors[confidence > 0], axis=1)
+        if len(distances):
+            means[number], p95[number] = distances.mean(), np.percentile(distances, 95)
+    # (e,) ``<template, delta> / <template, template>``, products weighted by area
+    gains = np.ones(len(deltas))
+    for shape in examples.excited:
+        template = examples.templates[shape]
+        square = (examples.areas[:, None] * template**2).sum()
+        if square > 0:
+            gains[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
     return Split(
         deltas=deltas,
         weights=solution.weights,
         observed=seen,
-        gains=_gains(examples, deltas),
+        gains=gains,
         changes=_changes(examples, deltas),
         residual_means=means,
         residual_p95=p95,
@@ -223,17 +230,6 @@ def _report(
         warnings=_warnings(examples, solution, seen, together, names),
         undecided=tuple(undecided.tolist()),
     )
-
-
-def _gains(examples: Examples, deltas: FloatArray) -> FloatArray:
-    """(e,) ``<template, delta> / <template, template>``, products weighted by area."""
-    gains = np.ones(len(deltas))
-    for shape in examples.excited:
-        template = examples.templates[shape]
-        square = (examples.areas[:, None] * template**2).sum()
-        if square > 0:
-            gains[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
-    return gains
 
 
 def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
@@ -246,15 +242,6 @@ def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
         if area.any():
             changes[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
     return changes
-
-
-def _residuals(examples: Examples, left: FloatArray) -> tuple[FloatArray, FloatArray]:
-    means, p95 = np.zeros(len(left)), np.zeros(len(left))
-    for number, (vectors, confidence) in enumerate(zip(left, examples.confidence, strict=True)):
-        distances = np.linalg.norm(vectors[confidence > 0], axis=1)
-        if len(distances):
-            means[number], p95[number] = distances.mean(), np.percentile(distances, 95)
-    return means, p95
 
 
 def _warnings(

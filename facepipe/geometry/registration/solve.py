@@ -106,7 +106,7 @@ class _State:
 
     def __init__(self, surface: DeformableSurface, views: Sequence[View], options: RegistrationOptions) -> None:
         self._surface, self._options = surface, options
-        self._some = _thinned(surface)
+        self._some = replace(surface, seen=surface.seen[:: max(1, len(surface.seen) // _COARSE_POINTS)])
         self._areas = point_areas(surface.base, surface.triangles)
         around = means_around(surface.base, surface.triangles)
         self._views = [ViewState(view, surface, around, options) for view in views]
@@ -145,8 +145,3 @@ class _State:
             view.advance(move, weights)
         moved = self.points[all_seen] - step.moves[0].apply(before[all_seen])
         return float(np.sqrt((moved**2).sum(axis=1).mean()))
-
-
-def _thinned(surface: DeformableSurface) -> DeformableSurface:
-    """The same with some of its seen points, evenly taken."""
-    return replace(surface, seen=surface.seen[:: max(1, len(surface.seen) // _COARSE_POINTS)])

@@ -93,7 +93,16 @@ class _Rows:
     @classmethod
     def from_pull(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
         centre = pull.matches.places.mean(axis=0)
-        planes, fixed = _plane_columns(surface, pull, centre), _anchor_columns(surface, pull, centre)
+        # (m, 1 + k + q) how far the base is from the planes, and what each unknown moves points and planes apart
+        matches, seen, normals = pull.matches, pull.seen, pull.matches.normals
+        local = matches.places - centre
+        columns: list[FloatArray] = [np.einsum("mi,mi->m", matches.places - surface.base[seen], normals)[:, None]]
+        for modes in (surface.modes, pull.shown.modes):
+            columns.append(np.einsum("kmi,mi->mk", modes[:, seen], normals))
+        columns += [-np.cross(local, normals), -normals]
+        if pull.scale:
+            columns.append(-np.einsum("mi,mi->m", local, normals)[:, None])
+        planes, fixed = np.concatenate(columns, axis=1), _anchor_columns(surface, pull, centre)
         return cls(pull=pull, planes=planes, fixed=fixed, centre=centre)
 
     def normal(self) -> FloatArray:
@@ -162,19 +171,6 @@ class _System:
             weights.append(of_scan[:count])
             moves.append(_similarity(of_scan[count:], row.centre))
         return Step(coefficients=unknown[: self.modes], residual=residual, moves=tuple(moves), weights=tuple(weights))
-
-
-def _plane_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) -> FloatArray:
-    """(m, 1 + k + q) how far the base is from the planes, and what each unknown moves points and planes apart."""
-    matches, seen, normals = pull.matches, pull.seen, pull.matches.normals
-    local = matches.places - centre
-    columns: list[FloatArray] = [np.einsum("mi,mi->m", matches.places - surface.base[seen], normals)[:, None]]
-    for modes in (surface.modes, pull.shown.modes):
-        columns.append(np.einsum("kmi,mi->mk", modes[:, seen], normals))
-    columns += [-np.cross(local, normals), -normals]
-    if pull.scale:
-        columns.append(-np.einsum("mi,mi->m", local, normals)[:, None])
-    return np.concatenate(columns, axis=1)
 
 
 def _anchor_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) -> FloatArray:
@@ -306,7 +302,11 @@ class ViewState:
         apart = np.abs(np.einsum("mi,mi->m", points[seen] - matches.places, matches.normals))
         sigmas = np.full(len(seen), options.surface_sigma_mm) if self._sigmas is None else self._sigmas[seen]
         off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
-        trusted = rough_trust(off, 3.0 * demand.huber) if demand.huber > options.huber_mm else anchor_trust(off)
+        trusted = (
+            rough_trust(off, 3.0 * demand.huber)
+            if demand.huber > options.huber_mm
+            else np.asarray(np.maximum(1.0 - (off / max(farthest_anchor(off), 1e-12)) ** 2, 0.0) ** 2)
+        )
         return Pull(
             seen=seen,
             matches=matches,
@@ -405,8 +405,3 @@ def rough_trust(off: FloatArray, limit: float) -> FloatArray:
     would shrink the scan and bend the model to meet it."""
     farthest = max(_ANCHOR_BLUNDER, 5.0 * float(np.median(off))) if len(off) else 0.0
     return np.asarray(huber_weights(off, limit) * (off <= farthest))
-
-
-def anchor_trust(off: FloatArray) -> FloatArray:
-    """Tukey's weights ``(1 - (off / farthest)^2)^2``: an outlier counts nothing, others nearly in full."""
-    return np.asarray(np.maximum(1.0 - (off / max(farthest_anchor(off), 1e-12)) ** 2, 0.0) ** 2)

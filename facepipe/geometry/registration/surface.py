@@ -46,7 +46,14 @@ class ScanTarget:
         pairs, uses = edges(np.full(len(triangles), 3), triangles.ravel())
         border = np.zeros(len(points), bool)
         border[pairs[uses == 1].ravel()] = True
-        normals = _smoothed(point_normals(points, triangles), pairs)
+        normals = point_normals(points, triangles)
+        from scipy.sparse import csr_array
+
+        count = len(normals)
+        both = np.concatenate([pairs, pairs[:, ::-1]])
+        neighbours = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+        for _ in range(_SMOOTHINGS):
+            normals = unit_vectors(normals + neighbours @ normals)
         return cls(points=points, triangles=triangles, normals=normals, border=border)
 
     @classmethod
@@ -115,17 +122,6 @@ class ScanTarget:
     @cached_property
     def _search(self) -> SurfaceSearch:
         return SurfaceSearch(self.points, self.triangles)
-
-
-def _smoothed(normals: FloatArray, pairs: IntArray) -> FloatArray:
-    from scipy.sparse import csr_array
-
-    count = len(normals)
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    neighbours = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
-    for _ in range(_SMOOTHINGS):
-        normals = unit_vectors(normals + neighbours @ normals)
-    return normals
 
 
 @dataclass(frozen=True, kw_only=True)

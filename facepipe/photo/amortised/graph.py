@@ -99,31 +99,37 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
     """
     write = GraphWriter()
     places = _places(write, network)
-    picture = _picture(write, network)
-    marks = write.add("Relu", write.linear("placed_last", _placed(write, network, places), network.placed_last))
-    inner = write.add("Relu", write.linear("middle", write.concat([picture, marks], 1), network.middle))
-    straight = write.add("MatMul", places, write.constant("straight_weight", network.straight.weight.detach().T))
-    values = write.add("Add", write.linear("last", inner, network.last), straight)
-    _outputs(write, network, values)
-    return _serialised(write, network, metadata)
-
-
-def _places(write: GraphWriter, network: StartNetwork) -> str:
-    off = write.add("Sub", "landmarks", write.constant("template", network.template))
-    return write.add("Mul", write.reshape(off, -1, 2 * COUNT), write.constant("spread", np.array([1 / SPREAD])))
-
-
-def _placed(write: GraphWriter, network: StartNetwork, places: str) -> str:
-    return write.add("Relu", write.linear("placed", places, network.placed))
-
-
-def _picture(write: GraphWriter, network: StartNetwork) -> str:
     at = write.add("Relu", write.conv("stem", "image", network.stem, network.stem_norm))
     for number, block in enumerate(network.blocks):
         at = write.block(f"block{number}", at, block)
     squeezed = write.add("Relu", write.conv("squeeze", at, network.squeeze))
     rows = write.reshape(squeezed, -1, network.seen.in_features)
-    return write.add("Relu", write.linear("seen", rows, network.seen))
+    picture = write.add("Relu", write.linear("seen", rows, network.seen))
+    marks = write.add(
+        "Relu",
+        write.linear(
+            "placed_last", write.add("Relu", write.linear("placed", places, network.placed)), network.placed_last
+        ),
+    )
+    inner = write.add("Relu", write.linear("middle", write.concat([picture, marks], 1), network.middle))
+    straight = write.add("MatMul", places, write.constant("straight_weight", network.straight.weight.detach().T))
+    values = write.add("Add", write.linear("last", inner, network.last), straight)
+    _outputs(write, network, values)
+    sizes = {"shares": network.counts[0], "expressions": network.counts[1], "pose": NUMBERS}
+    operators = sorted({node.op_type for node in write.nodes})
+    further = [name for name in operators if name in FURTHER_OPERATORS]
+    described = {**metadata, "operators": operators, "further_operators": further}
+    return write.to_bytes(
+        "photo_start",
+        {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)},
+        {name: (count,) for name, count in sizes.items() if count},
+        {KEY: json.dumps(described, sort_keys=True)},
+    )
+
+
+def _places(write: GraphWriter, network: StartNetwork) -> str:
+    off = write.add("Sub", "landmarks", write.constant("template", network.template))
+    return write.add("Mul", write.reshape(off, -1, 2 * COUNT), write.constant("spread", np.array([1 / SPREAD])))
 
 
 def _outputs(write: GraphWriter, network: StartNetwork, values: str) -> None:
@@ -136,16 +142,3 @@ def _outputs(write: GraphWriter, network: StartNetwork, values: str) -> None:
             write.add("Clip", write.slice(values, 1, ends[number], ends[number + 1]), low, high, name=name)
     scaled = write.add("Mul", write.slice(values, 1, ends[2], ends[3]), write.constant("pose_std", np.array(POSE_STD)))
     write.add("Add", scaled, write.constant("pose_mean", np.array(POSE_MEAN)), name="pose")
-
-
-def _serialised(write: GraphWriter, network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
-    sizes = {"shares": network.counts[0], "expressions": network.counts[1], "pose": NUMBERS}
-    operators = sorted({node.op_type for node in write.nodes})
-    further = [name for name in operators if name in FURTHER_OPERATORS]
-    described = {**metadata, "operators": operators, "further_operators": further}
-    return write.to_bytes(
-        "photo_start",
-        {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)},
-        {name: (count,) for name, count in sizes.items() if count},
-        {KEY: json.dumps(described, sort_keys=True)},
-    )

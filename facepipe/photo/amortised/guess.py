@@ -116,23 +116,16 @@ def _described(path: Path, model: Any) -> dict[str, Any]:
     return metadata
 
 
-def _check_sizes(path: Path, model: Any) -> None:
-    """Run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads.
+def _session(path: Path, model: Any) -> Any:
+    import onnxruntime as ort
 
-    :raises InputError: other operators or inputs than a start network's, or values too large
-    """
+    # run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads
     module = OnnxModule(model, None, path)
     inputs = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
     if set(module.inputs) != set(inputs):
         raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")
     with torch.no_grad():
         module(*[inputs[name] for name in module.inputs])
-
-
-def _session(path: Path, model: Any) -> Any:
-    import onnxruntime as ort
-
-    _check_sizes(path, model)
     settings = ort.SessionOptions()
     settings.intra_op_num_threads = 1
     settings.log_severity_level = 4

@@ -44,15 +44,10 @@ def random_people(subject: Subject, space: PoseSpace, count: int, rng: np.random
     default = subject.default_shares
     moved = rng.random((count, len(default))) < rng.uniform(*MOVED, (count, 1))
     shares = np.where(moved, rng.random(moved.shape), default)
-    other = _other_sides(subject)
+    shapes = [subject.rig.shapes[i] for i in subject.expressions]
+    other = {i: shapes.index(_mirrored(one)) for i, one in enumerate(shapes) if _mirrored(one) in shapes}
     expressions = np.stack([_expression(len(subject.expressions), other, rng) for _ in range(count)])
     return People(shares=shares, expressions=expressions, poses=_poses(subject, space, count, rng))
-
-
-def _other_sides(subject: Subject) -> dict[int, int]:
-    """Of expressions with a left and a right shape, the other one."""
-    shapes = [subject.rig.shapes[i] for i in subject.expressions]
-    return {i: shapes.index(_mirrored(one)) for i, one in enumerate(shapes) if _mirrored(one) in shapes}
 
 
 def _mirrored(name: str) -> str:
@@ -94,7 +89,10 @@ class Portraits:
     def picture(self, rng: np.random.Generator) -> Picture:
         """Somebody, somewhere."""
         person = random_people(self.subject, self.space, 1, rng)
-        lamp = random_lamp(rng)
+        # (8,) as `KeyLight`: a lamp before the face
+        color = rng.uniform(0.3, BRIGHT) * rng.uniform(0.8, 1.2, 3)
+        shine, exponent = rng.uniform(0.2, 1.2), rng.uniform(2.0, 4.5)
+        lamp = torch.as_tensor(np.array([*_way(rng, 75), *color, shine, exponent]), dtype=torch.float32)
         truth = Truth(shares=person.shares[0], expressions=person.expressions[0], pose=person.poses[0], lamp=lamp)
         sliders = torch.as_tensor(self.subject.slider_values(truth.shares), dtype=torch.float32)
         weights = torch.as_tensor(self.subject.shape_weights(truth.expressions), dtype=torch.float32)
@@ -135,13 +133,6 @@ class Portraits:
         common = np.exp(rng.uniform(-1.5, 0.3) + rng.normal(0, 0.12, 3))
         own = np.exp(rng.normal(0, 0.5, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
         return torch.as_tensor((common * own).clip(0.02, 3.0), dtype=torch.float32)
-
-
-def random_lamp(rng: np.random.Generator) -> Tensor:
-    """(8,) as `KeyLight`: a lamp before the face."""
-    color = rng.uniform(0.3, BRIGHT) * rng.uniform(0.8, 1.2, 3)
-    shine, exponent = rng.uniform(0.2, 1.2), rng.uniform(2.0, 4.5)
-    return torch.as_tensor(np.array([*_way(rng, 75), *color, shine, exponent]), dtype=torch.float32)
 
 
 def random_light(rng: np.random.Generator) -> Tensor:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.face_crops import face_crop, to_crop
 from facepipe.geometry.landmarks import eye_distance
@@ -71,7 +71,10 @@ class TaughtLoss:
 
     def __init__(self, subject: Subject) -> None:
         self._subject = subject
-        chosen = _front_points(subject)
+        marks, _ = landmark_points(subject.parts)
+        z = front_axes(subject.parts, subject.rig)[2]
+        front = np.flatnonzero(z > z[marks[CONTOUR]].mean())
+        chosen = np.unique(np.concatenate([marks, front[:: max(1, len(front) // _POINTS)]]))
         parts = subject.parts
         self._rig = DifferentiableRig(part_of(subject.rig, chosen), parts.sliders, network=parts.slider_network)
         space = replace(pose_space(subject, SIZE, SIZE), side=float(SIZE))
@@ -99,14 +102,6 @@ class TaughtLoss:
         weights = weights.index_copy(1, torch.as_tensor(self._subject.expressions, dtype=torch.int64), expressions)
         camera = single(self._crop.space.camera(self._crop.to_photo(relative_pose(pose))))
         return camera.project(self._rig(sliders, weights))[..., :2]
-
-
-def _front_points(subject: Subject) -> IntArray:
-    """Points evenly over what is before the contour of the face, landmarks among them."""
-    marks, _ = landmark_points(subject.parts)
-    z = front_axes(subject.parts, subject.rig)[2]
-    front = np.flatnonzero(z > z[marks[CONTOUR]].mean())
-    return np.unique(np.concatenate([marks, front[:: max(1, len(front) // _POINTS)]]))
 
 
 def outside(found: Output) -> Tensor:
@@ -354,7 +349,7 @@ def train_start(
     :raises FitError: a loss of renders that is not finite
     """
     subject = Subject.of(parts, expressions)
-    # A step has to be quick, and light is found for each guess: its hue says nothing of the guess.
+    # a step has to be quick, and light is found for each guess: its hue says nothing of the guess.
     terms = PhotoFitOptions(content=0.0, identity=0.0, attributes=0.0, hue=0.0)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(options.seed)

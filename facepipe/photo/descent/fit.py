@@ -48,19 +48,16 @@ def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], 
     if len(photos) == 0 or len(photos) != len(landmarks):
         raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
     for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
-        _check_photo(f"photo {number}", photo)
+        where = f"photo {number}"
+        _check_array(where, photo, "f", _PHOTO)
+        if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
+            raise InputError(where, f"shape {photo.shape}, expected finite (height, width, 3)")
+        if not np.isfinite(photo).all():
+            raise InputError(where, "NaN or infinity, expected finite (height, width, 3)")
+        if photo.max() > 1 or photo.min() < 0:
+            raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
         _check_landmarks(f"landmarks {number}", marks, dense)
     return [np.asarray(marks, dtype=np.float64) for marks in landmarks]
-
-
-def _check_photo(where: str, photo: FloatArray) -> None:
-    _check_array(where, photo, "f", _PHOTO)
-    if photo.ndim != 3 or photo.shape[2] != 3 or not photo.size:
-        raise InputError(where, f"shape {photo.shape}, expected finite (height, width, 3)")
-    if not np.isfinite(photo).all():
-        raise InputError(where, "NaN or infinity, expected finite (height, width, 3)")
-    if photo.max() > 1 or photo.min() < 0:
-        raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
 
 
 def _check_landmarks(where: str, marks: FloatArray, dense: int) -> None:

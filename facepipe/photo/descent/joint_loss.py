@@ -48,46 +48,25 @@ def color_loss(image: Tensor, photo: Tensor, coverage: Tensor, spread: Sequence[
     """
     total = image.new_zeros(())
     for number, (band, width) in enumerate(zip(_bands(image - photo, len(spread)), spread, strict=True)):
-        total = total + 4.0**number * _robust(band / width).mean(dim=1).sum()  # a coarse pixel stands for many
+        values = band / width
+        # half the squares of small values, at most `_MOST` of large ones (Geman and McClure)
+        square = values * values
+        total = (
+            total + 4.0**number * (0.5 * square / (1 + square / (2 * _MOST))).mean(dim=1).sum()
+        )  # a coarse pixel stands for many
     return total / (len(spread) * coverage.detach().sum().clamp(min=1))
-
-
-def spread_of(image: Tensor, photo: Tensor, coverage: Tensor) -> tuple[float, ...]:
-    """The spreads for a photo that shows what the face can't: wider where its pixels differ more than is usual.
-
-    A face without the photo's freckles, hair or beard is to be led by landmarks and features more than by pixels.
-    """
-    covered = coverage.detach()[None, None]
-    wider = []
-    for band, width in zip(_bands((image - photo).detach(), len(SPREAD)), SPREAD, strict=True):
-        inside = functional.interpolate(covered, band.shape[2:], mode="area")[0, 0] > 0.5
-        sizes = band[0].abs().mean(dim=0)[inside]
-        typical = float(sizes.median()) / width if len(sizes) else 0.0
-        wider.append(width * max(1.0, typical / _USUAL))
-    return tuple(wider)
 
 
 def _bands(difference: Tensor, count: int) -> Iterator[Tensor]:
     """(1, 3, h, w) what each halving of a picture (h, w, 3) loses, then the rest."""
     rest = difference.permute(2, 0, 1)[None]
     for _ in range(count - 1):
-        coarse = _halved(rest)
+        padded = functional.pad(rest, (0, rest.shape[3] % 2, 0, rest.shape[2] % 2), mode="replicate")
+        smooth = functional.avg_pool2d(functional.pad(padded, (1, 1, 1, 1), mode="replicate"), 3, stride=1)
+        coarse = functional.avg_pool2d(smooth, 2)
         yield rest - functional.interpolate(coarse, rest.shape[2:], mode="bilinear", align_corners=False)
         rest = coarse
     yield rest
-
-
-def _halved(picture: Tensor) -> Tensor:
-    """Half as many pixels each way, smoothed."""
-    padded = functional.pad(picture, (0, picture.shape[3] % 2, 0, picture.shape[2] % 2), mode="replicate")
-    smooth = functional.avg_pool2d(functional.pad(padded, (1, 1, 1, 1), mode="replicate"), 3, stride=1)
-    return functional.avg_pool2d(smooth, 2)
-
-
-def _robust(values: Tensor) -> Tensor:
-    """Half the squares of small values, at most `_MOST` of large ones (Geman and McClure)."""
-    square = values * values
-    return 0.5 * square / (1 + square / (2 * _MOST))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +186,17 @@ class JointLoss:
         with torch.no_grad():
             for view, photo in enumerate(self.photos):
                 picture, coverage = self._picture(at, view)
-                self.spreads[view] = spread_of(picture, photo.pixels, coverage)
+                # the spreads for a photo that shows what the face can't: wider where its pixels differ more than is
+                # usual. A face without the photo's freckles, hair or beard is to be led by landmarks and features more
+                # than by pixels.
+                covered = coverage.detach()[None, None]
+                wider = []
+                for band, width in zip(_bands((picture - photo.pixels).detach(), len(SPREAD)), SPREAD, strict=True):
+                    inside = functional.interpolate(covered, band.shape[2:], mode="area")[0, 0] > 0.5
+                    sizes = band[0].abs().mean(dim=0)[inside]
+                    typical = float(sizes.median()) / width if len(sizes) else 0.0
+                    wider.append(width * max(1.0, typical / _USUAL))
+                self.spreads[view] = tuple(wider)
 
     def sliders(self, shares: Tensor) -> Tensor:
         """(s,) values of all sliders from the free ones' shares (f,)."""

@@ -174,7 +174,9 @@ class LandmarkFit:
         every = [np.ones(len(each)) for each in self.targets] if confidences is None else confidences
         trusts = [np.maximum(each, _LEAST_CONFIDENCE) for each in every]
         self.sigma = [  # (l, 1) pixels; landmarks count the same in all, whatever the confidences
-            priors.landmark_sigma * face_size(each[:COUNT]) * np.sqrt(_alike(len(each)) * trust.mean() / trust)[:, None]
+            priors.landmark_sigma
+            * face_size(each[:COUNT])
+            * np.sqrt(float(np.sqrt(len(each) / COUNT)) * trust.mean() / trust)[:, None]
             for each, trust in zip(self.targets, trusts, strict=True)
         ]
 
@@ -272,7 +274,10 @@ class LandmarkFit:
         f = len(state.shares)
         width = state.expressions.shape[1] + NUMBERS
         for view, numbers in enumerate(self._own(state)):
-            steps = _steps(numbers, len(numbers) - NUMBERS)
+            bounded = len(numbers) - NUMBERS
+            # (n,) steps ahead, of numbers among the first `bounded` that would leave 0..1 back: beyond, all is flat
+            steps = np.full(len(numbers), _STEP)
+            steps[:bounded][numbers[:bounded] + _STEP > 1] *= -1
             values = self._residuals(view, np.concatenate([numbers[None], numbers + np.diag(steps)]))
             jacobian = (values[1:] - values[0]).T / steps
             slope = np.clip(values[0], -HUBER, HUBER)
@@ -304,18 +309,6 @@ class LandmarkFit:
             # log focal length is the sum of both numbers: its Hessian is a full block of rank 1, no diagonal
             hessian[np.ix_(pair, pair)] += 1 / priors.focal_sigma**2
         return cost + 0.5 * float(focal @ focal), gradient, hessian
-
-
-def _steps(own: FloatArray, bounded: int) -> FloatArray:
-    """(n,) steps ahead, of numbers among the first `bounded` that would leave 0..1 back: beyond, all is flat."""
-    steps = np.full(len(own), _STEP)
-    steps[:bounded][own[:bounded] + _STEP > 1] *= -1
-    return steps
-
-
-def _alike(count: int) -> float:
-    """By how much less each of so many landmarks tells than each of the 68: close ones err alike."""
-    return float(np.sqrt(count / COUNT))
 
 
 def _cost(residuals: FloatArray) -> float:

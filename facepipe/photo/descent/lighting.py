@@ -111,7 +111,14 @@ def relight(surface: SeenSurface, seen: Tensor, shape: Tensor, count: int) -> tu
             light, _ = _light_of(shape, surface.colors * tint[surface.materials], seen)
             # Harmonics fall below 0 where little light comes: no colour can be found there.
             lit = surface.colors * (shape @ light).clamp(min=1e-3)
-            tint = _tint(tint, lit, seen, surface.materials, count)
+            # (materials, 3) factors of lit colours, robust against single pixels; those hardly seen change as all do
+            off = (lit * tint[surface.materials] - seen).abs().sum(dim=1, keepdim=True)
+            trust = 1 / (1 + (off / (3 * OUTLIER)) ** 2)
+            above, below = (
+                lit.new_zeros((count, 3)).index_add_(0, surface.materials, trust * lit * each) for each in (seen, lit)
+            )
+            ratio, doubt = above.sum(dim=0) / below.sum(dim=0).clamp(min=1e-9), _DOUBT * below.sum(dim=0)
+            tint = ((above + doubt * ratio) / (below + doubt).clamp(min=1e-9)).clamp(_LEAST, _LARGEST)
         main = int(torch.bincount(surface.materials, minlength=count).argmax())
         return light * tint[main], tint / tint[main]
 
@@ -137,15 +144,6 @@ def _light_of(
         columns.append(solution)
     light, glint = torch.stack(columns, dim=1).split([shape.shape[1], white.shape[1]])
     return light, glint
-
-
-def _tint(tint: Tensor, lit: Tensor, seen: Tensor, material: Tensor, count: int) -> Tensor:
-    """(materials, 3) factors of lit colours, robust against single pixels; those hardly seen change as all do."""
-    off = (lit * tint[material] - seen).abs().sum(dim=1, keepdim=True)
-    trust = 1 / (1 + (off / (3 * OUTLIER)) ** 2)
-    above, below = (lit.new_zeros((count, 3)).index_add_(0, material, trust * lit * each) for each in (seen, lit))
-    ratio, doubt = above.sum(dim=0) / below.sum(dim=0).clamp(min=1e-9), _DOUBT * below.sum(dim=0)
-    return ((above + doubt * ratio) / (below + doubt).clamp(min=1e-9)).clamp(_LEAST, _LARGEST)
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,16 @@ def _find_key(
         if lamp.cost >= without:
             return None
         for angle in _RINGS:
-            nearby = _around(lamp.numbers[:3], angle)
+            direction = lamp.numbers[:3]
+            least = torch.zeros_like(direction)
+            least[int(direction.abs().argmin())] = 1
+            across = normalize(torch.linalg.cross(least, direction), dim=0)
+            up = torch.linalg.cross(direction, across)
+            turns = [2 * math.pi * k / 8 for k in range(8)]
+            nearby = [
+                direction * math.cos(angle) + (across * math.cos(turn) + up * math.sin(turn)) * math.sin(angle)
+                for turn in turns
+            ]
             other = search.best((one, visibility(points, surface.triangles, one)) for one in nearby)
             lamp = other if other.cost < lamp.cost else lamp
         return lamp.numbers
@@ -224,19 +231,6 @@ class _Search:
     def _cost(self, shown: Tensor) -> float:
         square = ((shown - self._seen) / _OUTLIER) ** 2
         return float((square / (1 + square)).mean())
-
-
-def _around(direction: Tensor, angle: float) -> list[Tensor]:
-    """Eight unit directions at an angle from one."""
-    least = torch.zeros_like(direction)
-    least[int(direction.abs().argmin())] = 1
-    across = normalize(torch.linalg.cross(least, direction), dim=0)
-    up = torch.linalg.cross(direction, across)
-    turns = [2 * math.pi * k / 8 for k in range(8)]
-    return [
-        direction * math.cos(angle) + (across * math.cos(turn) + up * math.sin(turn)) * math.sin(angle)
-        for turn in turns
-    ]
 
 
 def lit(loss: JointLoss, state: State) -> Unknowns:
@@ -327,7 +321,7 @@ def in_better_light(loss: JointLoss, at: Unknowns, steps: int = _STEPS) -> Unkno
         with torch.no_grad():
             for unknown, change in zip(unknowns, move(slopes), strict=True):
                 unknown -= pace * change
-            # A lamp takes no light away: descent alone may send it below 0.
+            # a lamp takes no light away: descent alone may send it below 0.
             unknowns[1][:, 3:7].clamp_(min=0)
     light, key, tint = (one.detach().clone().requires_grad_() for one in best)
     return replace(at, light=light, key=key, tint=tint)

@@ -73,7 +73,11 @@ def visibility(
     used = torch.unique(triangles) if used is None else used
     low, high = points[used].amin(0), points[used].amax(0)
     points, size = points - (low + high) / 2, float((high - low).norm())
-    across = _perpendicular(direction)
+    least = torch.zeros_like(direction)
+    least[int(direction.abs().argmin())] = 1
+    right = torch.linalg.cross(least, direction)
+    right = right / right.norm()
+    across = right, torch.linalg.cross(right, direction)
     middle, scale = resolution / 2, resolution / (1.02 * size)
     depth = _FAR * size - points @ direction
     shrink = _FAR * size / depth
@@ -99,15 +103,6 @@ def sphere(count: int) -> Tensor:
     turn = math.pi * (1 + math.sqrt(5)) * number
     flat = (1 - z * z).sqrt()
     return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1)
-
-
-def _perpendicular(direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Right and down of a view against a direction."""
-    least = torch.zeros_like(direction)
-    least[int(direction.abs().argmin())] = 1
-    right = torch.linalg.cross(least, direction)
-    right = right / right.norm()
-    return right, torch.linalg.cross(right, direction)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,7 +56,15 @@ class Heads(nn.Module):  # type: ignore[misc]
         classes = None
         if "content" in raw:
             last = raw["content"][-1]
-            classes = _classes(last.shape[1], description.labels)
+            channels = last.shape[1]
+            # (11, channels) which channel is what class; None where they are the eleven in their order
+            labels = description.labels or {len(CLASSES): CLASSES, len(CELEBAMASK): CELEBAMASK}.get(channels, ())
+            if len(labels) != channels:
+                expected = (
+                    f"{len(labels)} as its labels say" if labels else f"{len(CLASSES)}, or labels that name each class"
+                )
+                raise InputError("content", f"last output of {channels} channels, expected {expected}")
+            classes = None if tuple(labels) == CLASSES else torch.as_tensor(class_matrix(labels), dtype=torch.float32)
             if description.logits is None and not is_probability(last):
                 self._scores.add("content")
         self.register_buffer("classes", classes)
@@ -75,15 +83,6 @@ class Heads(nn.Module):  # type: ignore[misc]
         if kind == "content" and self.classes is not None:
             last = torch.einsum("kc,bchw->bkhw", self.classes, last)
         return (*parts[:-1], last) if kind in ("content", "landmarks") else last
-
-
-def _classes(channels: int, named: Sequence[str]) -> Tensor | None:
-    """(11, channels) which channel is what class; None where they are the eleven in their order."""
-    labels = named or {len(CLASSES): CLASSES, len(CELEBAMASK): CELEBAMASK}.get(channels, ())
-    if len(labels) != channels:
-        expected = f"{len(labels)} as its labels say" if labels else f"{len(CLASSES)}, or labels that name each class"
-        raise InputError("content", f"last output of {channels} channels, expected {expected}")
-    return None if tuple(labels) == CLASSES else torch.as_tensor(class_matrix(labels), dtype=torch.float32)
 
 
 def check_input(path: Path, shape: Sequence[int | None], asked: int | None, usual: int) -> int:
@@ -112,8 +111,22 @@ def check_features(
     for kind, parts in raw.items():
         for place, (value, name) in enumerate(zip(parts, chosen[kind], strict=True)):
             where = f"{path} -> {kind} output {name!r}"
-            _check_value(where, value)
-            _check_shape(where, kind, place, value)
+            if not isinstance(value, Tensor) or value.dtype != torch.float32:
+                raise InputError(where, f"of type {getattr(value, 'dtype', type(value).__name__)}, expected float32")
+            if not torch.isfinite(value).all():
+                raise InputError(where, "NaN or infinity for a grey picture, expected finite numbers")
+            if not value.requires_grad:
+                raise InputError(where, "has no gradient in the picture, expected a differentiable output")
+            shape = tuple(value.shape)
+            if kind == "content":
+                good, expected = len(shape) == 4 and shape[0] == 1 and value.numel() > 0, "(b, c, h, w)"
+            elif kind == "landmarks":
+                expected = "(b, 1)" if place else "(b, 68, 2)"
+                good = shape == ((1, 1) if place else (1, 68, 2))
+            else:
+                good, expected = len(shape) == 2 and shape[0] == 1 and shape[1] > 0, "(b, n)"
+            if not good:
+                raise InputError(where, f"of shape {shape} for one picture, expected {expected}")
 
 
 def check_ranges(features: Mapping[Kind, Tensor | Sequence[Tensor]], names: Sequence[str]) -> None:
@@ -136,28 +149,6 @@ def is_probability(value: Tensor) -> bool:
     """Whether (b, c, h, w) sums to 1 over its channels, all of them in 0..1."""
     whole = (value.sum(dim=1) - 1).abs().max() <= _SLACK
     return bool(whole and _within(value))
-
-
-def _check_value(where: str, value: Tensor) -> None:
-    if not isinstance(value, Tensor) or value.dtype != torch.float32:
-        raise InputError(where, f"of type {getattr(value, 'dtype', type(value).__name__)}, expected float32")
-    if not torch.isfinite(value).all():
-        raise InputError(where, "NaN or infinity for a grey picture, expected finite numbers")
-    if not value.requires_grad:
-        raise InputError(where, "has no gradient in the picture, expected a differentiable output")
-
-
-def _check_shape(where: str, kind: Kind, place: int, value: Tensor) -> None:
-    shape = tuple(value.shape)
-    if kind == "content":
-        good, expected = len(shape) == 4 and shape[0] == 1 and value.numel() > 0, "(b, c, h, w)"
-    elif kind == "landmarks":
-        expected = "(b, 1)" if place else "(b, 68, 2)"
-        good = shape == ((1, 1) if place else (1, 68, 2))
-    else:
-        good, expected = len(shape) == 2 and shape[0] == 1 and shape[1] > 0, "(b, n)"
-    if not good:
-        raise InputError(where, f"of shape {shape} for one picture, expected {expected}")
 
 
 def _within(value: Tensor) -> bool:
@@ -185,27 +176,23 @@ def load_program(path: Path, *, bounded: bool = False) -> Program:
     """
     suffix = path.suffix.lower()
     if suffix == ".onnx":
-        return _onnx(path, bounded)
+        model = read_model(path)
+        held = {one.name for one in model.graph.initializer}
+        inputs = [one for one in model.graph.input if one.name not in held]
+        _only_one(path, [one.name for one in inputs])
+        kind = inputs[0].type.tensor_type
+        if kind.elem_type != _FLOAT:
+            raise InputError(f"{path} -> input {inputs[0].name!r}", f"of type {kind.elem_type}, expected float32 (1)")
+        names = tuple(one.name for one in model.graph.output)
+
+        def build(chosen: Chosen) -> nn.Module:
+            return OnnxModule(model, [_name(path, names, one) for one in chosen], path, bounded=bounded)
+
+        shape = tuple(one.dim_value if one.dim_value > 0 else None for one in kind.shape.dim)
+        return Program(shape=shape, outputs=names, metadata=properties(model).get(PROPERTY), build=build)
     if suffix == ".pt2":
         return _exported(path)
     raise InputError(path, f"suffix '{path.suffix}', expected .onnx or .pt2 (torch.export)")
-
-
-def _onnx(path: Path, bounded: bool) -> Program:
-    model = read_model(path)
-    held = {one.name for one in model.graph.initializer}
-    inputs = [one for one in model.graph.input if one.name not in held]
-    _only_one(path, [one.name for one in inputs])
-    kind = inputs[0].type.tensor_type
-    if kind.elem_type != _FLOAT:
-        raise InputError(f"{path} -> input {inputs[0].name!r}", f"of type {kind.elem_type}, expected float32 (1)")
-    names = tuple(one.name for one in model.graph.output)
-
-    def build(chosen: Chosen) -> nn.Module:
-        return OnnxModule(model, [_name(path, names, one) for one in chosen], path, bounded=bounded)
-
-    shape = tuple(one.dim_value if one.dim_value > 0 else None for one in kind.shape.dim)
-    return Program(shape=shape, outputs=names, metadata=properties(model).get(PROPERTY), build=build)
 
 
 def _exported(path: Path) -> Program:

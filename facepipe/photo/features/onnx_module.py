@@ -107,7 +107,13 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
             _check_order(self._steps, {*self.inputs, *self._buffer_of}, self.outputs)
         except InputError as error:
             raise error.under(where) from None
-        self._last = _last_uses(self._steps, self.outputs)
+        # by step, the values that nothing after it reads, so that a forward without gradients frees them
+        later, uses = set(self.outputs), []
+        for node, _ in reversed(self._steps):
+            done = [name for name in (*node.inputs, *node.outputs) if name and name not in later]
+            later.update(done)
+            uses.append(done)
+        self._last = uses[::-1]
         self._bounded = bounded
         self._checked: tuple[torch.Size, ...] = ()  # shapes of the inputs last checked
         self.eval()
@@ -147,7 +153,20 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
 
     def _step(self, proto: Any, version: int) -> Iterator[tuple[Node, Operator]]:
         """The node with what it does; a constant is kept as a weight is."""
-        node = _node(proto, version)
+        from onnx import helper
+
+        attributes: dict[str, Any] = {}
+        outputs = proto.output if proto.op_type == "Split" else proto.output[:1]  # others are of training
+        of_file = {"name": proto.name, "op_type": proto.op_type, "opset": version, "inputs": tuple(proto.input)}
+        node = Node(**of_file, outputs=tuple(outputs), attributes=attributes)
+        for attribute in proto.attribute:
+            if attribute.type == _TENSOR:
+                attributes[attribute.name] = array(attribute.t)
+            elif attribute.type in _PLAIN and not attribute.ref_attr_name:
+                value = helper.get_attribute_value(attribute)
+                attributes[attribute.name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+            else:
+                raise node.refuse(f"attribute {attribute.name!r} is a graph or of another kind, expected numbers")
         if proto.domain not in ("", "ai.onnx"):
             raise node.refuse(f"of domain {proto.domain!r}, expected the operators of ONNX itself")
         if node.op_type == "Constant":
@@ -164,24 +183,6 @@ def _constant(node: Node) -> Tensor:
         if name in node.attributes:
             return torch.as_tensor(node.attributes[name])
     raise node.refuse("no dense value of numbers, expected one")
-
-
-def _node(proto: Any, version: int) -> Node:
-    from onnx import helper
-
-    attributes: dict[str, Any] = {}
-    outputs = proto.output if proto.op_type == "Split" else proto.output[:1]  # others are of training
-    of_file = {"name": proto.name, "op_type": proto.op_type, "opset": version, "inputs": tuple(proto.input)}
-    node = Node(**of_file, outputs=tuple(outputs), attributes=attributes)
-    for attribute in proto.attribute:
-        if attribute.type == _TENSOR:
-            attributes[attribute.name] = array(attribute.t)
-        elif attribute.type in _PLAIN and not attribute.ref_attr_name:
-            value = helper.get_attribute_value(attribute)
-            attributes[attribute.name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
-        else:
-            raise node.refuse(f"attribute {attribute.name!r} is a graph or of another kind, expected numbers")
-    return node
 
 
 def _needed(nodes: Sequence[Any], outputs: Sequence[str]) -> Iterator[Any]:
@@ -208,13 +209,3 @@ def _check_order(steps: Sequence[tuple[Node, Operator]], given: set[str], output
     for name in outputs:
         if name not in known:
             raise InputError(f"output {name!r}", "no value of the graph, expected the name of one")
-
-
-def _last_uses(steps: Sequence[tuple[Node, Operator]], outputs: Sequence[str]) -> list[list[str]]:
-    """By step, the values that nothing after it reads, so that a forward without gradients frees them."""
-    later, uses = set(outputs), []
-    for node, _ in reversed(steps):
-        done = [name for name in (*node.inputs, *node.outputs) if name and name not in later]
-        later.update(done)
-        uses.append(done)
-    return uses[::-1]

@@ -23,7 +23,7 @@ from facepipe.verbs.sliders import SetSliders, SetSlidersReport
 from facepipe.verbs.sliders.author_sliders import pose
 
 if TYPE_CHECKING:
-    from facepipe.photo.descent.subject import FittedCamera, FittedView, PhotoFit
+    from facepipe.photo.descent.subject import FittedView, PhotoFit
     from facepipe.photo.fit.photo_file import Photo
 
 SCHEME = "pupils"
@@ -170,17 +170,6 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" ... ({len(names)} in all)" if len(names) > _SHOWN else "") or "none"
 
 
-def camera_to_world(camera: FittedCamera) -> FloatArray:
-    """(4, 4) rigid transform from camera to world coordinates."""
-    from scipy.spatial.transform import Rotation
-
-    rotation = Rotation.from_rotvec(np.asarray(camera.rotation, dtype=np.float64)).as_matrix()
-    result = np.eye(4)
-    result[:3, :3] = rotation.T
-    result[:3, 3] = -rotation.T @ np.asarray(camera.translation, dtype=np.float64)
-    return result
-
-
 def clipping_range(where: str, to_world: FloatArray, points: FloatArray) -> tuple[float, float]:
     """Nearest and farthest depth to show of world points (n, 3), with a margin.
 
@@ -224,7 +213,12 @@ class AuthorPhotoFit:
         check_fit(face, fit, photos)
         values = {name: float(fit.sliders[name]) for name in sorted(fit.sliders)}
         changed, posed = SetSliders(values=values, name=self.name).changed(face)
-        changed = _without_photos(changed, self.name)
+        gone = {photo.animation for photo in changed.photos} - {self.name}
+        changed = replace(
+            changed,
+            animations=tuple(animation for animation in changed.animations if animation.name not in gone),
+            photos=(),
+        )
         names = _names(face, changed, photos)
         neutral = next(animation for animation in changed.animations if animation.name == self.name)
         points = face.evaluate(sliders=values)
@@ -244,14 +238,6 @@ class AuthorPhotoFit:
             authored=authored,
             warnings=(*fit.warnings, *posed.warnings, *mixed_sliders(changed.sliders, fit.views), *_ended(fit)),
         )
-
-
-def _without_photos(parts: FaceParts, neutral: str) -> FaceParts:
-    """Without the photos of a fit before, and their poses."""
-    gone = {photo.animation for photo in parts.photos} - {neutral}
-    return replace(
-        parts, animations=tuple(animation for animation in parts.animations if animation.name not in gone), photos=()
-    )
 
 
 def _names(face: Face, parts: FaceParts, photos: Sequence[Photo]) -> tuple[str, ...]:
@@ -290,7 +276,13 @@ def _pose(neutral: Animation, name: str, view: FittedView) -> Animation:
 
 
 def _view(face: Face, name: str, photo: Photo, view: FittedView, fit: PhotoFit, points: FloatArray) -> PhotoView:
-    to_world = camera_to_world(view.camera)
+    # (4, 4) rigid transform from camera to world coordinates
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_rotvec(np.asarray(view.camera.rotation, dtype=np.float64)).as_matrix()
+    to_world = np.eye(4)
+    to_world[:3, :3] = rotation.T
+    to_world[:3, 3] = -rotation.T @ np.asarray(view.camera.translation, dtype=np.float64)
     height, width = photo.pixels.shape[:2]
     x, y = view.camera.center
     return PhotoView(

@@ -18,7 +18,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.reports import Report
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
-from facepipe.parts import Blendshape, FaceParts, Mesh, Slider
+from facepipe.parts import Blendshape, FaceParts, Slider
 from facepipe.registry import databases
 from facepipe.rig import Rig, build, slide
 from facepipe.stage import Face
@@ -82,7 +82,13 @@ class PersonModel:
         meshes = []
         for mesh, modes, to in zip(parts.meshes, pieces, to_millimetres(parts), strict=True):
             kept = [shape for shape in mesh.blendshapes if shape.name in expressions]
-            own = _mode_shapes(self.names, mesh, modes, np.linalg.inv(to[:3, :3]))
+            back = np.linalg.inv(to[:3, :3])
+            # modes (k, m, 3) in millimetres as shapes of a mesh
+            rows = np.arange(len(mesh.points), dtype=np.int32)
+            own = tuple(
+                Blendshape(name=name, point_indices=rows, offsets=offsets @ back.T)
+                for name, offsets in zip(self.names, modes, strict=True)
+            )
             meshes.append(replace(mesh, blendshapes=(*kept, *own)))
         sliders = tuple(
             Slider(name=name, group="identity", minimum=-REACH, maximum=REACH, shapes=((name, 1.0),))
@@ -245,15 +251,3 @@ def _skin(parts: FaceParts) -> slice:
             return slice(start, start + len(mesh.points))
         start += len(mesh.points)
     raise InputError(f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected it (`facepipe landmarks --help`)")
-
-
-def _mode_shapes(names: Sequence[str], mesh: Mesh, modes: FloatArray, back: FloatArray) -> tuple[Blendshape, ...]:
-    """Modes (k, m, 3) in millimetres as shapes of a mesh.
-
-    :param back: (3, 3) from millimetres to mesh space
-    """
-    rows = np.arange(len(mesh.points), dtype=np.int32)
-    return tuple(
-        Blendshape(name=name, point_indices=rows, offsets=offsets @ back.T)
-        for name, offsets in zip(names, modes, strict=True)
-    )

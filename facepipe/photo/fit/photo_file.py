@@ -51,19 +51,6 @@ def expanded(image: Image, where: str) -> Image:
     return result
 
 
-def srgb(image: Image, notes: list[str]) -> Float32Array:
-    """(h, w, 3) sRGB 0..1 of a picture that `expanded` gave, over the backdrop where it is transparent."""
-    colors = np.asarray(_rgb(image, notes), dtype=np.float32) / np.float32(255)
-    if "A" in image.mode and image.mode != "LAB":
-        alpha = np.asarray(image.getchannel("A"), dtype=np.float32)[..., None] / np.float32(255)
-        if alpha.min() < 1:
-            notes.append("has transparent pixels: mixed with mid grey")
-            colors = colors * alpha + np.float32(BACKDROP) * (1 - alpha)
-    if np.ptp(colors, axis=2).max() <= _GREY:
-        notes.append("has no colour: the colours of a fit mean nothing")
-    return np.ascontiguousarray(colors, dtype=np.float32)
-
-
 def _rgb(image: Image, notes: list[str]) -> Image:
     """The colours through the embedded profile where there is one that can be used."""
     plain = image.convert("RGB") if image.mode == "RGBA" else image.getchannel("L") if image.mode == "LA" else image
@@ -125,8 +112,21 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
         image = expanded(_upright(_opened(path, data, notes), notes), str(path))
         size = image.size
         reduced, scale = _reduced(image, largest)
-        _check_size(path, size, reduced.size)
-        pixels = srgb(reduced, notes)
+        if min(size) < SMALLEST:
+            raise InputError(path, f"is {size[0]} x {size[1]} pixels, expected at least {SMALLEST} a side")
+        if min(reduced.size) < SMALLEST:
+            what = f"is {size[0]} x {size[1]} pixels, {reduced.size[0]} x {reduced.size[1]} when reduced"
+            raise InputError(path, f"{what}, expected at least {SMALLEST} a side")
+        # (h, w, 3) sRGB 0..1 of a picture that `expanded` gave, over the backdrop where it is transparent
+        colors = np.asarray(_rgb(reduced, notes), dtype=np.float32) / np.float32(255)
+        if "A" in reduced.mode and reduced.mode != "LAB":
+            alpha = np.asarray(reduced.getchannel("A"), dtype=np.float32)[..., None] / np.float32(255)
+            if alpha.min() < 1:
+                notes.append("has transparent pixels: mixed with mid grey")
+                colors = colors * alpha + np.float32(BACKDROP) * (1 - alpha)
+        if np.ptp(colors, axis=2).max() <= _GREY:
+            notes.append("has no colour: the colours of a fit mean nothing")
+        pixels = np.ascontiguousarray(colors, dtype=np.float32)
     if scale < 1:
         notes.append(f"reduced from {size[0]} x {size[1]} to {reduced.width} x {reduced.height} pixels")
     return Photo(pixels=pixels, path=path, size=size, scale=scale, warnings=tuple(notes))
@@ -191,11 +191,3 @@ def _reduced(image: Image, largest: int) -> tuple[Image, float]:
     reduced = image.resize((width, height), Resampling.LANCZOS, box=box, reducing_gap=3.0)
     reduced.info = image.info
     return reduced, scale
-
-
-def _check_size(path: Path, size: tuple[int, int], reduced: tuple[int, int]) -> None:
-    if min(size) < SMALLEST:
-        raise InputError(path, f"is {size[0]} x {size[1]} pixels, expected at least {SMALLEST} a side")
-    if min(reduced) < SMALLEST:
-        what = f"is {size[0]} x {size[1]} pixels, {reduced[0]} x {reduced[1]} when reduced"
-        raise InputError(path, f"{what}, expected at least {SMALLEST} a side")

@@ -84,7 +84,10 @@ def check_face(points: FloatArray, where: str) -> None:
         raise InputError(
             where, "jaw, brows, nose, eyes and lips are mixed, expected the 68 of Multi-PIE in their order"
         )
-    if _handedness(points) < _MIRRORED:
+    # 1 for a face from the front however it is turned in the picture, 0 in profile, -1 when mirrored
+    right = points[_LEFT].mean(axis=0) - points[_RIGHT].mean(axis=0)
+    down = downward(points)
+    if float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300)) < _MIRRORED:
         what = "the landmarks are mirrored, expected the person's right side first, x right and y down"
         raise InputError(where, f"{what} from the top left corner")
     _check_parts(points, where)
@@ -113,13 +116,6 @@ def _off_average(points: FloatArray, weights: FloatArray) -> FloatArray:
     places = asset().points[asset().landmarks]
     middle, seen = (np.average(one, axis=0, weights=weights) for one in (places, points))
     return np.asarray(points - seen - (places - middle) @ turned_view(places, points, weights).T)
-
-
-def _handedness(points: FloatArray) -> float:
-    """1 for a face from the front however it is turned in the picture, 0 in profile, -1 when mirrored."""
-    right = points[_LEFT].mean(axis=0) - points[_RIGHT].mean(axis=0)
-    down = downward(points)
-    return float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +182,9 @@ def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = No
     :raises InputError: mediapipe is not installed, no such model, no or several faces, or landmarks that
         `landmarks_in` refuses
     """
-    model = _task_bundle(task_file)
+    model = read_bytes(task_file, _MOST_MODEL_BYTES)
+    if not zipfile.is_zipfile(BytesIO(model)):
+        raise InputError(task_file, "is no MediaPipe task bundle, expected face_landmarker.task")
     vision, image = _mediapipe(photo)
     from mediapipe.tasks.python import BaseOptions
 
@@ -245,13 +243,6 @@ def _mediapipe(photo: Photo) -> tuple[Any, Any]:
         raise InputError("MediaPipe", f"mediapipe can't be loaded: {error}") from None
     pixels = np.ascontiguousarray(np.round(photo.pixels * 255).clip(0, 255).astype(np.uint8))
     return vision, mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
-
-
-def _task_bundle(path: Path) -> bytes:
-    data = read_bytes(path, _MOST_MODEL_BYTES)
-    if not zipfile.is_zipfile(BytesIO(data)):
-        raise InputError(path, "is no MediaPipe task bundle, expected face_landmarker.task")
-    return data
 
 
 def _pixels(face: Any, photo: Photo, task_file: Path) -> FloatArray:

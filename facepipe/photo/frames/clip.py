@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from facepipe.core.arrays import ByteArray, Float32Array
+from facepipe.core.arrays import ByteArray
 from facepipe.core.errors import InputError
 from facepipe.core.images import FREE_PIXELS, MOST_PIXELS, PER_BYTE
 from facepipe.core.reading import check_regular
@@ -62,18 +62,8 @@ def srgb_picture(frame: Any, size: tuple[int, int]) -> ByteArray:
 
 def _narrowed(rgb: npt.NDArray[np.uint16], curve: int, matrix: tuple[tuple[float, ...], ...] | None) -> ByteArray:
     """HDR and wide colours as sRGB, paper white as its white."""
-    light = _linear(rgb.astype(np.float32) / np.float32(65535), curve)
-    if matrix is not None:
-        light = np.maximum(light @ np.array(matrix, np.float32).T, 0)
-    most = np.maximum(light.max(axis=-1, keepdims=True), 1e-6)
-    room = 1 - _SHOULDER
-    pressed = np.where(most < _SHOULDER, most, 1 - room * np.exp((_SHOULDER - most) / room))
-    pressed = pressed if curve in (_PQ, _HLG) else np.minimum(most, 1)  # others have nothing above white
-    return np.asarray(to_srgb(light * (pressed / most)) * 255 + 0.5).astype(np.uint8)
-
-
-def _linear(signal: Float32Array, curve: int) -> Float32Array:
-    """Light on the screen over that of paper white (BT.2100)."""
+    signal = rgb.astype(np.float32) / np.float32(65535)
+    # light on the screen over that of paper white (BT.2100)
     if curve == _PQ:
         root = signal ** (1 / 78.84375)
         light = (
@@ -85,7 +75,14 @@ def _linear(signal: Float32Array, curve: int) -> Float32Array:
         light = _PEAK / _WHITE * scene * luma**0.2
     else:
         light = from_srgb(signal)
-    return np.asarray(light, dtype=np.float32)
+    light = np.asarray(light, dtype=np.float32)
+    if matrix is not None:
+        light = np.maximum(light @ np.array(matrix, np.float32).T, 0)
+    most = np.maximum(light.max(axis=-1, keepdims=True), 1e-6)
+    room = 1 - _SHOULDER
+    pressed = np.where(most < _SHOULDER, most, 1 - room * np.exp((_SHOULDER - most) / room))
+    pressed = pressed if curve in (_PQ, _HLG) else np.minimum(most, 1)  # others have nothing above white
+    return np.asarray(to_srgb(light * (pressed / most)) * 255 + 0.5).astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -115,7 +115,19 @@ def choose(looks: Sequence[Look], count: int) -> list[int]:
 
     Fewer where no further look is from another side.
     """
-    faults, apart = faults_of(looks), angles(looks)
+    # (n,) degrees of another side that would outweigh each look's faults
+    lids, lips, errors = (np.array([getattr(look, name) for look in looks]) for name in ("lids", "lips", "error"))
+    blurred = np.maximum(1 - relative_sharpness(looks) / _SHARP, 0)
+    shut = np.maximum(1 - lids / (_AWAKE * usual(looks, lids, 0.6)), 0)
+    opened = np.maximum(lips - usual(looks, lips, 0.25), 0) / _OPEN_BY
+    doubted = np.maximum(errors - usual(looks, errors, 0.25), 0)
+    unsure = np.maximum(errors - _SIDE_ERROR, 0)
+    faults, apart = (
+        np.asarray(
+            _BLURRED * blurred + _SHUT * shut + _OPEN * opened + _DOUBTED * doubted + _UNSURE * unsure, dtype=np.float64
+        ),
+        angles(looks),
+    )
     kept = [int(np.argmin(np.linalg.norm(_sides(looks), axis=1) + faults))]
     while len(kept) < min(count, len(looks)):
         away = apart[:, kept].min(axis=1)
@@ -125,19 +137,6 @@ def choose(looks: Sequence[Look], count: int) -> list[int]:
             break
         kept.append(best)
     return sorted(kept)
-
-
-def faults_of(looks: Sequence[Look]) -> FloatArray:
-    """(n,) degrees of another side that would outweigh each look's faults."""
-    lids, lips, errors = (np.array([getattr(look, name) for look in looks]) for name in ("lids", "lips", "error"))
-    blurred = np.maximum(1 - relative_sharpness(looks) / _SHARP, 0)
-    shut = np.maximum(1 - lids / (_AWAKE * usual(looks, lids, 0.6)), 0)
-    opened = np.maximum(lips - usual(looks, lips, 0.25), 0) / _OPEN_BY
-    doubted = np.maximum(errors - usual(looks, errors, 0.25), 0)
-    unsure = np.maximum(errors - _SIDE_ERROR, 0)
-    return np.asarray(
-        _BLURRED * blurred + _SHUT * shut + _OPEN * opened + _DOUBTED * doubted + _UNSURE * unsure, dtype=np.float64
-    )
 
 
 def relative_sharpness(looks: Sequence[Look]) -> FloatArray:

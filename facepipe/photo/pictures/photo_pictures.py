@@ -45,7 +45,11 @@ def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> Float
     width, height = (max(1, round(each * share)) for each in (view.width, view.height))
     fine = max(1, LARGEST // max(width, height))  # small ones are drawn larger, where details are not blurred
     size = fine * max(width, height)
-    scene = build_scene(_tinted(parts, view), points, size)
+    scene = build_scene(
+        replace(parts, materials=tuple(_with_tint(one, view.tint.get(one.name)) for one in parts.materials)),
+        points,
+        size,
+    )
     shader = Shader(scene, camera_of(view, parts.up_axis).scaled(fine * share), lights=PhotoLights(view=view))
     mm = 1000 * parts.meters_per_unit
     on_black, on_white = (_drawn(shader, size, level, mm)[: fine * height, : fine * width] for level in (0.0, 1.0))
@@ -65,11 +69,6 @@ def camera_of(view: PhotoView, up_axis: str) -> Camera:
     transform = np.asarray(view.transform, dtype=np.float64)
     axes, eye = transform[:3, :3].T, transform[:3, 3]
     return Camera(axes=y_up(axes, up_axis), eye=y_up(eye[None], up_axis)[0], focal=view.focal, center=view.center)
-
-
-def _tinted(parts: FaceParts, view: PhotoView) -> FaceParts:
-    """The face with its materials' colours as a photo's tints make them."""
-    return replace(parts, materials=tuple(_with_tint(one, view.tint.get(one.name)) for one in parts.materials))
 
 
 def _with_tint(material: Material, tint: tuple[float, float, float] | None) -> Material:

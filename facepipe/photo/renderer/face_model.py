@@ -138,16 +138,16 @@ def _uv_rows(
     """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
     rows = np.zeros(corners.shape, dtype=np.int64)
     for uv_set in mesh.uv_sets:
-        used = [i for i, one in enumerate(materials) if _reads(one, uv_set.name)]
+        used = [
+            i
+            for i, one in enumerate(materials)
+            if (isinstance(one.diffuse_color, TextureInput) and one.diffuse_color.uv_set == uv_set.name)
+        ]
         chosen = np.isin(materials_used, used)
         within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
         rows[chosen] = within[chosen] + sum(map(len, table))
         table.append(np.asarray(uv_set.values, dtype=np.float64))
     return rows
-
-
-def _reads(material: Material, uv_set: str) -> bool:
-    return isinstance(material.diffuse_color, TextureInput) and material.diffuse_color.uv_set == uv_set
 
 
 def bilinear(texels: Tensor, uv: Tensor, wrap_s: _Wrap = "repeat", wrap_t: _Wrap = "repeat") -> Tensor:
@@ -193,7 +193,16 @@ class SurfaceColors:
             i: source for i, source in enumerate(surfaces.textures) if source and (surfaces.materials == i).any()
         }
         for i, source in self._inputs.items():
-            self.textures[self.names[i]] = torch.as_tensor(_linear_texels(source, largest), dtype=dtype, device=device)
+            # (h, w, 3) linear colours of a texture's input, top row first: 8-bit sRGB decoded (IEC 61966-2-1)
+            where = f"texture {source.texture.name}"
+            image = open_image(source.texture.image(), where)
+            texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
+            table = from_srgb(np.arange(256) / 255.0)
+            self.textures[self.names[i]] = torch.as_tensor(
+                np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32)),
+                dtype=dtype,
+                device=device,
+            )
         self.materials = torch.as_tensor(surfaces.materials, device=device)
         self._uv = torch.as_tensor(surfaces.uv, dtype=dtype, device=device)
         self._corners = torch.as_tensor(surfaces.uv_corners, device=device)
@@ -226,18 +235,6 @@ class SurfaceColors:
             factor = torch.ones_like(result).index_copy(0, pixels, texels)
             result = result * factor
         return result
-
-
-def _linear_texels(source: TextureInput, largest: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """(h, w, 3) linear colours of a texture's input, top row first: 8-bit sRGB decoded (IEC 61966-2-1).
-
-    :raises InputError: the bytes are not an image that can be read
-    """
-    where = f"texture {source.texture.name}"
-    image = open_image(source.texture.image(), where)
-    texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
-    table = from_srgb(np.arange(256) / 255.0)
-    return np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -162,7 +162,17 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
         points = points.detach()
         shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
         shown[raster.pixels] = raster.triangles
-        inside, outside, pair = _borders(shown, parts, raster)
+        part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
+        pairs = []
+        for dim, step in ((1, 1), (0, raster.width)):
+            one, other = (
+                part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim]))
+            )
+            row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
+            first = row * raster.width + column
+            pairs.append(torch.stack([first, first + step, 2 * first + dim]))
+        first, second, pair = torch.cat(pairs, dim=1)
+        inside, outside, pair = first, second, pair
         free = ~torch.isin(pair, taken)
         inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
         corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
@@ -172,19 +182,6 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
         across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
         keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
         return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
-
-
-def _borders(shown: Tensor, parts: Tensor, raster: Raster) -> tuple[Tensor, Tensor, Tensor]:
-    """Neighbouring pixels that show different parts, and the number of each pair."""
-    part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
-    pairs = []
-    for dim, step in ((1, 1), (0, raster.width)):
-        one, other = (part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim])))
-        row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
-        first = row * raster.width + column
-        pairs.append(torch.stack([first, first + step, 2 * first + dim]))
-    first, second, pair = torch.cat(pairs, dim=1)
-    return first, second, pair
 
 
 def _lead(points: Tensor, corners: Tensor, pixel: Tensor, width: int) -> Tensor:

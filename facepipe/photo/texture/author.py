@@ -281,7 +281,9 @@ def author_textures(
             style = None if now is None else nearest_style(skin, exposures, posed, scalp, now)
         baked = baker(exposures, scalp, bald=style == "bald")
         bar.update()
-    relit = _relit(face, [view.name for view, _ in photos], baked)
+    names = [view.name for view, _ in photos]
+    found = dict(zip(names, zip(baked.scales, baked.lights, strict=True), strict=True))
+    relit = tuple(_in_light(view, *found[view.name]) if view.name in found else view for view in face.photos)
     author_changes(face, replace(parts, photos=relit, recipe=recipe))
     files: dict[str, tuple[str, ...]] = {}
     for texture, picture in zip(skin.textures, baked.pictures, strict=True):
@@ -293,10 +295,16 @@ def author_textures(
         face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
         files[name] = eyes.materials
     hidden: tuple[str, ...] = ()
-    if _shows_brows(skin, baked.trust):
+    marks = skin.points[skin.landmarks]
+    below = marks[_BROWS] - _LOWER * (marks[27] - marks[8])  # brows lie below their landmarks
+    if bool(baked.trust[cKDTree(skin.points).query(below)[1]].mean() >= _SHOWN):
         hidden = hide_brow_cards(face, skin)
     elif baked.hair is not None:
-        _color_brow_cards(face, skin, brow_color(baked.hair, baked.skin))
+        color = brow_color(baked.hair, baked.skin)
+        # give cards that lie on the brows a linear colour (3,), within `Face.deriving`
+        for prim, material in brow_cards(face, skin).items():
+            if isinstance(material.diffuse_color, TextureInput):
+                author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(material, color))
     if cards is not None and _author_hair(face, skin, cards, baked.hair, style):
         hidden = (*hidden, cards.material.name)
     return replace(_report(photos, baked, files), hidden=hidden, hair_style=style)
@@ -340,30 +348,11 @@ def _points(face: Face, view: PhotoView) -> FloatArray:
     return face.evaluate(weights, joint_transforms=transforms)
 
 
-def _relit(face: Face, names: Sequence[str], baked: Baked) -> tuple[PhotoView, ...]:
-    """The photos in the light under which the textures look as they do, and materials have their own colours."""
-    found = dict(zip(names, zip(baked.scales, baked.lights, strict=True), strict=True))
-    return tuple(_in_light(view, *found[view.name]) if view.name in found else view for view in face.photos)
-
-
 def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray) -> PhotoView:
     if view.key is None:
         return replace(view, light=light, tint={})
     red, green, blue = (np.array(view.key.color) * scale).tolist()
     return replace(view, light=light, key=replace(view.key, color=(red, green, blue)), tint={})
-
-
-def _shows_brows(skin: SkinSurface, trust: FloatArray) -> bool:
-    marks = skin.points[skin.landmarks]
-    below = marks[_BROWS] - _LOWER * (marks[27] - marks[8])  # brows lie below their landmarks
-    return bool(trust[cKDTree(skin.points).query(below)[1]].mean() >= _SHOWN)
-
-
-def _color_brow_cards(face: Face, skin: SkinSurface, color: FloatArray) -> None:
-    """Give cards that lie on the brows a linear colour (3,), within `Face.deriving`."""
-    for prim, material in brow_cards(face, skin).items():
-        if isinstance(material.diffuse_color, TextureInput):
-            author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(material, color))
 
 
 def _png(picture: FloatArray) -> bytes:

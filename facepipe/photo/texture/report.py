@@ -128,25 +128,24 @@ def write_folder(folder: Path, report: BakePhotoReport) -> None:
     """Write report.html, report.json and, called as the poses of the photos, the face as it is in them."""
     for shown in report.sheet.photos:
         save_png(render_image(shown.render), folder / f"{shown.view.name}.render.png")
-    write_bytes(folder / "report.html", _page(report))
-    figures = report.to_dict()
-    del figures["seconds"]  # the same input gives the same bytes
-    write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
-
-
-def _page(report: BakePhotoReport) -> bytes:
     parts = report.sheet.parts
     title = f"Baked photos: {parts.name}"
     facts = f"{report.seen:.0%} of the face in {len(report.photos)} photo{'s' * (len(report.photos) != 1)}"
-    return page(
-        title,
-        joined(tag("h1", title), tag("p", facts, class_="muted")),
-        *(grid(_of_photo(shown, report), 3) for shown in report.sheet.photos),
-        heading("Without expression", "in studio light"),
-        grid(three_sides(parts, report.sheet.neutral), 3),
-        heading("Textures"),
-        grid(list(_textures(parts, report.textures)), 3),
+    write_bytes(
+        folder / "report.html",
+        page(
+            title,
+            joined(tag("h1", title), tag("p", facts, class_="muted")),
+            *(grid(_of_photo(shown, report), 3) for shown in report.sheet.photos),
+            heading("Without expression", "in studio light"),
+            grid(three_sides(parts, report.sheet.neutral), 3),
+            heading("Textures"),
+            grid(list(_textures(parts, report.textures)), 3),
+        ),
     )
+    figures = report.to_dict()
+    del figures["seconds"]  # the same input gives the same bytes
+    write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())
 
 
 def _of_photo(shown: ShownPhoto, report: BakePhotoReport) -> list[Markup]:

@@ -288,7 +288,7 @@ def distil(
         sliders=tuple(one.name for one in bent),
         channels=tuple(one.channel for one in driven if one.channel is not None),
         shapes=tuple(one.shape for one in driven if one.shape is not None),
-        weights=(_over_values(bent, trained), trained.last / scales[:, None]),
+        weights=(np.asarray(trained.hidden * (2 / _ranges(bent)[1])), trained.last / scales[:, None]),
         biases=(_bias_over_values(bent, trained), trained.last_bias / scales + offset),
         activation=activation,
     )
@@ -355,11 +355,6 @@ def _ranges(sliders: Sequence[Slider]) -> tuple[FloatArray, FloatArray]:
     """(i,) minima and lengths."""
     lower = np.array([slider.minimum for slider in sliders])
     return lower, np.array([slider.maximum for slider in sliders]) - lower
-
-
-def _over_values(bent: Sequence[Slider], trained: Trained) -> FloatArray:
-    """(h, i) hidden weights for slider values instead of -1..1."""
-    return np.asarray(trained.hidden * (2 / _ranges(bent)[1]))
 
 
 def _bias_over_values(bent: Sequence[Slider], trained: Trained) -> FloatArray:

@@ -108,7 +108,16 @@ class DifferentiableRig:
         self._activations = PiecewiseLinear(
             _activations(rig), len(rig.shapes), np.zeros(len(rig.targets)), dtype, device
         )
-        self._generations, self._order = _levels(rig, device)
+        # joints by generation with the places of their parents in the one before, and where each joint is in all
+        generations = [joints for joints in rig.generations if len(joints)]
+        place = np.zeros(len(rig.joints), dtype=np.int64)
+        levels = []
+        for joints in generations:
+            parents = np.maximum(rig.parents[joints], 0)
+            levels.append((torch.as_tensor(joints, device=device), torch.as_tensor(place[parents], device=device)))
+            place[joints] = np.arange(len(joints))
+        order = np.argsort(np.concatenate([*generations, np.zeros(0, np.int64)]), kind="stable")
+        self._generations, self._order = levels, torch.as_tensor(order, device=device)
 
     def __call__(
         self,
@@ -208,16 +217,3 @@ def _activations(rig: Rig) -> list[Term]:
         base, slope, bends = target.curve.hinges()
         terms.append(Term(output=number, input=target.shape, base=base, slope=slope, bends=bends))
     return terms
-
-
-def _levels(rig: Rig, device: torch.device | str) -> tuple[list[tuple[Tensor, Tensor]], Tensor]:
-    """Joints by generation with the places of their parents in the one before, and where each joint is in all."""
-    generations = [joints for joints in rig.generations if len(joints)]
-    place = np.zeros(len(rig.joints), dtype=np.int64)
-    levels = []
-    for joints in generations:
-        parents = np.maximum(rig.parents[joints], 0)
-        levels.append((torch.as_tensor(joints, device=device), torch.as_tensor(place[parents], device=device)))
-        place[joints] = np.arange(len(joints))
-    order = np.argsort(np.concatenate([*generations, np.zeros(0, np.int64)]), kind="stable")
-    return levels, torch.as_tensor(order, device=device)

@@ -104,22 +104,6 @@ class Facts:
     warnings: tuple[str, ...]
 
 
-def facts_of(face: WholeFace) -> Facts:
-    """:raises InputError: NaN or infinity"""
-    require_finite(face.points, face.name)
-    require_finite(face.deltas, face.name)
-    return Facts(
-        name=face.name,
-        topology=face.topology,
-        points=face.points,
-        shapes={name: face.meshes.get(name, ()) for name in face.deltas},
-        source=face.source,
-        digest=face.digest,
-        content=face.content,
-        warnings=face.warnings,
-    )
-
-
 def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
     """Check that faces are of one topology, size and place, and each is new.
 
@@ -160,20 +144,6 @@ def _check_place(face: Facts, mean: FloatArray) -> None:
         raise InputError(face.name, f"{what}, expected faces in one place")
 
 
-def mesh_warnings(facts: Sequence[Facts], meshes: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """A line for each face with shapes that leave meshes still which they move in other faces."""
-    lines = []
-    for face in facts:
-        still = [
-            f"{shape} ({', '.join(lost)})"
-            for shape, known in meshes.items()
-            if shape in face.shapes and (lost := [mesh for mesh in known if mesh not in face.shapes[shape]])
-        ]
-        if still:
-            lines.append(f"{face.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
-    return lines
-
-
 class Shapes(NamedTuple):
     """Those that all faces have that have any, and what became of the others."""
 
@@ -187,8 +157,8 @@ class Shapes(NamedTuple):
 def shapes_in_common(database: FaceDatabase | None, facts: Sequence[Facts]) -> Shapes:
     """The shapes of the entries of a database and of faces that come to it."""
     coming = [fact for fact in facts if fact.shapes]
-    former = _with_expressions(database)
-    before = database.shapes if database and former else _first_names(coming)
+    former = [entry.name for entry in database.entries if entry.stored_error is not None] if database else []
+    before = database.shapes if database and former else (tuple(coming[0].shapes) if coming else ())
     names = tuple(shape for shape in before if all(shape in one.shapes for one in coming))
     seen = dict.fromkeys(
         (*before, *(database.left_out if database else ()), *(s for one in coming for s in one.shapes))
@@ -205,15 +175,6 @@ def shapes_in_common(database: FaceDatabase | None, facts: Sequence[Facts]) -> S
         dropped=tuple(shape for shape in before if shape not in names) if former else (),
         warnings=tuple(warnings),
     )
-
-
-def _with_expressions(database: FaceDatabase | None) -> list[str]:
-    """Entries whose expressions count."""
-    return [entry.name for entry in database.entries if entry.stored_error is not None] if database else []
-
-
-def _first_names(coming: Sequence[Facts]) -> tuple[str, ...]:
-    return tuple(coming[0].shapes) if coming else ()
 
 
 def _lacking(
@@ -286,7 +247,11 @@ def add_faces(
     ignored = _gate([fact.name for fact in facts], qualities, options)
     shapes = shapes_in_common(database, facts)
     if shapes.dropped and not options.drop_shapes:
-        name, lost = next((fact.name, lost) for fact in facts if (lost := _lost(fact, database)))
+        name, lost = next(
+            (fact.name, lost)
+            for fact in facts
+            if (lost := [shape for shape in database.shapes if fact.shapes and shape not in fact.shapes])
+        )
         raise InputError(name, f"lacks {', '.join(lost)}, expected the shapes of the database (or --drop-shapes)")
     identity = database.identity.with_faces(np.stack([fact.points for fact in facts]))
     return _grown(database, sources, facts, identity, shapes, qualities, ignored, database.tolerance_mm, done)
@@ -295,7 +260,21 @@ def add_faces(
 def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callable[[], object]) -> list[Facts]:
     facts = []
     for source in sources:
-        facts.append(facts_of(source()))
+        face = source()
+        require_finite(face.points, face.name)
+        require_finite(face.deltas, face.name)
+        facts.append(
+            Facts(
+                name=face.name,
+                topology=face.topology,
+                points=face.points,
+                shapes={name: face.meshes.get(name, ()) for name in face.deltas},
+                source=face.source,
+                digest=face.digest,
+                content=face.content,
+                warnings=face.warnings,
+            )
+        )
         done()
     check_faces(database, facts)
     return facts
@@ -314,10 +293,6 @@ def _gate(names: Sequence[str], qualities: Mapping[str, Quality], options: AddOp
         if lines and not options.ignore_quality:
             raise InputError(name, f"refused: {'; '.join(lines)} (or --ignore-quality)")
     return tuple(f"{name}: {line}" for name, lines in missed.items() for line in lines)
-
-
-def _lost(one: Facts, database: FaceDatabase) -> list[str]:
-    return [shape for shape in database.shapes if one.shapes and shape not in one.shapes]
 
 
 def _grown(
@@ -362,7 +337,16 @@ def _grown(
         tolerance_mm=tolerance,
     )
     warnings = [line for fact in facts for line in fact.warnings]
-    return Made(made, (*warnings, *shapes.warnings, *mesh_warnings(facts, shapes.meshes), *ignored))
+    lines = []
+    for face in facts:
+        still = [
+            f"{shape} ({', '.join(lost)})"
+            for shape, known in shapes.meshes.items()
+            if shape in face.shapes and (lost := [mesh for mesh in known if mesh not in face.shapes[shape]])
+        ]
+        if still:
+            lines.append(f"{face.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
+    return Made(made, (*warnings, *shapes.warnings, *lines, *ignored))
 
 
 def _held(
@@ -427,7 +411,16 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
     :param where: the database's place in error messages
     :raises InputError: a name that is not there, or is given twice, or fewer than two faces would stay
     """
-    stays = _staying(database, names, where)
+    known = [entry.name for entry in database.entries]
+    for number, name in enumerate(names):
+        if name not in known:
+            raise InputError(f"{where} -> {name[:60]}", "no face of that name (facepipe database info lists them)")
+        if name in names[:number]:
+            raise InputError(f"{where} -> {name[:60]}", "is given twice, expected each name once")
+    left = len(known) - len(names)
+    if left < 2:
+        raise InputError(where, f"{left} of {len(known)} faces would stay, expected 2 or more")
+    stays = np.array([name not in names for name in known])
     entries = tuple(entry for entry, own in zip(database.entries, stays, strict=True) if own)
     neutrals = database.neutrals()[stays]
     identity = IdentityModel.from_faces(neutrals)
@@ -450,20 +443,6 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
         tolerance_mm=database.tolerance_mm,
     )
     return Made(made, _removal_warnings(database, entries, made))
-
-
-def _staying(database: FaceDatabase, names: Sequence[str], where: str) -> BoolArray:
-    """(m,) entries that stay."""
-    known = [entry.name for entry in database.entries]
-    for number, name in enumerate(names):
-        if name not in known:
-            raise InputError(f"{where} -> {name[:60]}", "no face of that name (facepipe database info lists them)")
-        if name in names[:number]:
-            raise InputError(f"{where} -> {name[:60]}", "is given twice, expected each name once")
-    left = len(known) - len(names)
-    if left < 2:
-        raise InputError(where, f"{left} of {len(known)} faces would stay, expected 2 or more")
-    return np.array([name not in names for name in known])
 
 
 def _model_of_those(

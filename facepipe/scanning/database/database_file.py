@@ -48,9 +48,33 @@ def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
     source = check_suffix(path)
     arrays, content = read_arrays(source, FORMAT)
     header = from_json(_Header, content, str(source))
-    _check_header(header, source)
+    if len(header.entries) < 2 or not header.meshes:
+        raise InputError(source, "fewer than two entries or no mesh, expected a face database")
+    for key, names in (
+        ("entries", [entry.name for entry in header.entries]),
+        ("meshes", header.meshes),
+        ("shapes", header.shapes),
+    ):
+        if len(set(names)) != len(names):
+            raise InputError(f"{source} -> {key}", "a name twice, expected each once")
+    if [update.version for update in header.history] != list(range(1, len(header.history) + 1)):
+        raise InputError(f"{source} -> history", "versions that don't count from 1")
+    if _names_after(header.history) != [entry.name for entry in header.entries]:
+        raise InputError(f"{source} -> history", "other entries than there are")
+    if not header.tolerance_mm > 0:
+        raise InputError(f"{source} -> tolerance_mm", f"{header.tolerance_mm}, expected a number above 0")
     reader = _Reader(source, arrays, {"entries": len(header.entries)})
-    topology = _topology(reader, header)
+    reader.sizes["meshes"] = len(header.meshes)
+    points = reader.get("topology/points", "i", "meshes")
+    counts = [reader.get(f"topology/{n}/counts", "i", f"faces {n}") for n in range(len(points))]
+    indices = [reader.get(f"topology/{n}/indices", "i", f"corners {n}") for n in range(len(points))]
+    for name, size, faces, corners in zip(header.meshes, points, counts, indices, strict=True):
+        sound = size >= 0 and (faces >= 0).all() and int(faces.sum(dtype=np.int64)) == len(corners)
+        if not sound or (len(corners) and not (corners.min() >= 0 and corners.max() < size)):
+            raise InputError(f"{reader.path} -> {name}", "faces that don't fit its points, expected a sound mesh")
+    topology = Topology(
+        names=header.meshes, points=tuple(int(size) for size in points), counts=tuple(counts), indices=tuple(indices)
+    )
     reader.sizes["points"] = topology.point_count
     mean = reader.get("identity/mean", "f", "points", 3)
     identity = IdentityModel(
@@ -106,20 +130,6 @@ def _arrays_of(database: FaceDatabase) -> dict[str, AnyArray]:
     return arrays
 
 
-def _topology(reader: _Reader, header: _Header) -> Topology:
-    reader.sizes["meshes"] = len(header.meshes)
-    points = reader.get("topology/points", "i", "meshes")
-    counts = [reader.get(f"topology/{n}/counts", "i", f"faces {n}") for n in range(len(points))]
-    indices = [reader.get(f"topology/{n}/indices", "i", f"corners {n}") for n in range(len(points))]
-    for name, size, faces, corners in zip(header.meshes, points, counts, indices, strict=True):
-        sound = size >= 0 and (faces >= 0).all() and int(faces.sum(dtype=np.int64)) == len(corners)
-        if not sound or (len(corners) and not (corners.min() >= 0 and corners.max() < size)):
-            raise InputError(f"{reader.path} -> {name}", "faces that don't fit its points, expected a sound mesh")
-    return Topology(
-        names=header.meshes, points=tuple(int(size) for size in points), counts=tuple(counts), indices=tuple(indices)
-    )
-
-
 def _expressions(reader: _Reader, header: _Header, identity: IdentityModel) -> ExpressionModel:
     sizes = reader.sizes
     sizes["rows"] = len(header.shapes) + 1
@@ -170,24 +180,6 @@ class _Header:
     history: tuple[Update, ...]
     tolerance_mm: float
     units: str = "mm"
-
-
-def _check_header(header: _Header, path: Path) -> None:
-    if len(header.entries) < 2 or not header.meshes:
-        raise InputError(path, "fewer than two entries or no mesh, expected a face database")
-    for key, names in (
-        ("entries", [entry.name for entry in header.entries]),
-        ("meshes", header.meshes),
-        ("shapes", header.shapes),
-    ):
-        if len(set(names)) != len(names):
-            raise InputError(f"{path} -> {key}", "a name twice, expected each once")
-    if [update.version for update in header.history] != list(range(1, len(header.history) + 1)):
-        raise InputError(f"{path} -> history", "versions that don't count from 1")
-    if _names_after(header.history) != [entry.name for entry in header.entries]:
-        raise InputError(f"{path} -> history", "other entries than there are")
-    if not header.tolerance_mm > 0:
-        raise InputError(f"{path} -> tolerance_mm", f"{header.tolerance_mm}, expected a number above 0")
 
 
 def _names_after(history: tuple[Update, ...]) -> list[str]:

@@ -41,7 +41,13 @@ class DatabaseReport(Report):
         if self.left_out:
             some = ", ".join(f"{shape} ({len(names)} lack it)" for shape, names in self.left_out.items())
             lines.append(f"shapes left out: {some}")
-        return "\n".join([*lines, table(_rows(self.entries)), *map(_update, self.history)])
+        rows: list[list[object]] = [["face", "from", "since version", "held to mm RMS", "surface mm", "coverage"]]
+        for entry in self.entries:
+            error = "no shapes" if entry.stored_error is None else f"{entry.stored_error.rms_mm:.3f}"
+            quality = entry.quality
+            measures = ["", ""] if quality is None else [f"{quality.surface_mean_mm:.3f}", f"{quality.coverage:.2f}"]
+            rows.append([entry.name, entry.source, entry.version, error, *measures])
+        return "\n".join([*lines, table(rows), *map(_update, self.history)])
 
 
 def report_of(database: FaceDatabase, warnings: tuple[str, ...] = ()) -> DatabaseReport:
@@ -105,16 +111,6 @@ def _expressions(expressions: Mapping[str, Any] | None, tolerance: float) -> str
         f"{expressions['basis']} directions, core {core}; held to {tolerance:g} mm RMS, "
         f"worst face {error['rms_mm']:.3f} RMS, {error['max_mm']:.2f} at most"
     )
-
-
-def _rows(entries: Sequence[Entry]) -> list[list[object]]:
-    rows: list[list[object]] = [["face", "from", "since version", "held to mm RMS", "surface mm", "coverage"]]
-    for entry in entries:
-        error = "no shapes" if entry.stored_error is None else f"{entry.stored_error.rms_mm:.3f}"
-        quality = entry.quality
-        measures = ["", ""] if quality is None else [f"{quality.surface_mean_mm:.3f}", f"{quality.coverage:.2f}"]
-        rows.append([entry.name, entry.source, entry.version, error, *measures])
-    return rows
 
 
 def _update(update: Update) -> str:

@@ -129,7 +129,27 @@ class FindScanLandmarks:
         near = search.near(frame)
         seen = look_again(near, frame, _ALL, self.draw, network, network.size)
         seen = look_closer(near, frame, seen, _CLOSER, self.draw)
-        return _result(seen, frame, look, near, search.ends(frame), searched)
+        ends = search.ends(frame)
+        from facepipe.geometry.closest_points import closest_places
+
+        nearest = closest_places(seen.landmarks, near.points, near.triangles)
+        left_out = {
+            "views disagree": seen.spread >= _UNSURE,
+            "the scan ends before them": (nearest.distances >= _OFF * frame.side)
+            | _at_end(nearest.places, ends, frame.side),
+        }
+        kept = ~np.any(list(left_out.values()), axis=0)
+        eyes = seen.landmarks[36:42].mean(axis=0) - seen.landmarks[42:48].mean(axis=0)
+        report = ScanLandmarksReport(
+            found=int(kept.sum()),
+            presence=seen.presence,
+            spread=float(np.median(seen.spread)) * frame.side / float(np.linalg.norm(eyes)),
+            searched=searched,
+            warnings=tuple(f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()),
+        )
+        places, sigmas = np.where(kept[:, None], nearest.places, np.nan), found_sigmas(colored=near.colors is not None)
+        landmarks = ScanLandmarks(points=places, sigma_mm=sigmas)
+        return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,31 +227,6 @@ def _look(scan: Scan) -> Look:
     assert scan.normals is not None  # of cleaned scans
     spacing = cloud_normals(scan.points, 6).spacing
     return disc_look(scan.points, scan.normals, 1.2 * spacing, scan.colors)
-
-
-def _result(
-    seen: Seen, frame: FaceFrame, look: Look, near: Look, ends: FloatArray, searched: int
-) -> FoundScanLandmarks:
-    from facepipe.geometry.closest_points import closest_places
-
-    nearest = closest_places(seen.landmarks, near.points, near.triangles)
-    left_out = {
-        "views disagree": seen.spread >= _UNSURE,
-        "the scan ends before them": (nearest.distances >= _OFF * frame.side)
-        | _at_end(nearest.places, ends, frame.side),
-    }
-    kept = ~np.any(list(left_out.values()), axis=0)
-    eyes = seen.landmarks[36:42].mean(axis=0) - seen.landmarks[42:48].mean(axis=0)
-    report = ScanLandmarksReport(
-        found=int(kept.sum()),
-        presence=seen.presence,
-        spread=float(np.median(seen.spread)) * frame.side / float(np.linalg.norm(eyes)),
-        searched=searched,
-        warnings=tuple(f"{int(one.sum())} landmarks left out: {why}" for why, one in left_out.items() if one.any()),
-    )
-    places, sigmas = np.where(kept[:, None], nearest.places, np.nan), found_sigmas(colored=near.colors is not None)
-    landmarks = ScanLandmarks(points=places, sigma_mm=sigmas)
-    return FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
 
 
 def _at_end(places: FloatArray, ends: FloatArray, side: float) -> BoolArray:

@@ -133,7 +133,13 @@ def candidates(
         sure = sure[np.argsort(-presence[sure], kind="stable")][: 4 * most]
         places = _in_picture(landmarks[sure], matrices[sure])
         for where, present in zip(places, presence[sure], strict=True):
-            frame = face_frame(_lifted(where, depth, view))
+            # (68, 3) where the rays through landmarks (68, 2) meet the surface; NaN where they miss it
+            column, row = np.floor(where).astype(np.int64).T
+            inside = (column >= 0) & (row >= 0) & (column < view.size) & (row < view.size)
+            far = np.full(len(where), np.inf)
+            far[inside] = depth[row[inside], column[inside]]
+            far[~np.isfinite(far)] = np.nan
+            frame = face_frame(np.asarray(view.eye + far[:, None] * view.directions(where)))
             if frame is not None:
                 faces.append(Candidate(presence=float(present), frame=frame))
     return _apart(faces, most)
@@ -147,16 +153,6 @@ def is_worth_search(look: Look, views: Sequence[Pinhole], turns: int, draw: Draw
         if len(matrices) and network(_cut_crops(picture, matrices, size))[1].max() > _FAINT:
             return True
     return False
-
-
-def _lifted(landmarks: FloatArray, depth: FloatArray, view: Pinhole) -> FloatArray:
-    """(68, 3) where the rays through landmarks (68, 2) meet the surface; NaN where they miss it."""
-    column, row = np.floor(landmarks).astype(np.int64).T
-    inside = (column >= 0) & (row >= 0) & (column < view.size) & (row < view.size)
-    far = np.full(len(landmarks), np.inf)
-    far[inside] = depth[row[inside], column[inside]]
-    far[~np.isfinite(far)] = np.nan
-    return np.asarray(view.eye + far[:, None] * view.directions(landmarks))
 
 
 def _view(middle: FloatArray, radius: float, backward: FloatArray, upward: FloatArray) -> Pinhole:

@@ -264,7 +264,10 @@ def triangulate(
         # a place's error along its rays is that across them over the sine of their angle: 19 times at 3 degrees
         if rays[pair[0]] @ rays[pair[1]] > _WIDE:
             continue
-        error = _errors(cameras, pixels, nearest_to_lines(eyes[list(pair)], rays[list(pair)]))
+        place = nearest_to_lines(eyes[list(pair)], rays[list(pair)])
+        # (k,) pixels between where a place shows and where it was seen; infinite behind a camera
+        shown = np.concatenate([camera.project(place[None]) for camera in cameras])
+        error = np.asarray(np.nan_to_num(np.linalg.norm(shown - pixels, axis=1), nan=np.inf))
         agree = error <= tolerance
         rank = (int(agree.sum()), -float(error[agree].sum()))
         if rank > best:
@@ -278,12 +281,6 @@ def _ray(camera: PhotoCamera, pixel: FloatArray) -> FloatArray:
     """(1, 3) unit vector in scan coordinates."""
     ray = np.append(camera.rays(pixel[None])[0], 1.0) @ camera.rotation
     return np.asarray(ray / np.linalg.norm(ray))[None]
-
-
-def _errors(cameras: Sequence[PhotoCamera], pixels: FloatArray, place: FloatArray) -> FloatArray:
-    """(k,) pixels between where a place shows and where it was seen; infinite behind a camera."""
-    shown = np.concatenate([camera.project(place[None]) for camera in cameras])
-    return np.asarray(np.nan_to_num(np.linalg.norm(shown - pixels, axis=1), nan=np.inf))
 
 
 def landmark_sightings(photos: Sequence[Photo], step: Callable[[], None]) -> dict[str, dict[str, FloatArray]]:
@@ -320,14 +317,18 @@ def place_landmarks(
     known = np.isfinite(points).all(axis=1)
     if known.any():
         reach = (
-            _TOLERANCE * size * float(np.median([_pixel_width(camera, points[known]) for camera in cameras.values()]))
+            _TOLERANCE
+            * size
+            * float(
+                np.median(
+                    [
+                        (float(np.median(camera.to_camera(points[known])[:, 2])) / camera.focal[0])
+                        for camera in cameras.values()
+                    ]
+                )
+            )
         )
         # by the same tolerance as the photos' agreement: farther off, the nearest point is another place of the face
         distance, near = cKDTree(scan.points).query(points[known])
         points[known] = np.where((distance <= reach)[:, None], scan.points[near], points[known])
     return points
-
-
-def _pixel_width(camera: PhotoCamera, points: FloatArray) -> float:
-    """How wide a pixel is at points (n, 3), at the median."""
-    return float(np.median(camera.to_camera(points)[:, 2])) / camera.focal[0]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from facepipe.core.arrays import ByteArray, FloatArray, IntArray
 from facepipe.scanning.photos.cameras import PhotoCamera
 from facepipe.scanning.photos.photos import Photo
 from facepipe.scanning.photos.structure import Structure, Subject
@@ -87,7 +87,12 @@ def rectify(a: PhotoCamera, b: PhotoCamera, points: FloatArray) -> tuple[Rectifi
     """
     swapped = float((b.eye - a.eye) @ (a.rotation[0] + b.rotation[0] + a.rotation[1] + b.rotation[1])) < 0
     left, right = (b, a) if swapped else (a, b)
-    axes = _axes(left, right)
+    # (3, 3) rows: along the line between the eyes, across it, ahead
+    x = (right.eye - left.eye) / np.linalg.norm(right.eye - left.eye)
+    ahead = left.ahead + right.ahead
+    z = ahead - (ahead @ x) * x
+    z /= np.linalg.norm(z)
+    axes = np.stack([x, np.cross(z, x), z])
     focal = 0.25 * sum((*left.focal, *right.focal))
     spans = []
     for camera in (left, right):
@@ -115,15 +120,6 @@ def rectify(a: PhotoCamera, b: PhotoCamera, points: FloatArray) -> tuple[Rectifi
         count=count,
     )
     return pair, swapped
-
-
-def _axes(left: PhotoCamera, right: PhotoCamera) -> FloatArray:
-    """(3, 3) rows: along the line between the eyes, across it, ahead."""
-    x = (right.eye - left.eye) / np.linalg.norm(right.eye - left.eye)
-    ahead = left.ahead + right.ahead
-    z = ahead - (ahead @ x) * x
-    z /= np.linalg.norm(z)
-    return np.stack([x, np.cross(z, x), z])
 
 
 def _span(values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -243,7 +239,18 @@ def depth_maps(
             if last[camera] == number:  # merged as soon as all are there: together they are large
                 merged = _merged(depths[camera], agreement / cameras[camera].focal[0])
                 known = merged.reshape(maps[camera].shape)
-                maps[camera] = np.where(_usable(photos[camera], texture), known, np.float32(np.nan))
+                photo = photos[camera]
+                # (h, w) what the mask shows, without plain places: there the matcher only goes on with what is around.
+                # a place beside a plain one is no place either, or surfaces would grow into the backdrop by a strip.
+                import cv2
+
+                grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
+                mean = cv2.blur(grey, (_WINDOW, _WINDOW))
+                variance = cv2.blur(grey * grey, (_WINDOW, _WINDOW)) - mean * mean
+                rich = cv2.erode((variance >= texture**2).astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
+                maps[camera] = np.where(
+                    np.asarray(rich if photo.mask is None else rich & photo.mask), known, np.float32(np.nan)
+                )
                 depths[camera] = []
     return maps
 
@@ -253,20 +260,6 @@ def pixel_rays(camera: PhotoCamera) -> FloatArray:
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     flat = camera.rays(np.stack([columns.ravel(), rows.ravel()], axis=1))
     return np.column_stack([flat, np.ones(len(flat))])
-
-
-def _usable(photo: Photo, texture: float) -> BoolArray:
-    """(h, w) what the mask shows, without plain places: there the matcher only goes on with what is around.
-
-    A place beside a plain one is no place either, or surfaces would grow into the backdrop by a strip.
-    """
-    import cv2
-
-    grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    mean = cv2.blur(grey, (_WINDOW, _WINDOW))
-    variance = cv2.blur(grey * grey, (_WINDOW, _WINDOW)) - mean * mean
-    rich = cv2.erode((variance >= texture**2).astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)) > 0
-    return np.asarray(rich if photo.mask is None else rich & photo.mask)
 
 
 def _merged(depths: Sequence[FloatArray], share: float) -> FloatArray:

@@ -57,7 +57,13 @@ def find_structure(
         lenses = _lenses(photos, files, known)
         _match(colmap, folder, lenses, options)
         if known is None:
-            model = _mapped(colmap, folder, options)
+            with _failing():
+                models = colmap.incremental_mapping(
+                    folder / "matches.db", folder / "photos", folder, _pipeline(colmap, options)
+                )
+            if not models:
+                raise FitError("photos", f"no two of them match well enough to start from: {_ADVICE}")
+            model = max(models.values(), key=lambda one: (one.num_reg_images(), one.num_points3D()))
         else:
             model = _triangulated(colmap, folder, {files[name]: known[name] for name in known}, options)
         return _structure(model, {file: name for name, file in files.items()}, len(photos))
@@ -139,23 +145,19 @@ def _match(colmap: Any, folder: Path, lenses: Mapping[str, dict[str, Any]], opti
             reader_options=reading,
             extraction_options=extraction,
         )
-        _set_lenses(colmap, database, lenses)
+        opened = colmap.Database.open(database)
+        try:
+            for image in opened.read_all_images():
+                if image.name in lenses:
+                    size = opened.read_camera(image.camera_id)
+                    lens = colmap.Camera(
+                        camera_id=image.camera_id, width=size.width, height=size.height, **lenses[image.name]
+                    )
+                    lens.has_prior_focal_length = True
+                    opened.update_camera(lens)
+        finally:
+            opened.close()
         colmap.match_exhaustive(database, matching_options=matching, verification_options=checking)
-
-
-def _set_lenses(colmap: Any, database: Path, lenses: Mapping[str, dict[str, Any]]) -> None:
-    opened = colmap.Database.open(database)
-    try:
-        for image in opened.read_all_images():
-            if image.name in lenses:
-                size = opened.read_camera(image.camera_id)
-                lens = colmap.Camera(
-                    camera_id=image.camera_id, width=size.width, height=size.height, **lenses[image.name]
-                )
-                lens.has_prior_focal_length = True
-                opened.update_camera(lens)
-    finally:
-        opened.close()
 
 
 def _pipeline(colmap: Any, options: ScanPhotosOptions) -> Any:
@@ -164,16 +166,6 @@ def _pipeline(colmap: Any, options: ScanPhotosOptions) -> Any:
     settings.extract_colors = settings.multiple_models = False
     settings.min_model_size = 3
     return settings
-
-
-def _mapped(colmap: Any, folder: Path, options: ScanPhotosOptions) -> Any:
-    with _failing():
-        models = colmap.incremental_mapping(
-            folder / "matches.db", folder / "photos", folder, _pipeline(colmap, options)
-        )
-    if not models:
-        raise FitError("photos", f"no two of them match well enough to start from: {_ADVICE}")
-    return max(models.values(), key=lambda one: (one.num_reg_images(), one.num_points3D()))
 
 
 def _triangulated(colmap: Any, folder: Path, known: Mapping[str, PhotoCamera], options: ScanPhotosOptions) -> Any:

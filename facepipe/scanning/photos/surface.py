@@ -66,7 +66,9 @@ def make_cloud(
     :param step: called before every photo
     :raises FitError: too few points that photos agree on
     """
-    spacing = options.spacing * _width_of_pixels(cameras, subject)
+    spacing = options.spacing * float(
+        np.median([np.linalg.norm(camera.eye - subject.center) / camera.focal[0] for camera in cameras])
+    )
     rows = []
     for number, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         step()
@@ -85,11 +87,6 @@ def make_cloud(
     normals = _normals(mean[:, :3], mean[:, 3:6])
     cloud = Cloud(points=mean[:, :3], normals=normals, colors=np.clip(mean[:, 6:], 0.0, 1.0), spacing=spacing)
     return clean(cloud, options.outliers, options.smallest), apart
-
-
-def _width_of_pixels(cameras: Sequence[PhotoCamera], subject: Subject) -> float:
-    """How wide a pixel is on the subject, of the median camera."""
-    return float(np.median([np.linalg.norm(camera.eye - subject.center) / camera.focal[0] for camera in cameras]))
 
 
 def _voxel_means(values: FloatArray, size: float) -> FloatArray:

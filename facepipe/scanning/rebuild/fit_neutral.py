@@ -213,14 +213,22 @@ def neutral_fit(
     model = identity.points(registered.coefficients)
     expression = shapes.expression(weights, len(model))
     base = model[template.rows]
-    # A scan is model + expression + residual; the neutral is model + residual.
+    # a scan is model + expression + residual; the neutral is model + residual.
     moves = template.with_inside(base, registered.points - expression[template.rows] - base)
     points = template.whole(model, base + moves)
     fit = scan_fit(scan, registered, template.face, names)
     off = np.linalg.norm(registered.residual[template.face], axis=1)
+    # triangles count as flipped against what the identity model shows of this person: people's own corners of lips and
+    # lids turn some against the template's
+    flipped = flipped_triangles(model, points, template.topology.triangles)
     report = NeutralReport(
         fit=fit,
-        quality=_quality(fit, template, model, points),
+        quality=Quality(
+            surface_mean_mm=fit.surface_mean_mm,
+            surface_p95_mm=fit.surface_p95_mm,
+            coverage=fit.coverage,
+            flipped_triangles=int(flipped.sum()),
+        ),
         coefficients=tuple(float(coefficient) for coefficient in registered.coefficients),
         residual_mean_mm=float(off.mean()) if len(off) else 0.0,
         residual_max_mm=float(off.max(initial=0.0)),
@@ -228,18 +236,6 @@ def neutral_fit(
         warnings=(*warnings, *_fit_warnings(scan, fit)),
     )
     return NeutralFit(points=points, expression=expression, place=registered.place, report=report)
-
-
-def _quality(fit: ScanFit, template: Template, model: FloatArray, points: FloatArray) -> Quality:
-    """Triangles count as flipped against what the identity model shows of this person: people's own corners of lips
-    and lids turn some against the template's."""
-    flipped = flipped_triangles(model, points, template.topology.triangles)
-    return Quality(
-        surface_mean_mm=fit.surface_mean_mm,
-        surface_p95_mm=fit.surface_p95_mm,
-        coverage=fit.coverage,
-        flipped_triangles=int(flipped.sum()),
-    )
 
 
 def _fit_warnings(name: str, fit: ScanFit) -> tuple[str, ...]:

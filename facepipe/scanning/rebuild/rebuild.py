@@ -183,7 +183,10 @@ class FitSteps:
             return {"points": result.points, "matched": result.matched.astype(np.int32)}, content
 
         inputs = steps.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
-        inputs |= {"shapes": array_digest(*(shapes[shape] for shape in weights)), "markers": _markers(neutral)}
+        inputs |= {
+            "shapes": array_digest(*(shapes[shape] for shape in weights)),
+            "markers": {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()},
+        }
         inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
         inputs |= {"keeps": ["points", "matched", "report", "place"]}
         name = f"{self._below}expressions/{scan.name}"
@@ -229,10 +232,6 @@ class FitSteps:
             points = self._steps.after_correction(f"shapes/{name}", neutral + delta)
             corrected[name] = points - neutral if f"shapes/{name}" in self._steps.corrected else delta
         return corrected
-
-
-def _markers(neutral: NeutralScan) -> dict[str, list[float]]:
-    return {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()}
 
 
 def _shown_weights(together: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:

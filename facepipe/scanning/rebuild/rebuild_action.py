@@ -36,7 +36,7 @@ examples:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import count
@@ -120,7 +120,13 @@ class RebuildAction(StageAction["RebuildReport"]):
         neutral, author = rebuilt.neutral, AuthorNeutral(shapes=shapes)
         if own is not None:
             neutral = neutral if rebuilt.corrected else own.fitted(neutral)
-            author = replace(author, settled=partial(own.settled, blinks=not _scanned(rebuilt.reports, BLINKS)))
+            found = rebuilt.reports.get("shapes", {}).get("shapes", {})
+            author = replace(
+                author,
+                settled=partial(
+                    own.settled, blinks=not any(found[name]["observed"] > 0 for name in BLINKS if name in found)
+                ),
+            )
         authored = author(face, template.dressed(body, neutral), recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])
@@ -148,12 +154,6 @@ class RebuildAction(StageAction["RebuildReport"]):
             result = {"path": str(report.job.out), **report.to_dict(), "report": str(self.report)}
             with report.job.watch("report", report.pictures.count) as bar:
                 report.pictures.write(path, result, bar.update)
-
-
-def _scanned(reports: Mapping[str, Mapping[str, Any]], shapes: Collection[str]) -> bool:
-    """Whether a scan showed one of the shapes."""
-    found = reports.get("shapes", {}).get("shapes", {})
-    return any(found[name]["observed"] > 0 for name in shapes if name in found)
 
 
 def _named_steps(bar: Any, steps: int) -> Callable[[str], None]:

@@ -14,7 +14,7 @@ from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.local_refinement import RefinementOptions, refine_locally
 from facepipe.geometry.polygons import flipped_triangles
-from facepipe.geometry.registration import Anchors, Registered, RegistrationOptions, View
+from facepipe.geometry.registration import Registered, RegistrationOptions, View
 from facepipe.geometry.similarity import Similarity
 from facepipe.kinds import found_of
 from facepipe.parts import Recipe
@@ -84,7 +84,9 @@ class RefineNeutral:
             raise InputError(template.where, "a scan can show no point that may follow, expected some on the outside")
         lies = _place(template, shown, scan, landmarks, rows) if place is None else place
         target, mended = scan_target(scan)
-        anchors = _anchors(template, landmarks, rows)
+        places = np.array(landmarks.points, np.float64)
+        places[rows[template.landmarks] <= 0.0] = np.nan
+        anchors = landmark_anchors(template, replace(landmarks, points=places))
         view = View(scan=target, anchors=anchors, start=lies, name=f"{scan.name} -> scan")
         surface = neutral_surface(template, shown)
         solution = refine_locally(surface, view, rows, _refinement(self.options), progress)
@@ -112,13 +114,6 @@ def _place(
     staying = template.seen[follow[template.seen] <= 0.0]
     by = staying if len(staying) >= _MUCH * len(template.seen) else None
     return neutral_place(template, points, scan, landmarks, by)
-
-
-def _anchors(template: Template, landmarks: ScanLandmarks, follow: FloatArray) -> Anchors:
-    """The landmarks of what may follow (m,)."""
-    places = np.array(landmarks.points, np.float64)
-    places[follow[template.landmarks] <= 0.0] = np.nan
-    return landmark_anchors(template, replace(landmarks, points=places))
 
 
 def _whole(template: Template, before: FloatArray, skin: FloatArray, follow: FloatArray) -> FloatArray:

@@ -113,7 +113,12 @@ class _Mixtures:
 
     def __init__(self, deltas: FloatArray, points: FloatArray, areas: FloatArray, motion: FloatArray) -> None:
         self._lengths, self._motion = np.linalg.norm(deltas, axis=2), motion
-        self._deltas = np.concatenate([deltas, _placements(points)])
+        # (7, p, 3) what shifts, turns and a change of size move points by: `_PLACED_MM` at about a head's half
+        axes = np.eye(3)
+        shifts = np.broadcast_to(axes[:, None], (3, len(points), 3))
+        around = (points - points.mean(axis=0)) / _HALF_HEAD_MM if len(points) else points
+        turns = np.stack([np.cross(axis, around) for axis in axes])
+        self._deltas = np.concatenate([deltas, (_PLACED_MM * np.concatenate([shifts, turns, around[None]]))])
         self._shares = areas / max(float(areas.sum()), np.finfo(float).tiny)
         weighted = self._deltas * self._shares[:, None]
         self._pulls = np.tensordot(weighted, motion, axes=((1, 2), (0, 1)))
@@ -147,15 +152,6 @@ class _Mixtures:
 
     def _left(self, weights: FloatArray) -> FloatArray:
         return np.asarray(self._motion - np.tensordot(weights, self._deltas, axes=1))
-
-
-def _placements(points: FloatArray) -> FloatArray:
-    """(7, p, 3) what shifts, turns and a change of size move points by: `_PLACED_MM` at about a head's half."""
-    axes = np.eye(3)
-    shifts = np.broadcast_to(axes[:, None], (3, len(points), 3))
-    around = (points - points.mean(axis=0)) / _HALF_HEAD_MM if len(points) else points
-    turns = np.stack([np.cross(axis, around) for axis in axes])
-    return _PLACED_MM * np.concatenate([shifts, turns, around[None]])
 
 
 def misfits(checks: Mapping[str, ScanCheck], asked: Mapping[str, Mapping[str, float]]) -> dict[str, str]:

@@ -104,21 +104,18 @@ class SplitExpressions:
             stiff=template.stiff,
             names=names,
         )
-        split = _without_slight(split, np.stack(list(shapes.values())))
+        templates = np.stack(list(shapes.values()))
+        # the split with the templates (e, n, 3) in place of shapes that the scans hardly show to be others
+        slight = (split.observed < _HARDLY) & (split.changes < _SLIGHT_MM) & (split.changes > 0.0)
+        split = replace(
+            split,
+            deltas=np.where(slight[:, None, None], templates, split.deltas),
+            gains=np.where(slight, 1.0, split.gains),
+            changes=np.where(slight, 0.0, split.changes),
+            undecided=tuple(sorted({*split.undecided, *np.flatnonzero(slight).tolist()})),
+        )
         report = _report(split, names, tuple(composites))
         return SplitFit(shapes=dict(zip(names, split.deltas, strict=True)), report=report)
-
-
-def _without_slight(split: Split, templates: FloatArray) -> Split:
-    """The split with the templates (e, n, 3) in place of shapes that the scans hardly show to be others."""
-    slight = (split.observed < _HARDLY) & (split.changes < _SLIGHT_MM) & (split.changes > 0.0)
-    return replace(
-        split,
-        deltas=np.where(slight[:, None, None], templates, split.deltas),
-        gains=np.where(slight, 1.0, split.gains),
-        changes=np.where(slight, 0.0, split.changes),
-        undecided=tuple(sorted({*split.undecided, *np.flatnonzero(slight).tolist()})),
-    )
 
 
 def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:

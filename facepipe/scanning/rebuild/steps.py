@@ -185,7 +185,9 @@ class WorkFolder:
         :param check: raises InputError where arrays and content are not what the step keeps
         :raises FacepipeError: of `compute`; what was there stays then. Or links that lead outside the roots
         """
-        key = _step_key(inputs)
+        # ``sha256:...`` of what a step's result depends on, facepipe's version among it
+        text = json.dumps({"facepipe": __version__, **inputs}, sort_keys=True, allow_nan=False)
+        key = f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
         path = self.place(f"{name}.fpstage")
         collect(path.parent)  # nothing may be written there any more
         known = self._read(path, key, check)
@@ -248,12 +250,6 @@ class WorkFolder:
         except InputError:
             return None
         return StepResult(arrays=file.arrays, content=content, reused=True)
-
-
-def _step_key(inputs: Mapping[str, Any]) -> str:
-    """``sha256:...`` of what a step's result depends on, facepipe's version among it."""
-    text = json.dumps({"facepipe": __version__, **inputs}, sort_keys=True, allow_nan=False)
-    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
 def array_digest(*arrays: AnyArray) -> str:

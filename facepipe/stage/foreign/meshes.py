@@ -48,7 +48,14 @@ class Scene:
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
         self._default_values()
         self._skel_roots()
-        self._binding_api()
+        # usdSkel reads skel properties only where their API is applied; files before 2021 have none
+        lacking = [
+            prim for prim in self.prims if not prim.HasAPI(UsdSkel.BindingAPI) and authored_skel_properties(prim)
+        ]
+        for prim in lacking:
+            UsdSkel.BindingAPI.Apply(prim)
+        if lacking:
+            self.warn("SkelBindingAPI is not applied: skel properties are read all the same", lacking)
 
     def warn(self, what: str, culprits: Iterable[object] = ()) -> None:
         """Note something, with a few of the prims it is about."""
@@ -114,16 +121,6 @@ class Scene:
                 if prim != root and prim.GetTypeName() == "SkelRoot":
                     prim.SetTypeName("Xform")
             root.SetTypeName("SkelRoot")
-
-    def _binding_api(self) -> None:
-        """UsdSkel reads skel properties only where their API is applied; files before 2021 have none."""
-        lacking = [
-            prim for prim in self.prims if not prim.HasAPI(UsdSkel.BindingAPI) and authored_skel_properties(prim)
-        ]
-        for prim in lacking:
-            UsdSkel.BindingAPI.Apply(prim)
-        if lacking:
-            self.warn("SkelBindingAPI is not applied: skel properties are read all the same", lacking)
 
 
 def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
@@ -192,7 +189,11 @@ def choose_meshes(scene: Scene) -> list[Usd.Prim]:
     for prims, what in ((hidden, "invisible"), (helpers, "of purpose guide or proxy"), (empty, "without faces")):
         if prims:
             scene.warn(f"mesh {what}: left out", prims)
-    _name_others(scene)
+    lights = (UsdLux.BoundableLightBase, UsdLux.NonboundableLightBase)
+    drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer, UsdGeom.Camera, *lights)
+    others = [prim for prim in scene.prims if any(prim.IsA(kind) for kind in drawn) and not prim.IsA(UsdGeom.Mesh)]
+    for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
+        scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
     without = set(empty)
     return [prim for prim in shown if prim not in without]
 
@@ -201,14 +202,6 @@ def choose_meshes(scene: Scene) -> list[Usd.Prim]:
 def _has_faces(prim: Usd.Prim) -> bool:
     mesh = UsdGeom.Mesh(prim)
     return bool(mesh.GetPointsAttr().Get()) and bool(mesh.GetFaceVertexIndicesAttr().Get())
-
-
-def _name_others(scene: Scene) -> None:
-    lights = (UsdLux.BoundableLightBase, UsdLux.NonboundableLightBase)
-    drawn = (UsdGeom.Gprim, UsdGeom.PointInstancer, UsdGeom.Camera, *lights)
-    others = [prim for prim in scene.prims if any(prim.IsA(kind) for kind in drawn) and not prim.IsA(UsdGeom.Mesh)]
-    for kind, count in sorted(Counter(str(prim.GetTypeName()) for prim in others).items()):
-        scene.warn(f"{count} of type {kind}: left out", [prim for prim in others if prim.GetTypeName() == kind])
 
 
 def note_custom(scene: Scene) -> None:
@@ -238,11 +231,6 @@ def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
 
 @reads_prim
 def _mend(prim: Usd.Prim) -> list[str]:
-    return [*_block_primvars(prim), *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]
-
-
-def _block_primvars(prim: Usd.Prim) -> list[str]:
-    """Blocks primvars that don't fit the mesh or that nothing of a face holds."""
     notes = []
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
         name = str(primvar.GetPrimvarName())
@@ -252,7 +240,7 @@ def _block_primvars(prim: Usd.Prim) -> list[str]:
         if problem:
             primvar.GetAttr().Block()
             notes.append(f"primvar {name} {problem}: left out")
-    return notes
+    return [*notes, *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]
 
 
 def _fits_color(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> bool:
@@ -359,18 +347,14 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
     return {path: names[path] for path, material in read.items() if material is not None}, materials
 
 
-def _refusal(material: Material | None) -> InputError | None:
-    """Why an image of the material may not be copied."""
-    inputs = material.textured.values() if material else ()
-    return next((used.texture.refusal for used in inputs if used.texture.refusal), None)
-
-
 def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """One material; a texture that can't be had is left out of it."""
     while True:
         try:
             material = read_material(prim, name, images)
-            if refusal := _refusal(material):
+            # why an image of the material may not be copied
+            inputs = material.textured.values() if material else ()
+            if refusal := next((used.texture.refusal for used in inputs if used.texture.refusal), None):
                 raise refusal
             break
         except InputError as error:

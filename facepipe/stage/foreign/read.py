@@ -100,7 +100,12 @@ def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
             if not inherited_attribute(mesh, "skel:joints"):  # its indices count the old order
                 UsdSkel.BindingAPI.Apply(mesh).CreateJointsAttr(joints)
     skeleton.CreateJointsAttr([joints[i] for i in order])
-    _mend_names(scene, skeleton, order)
+    names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
+    if names and len(names) != len(order):
+        scene.warn(f"{len(names)} names of {len(order)} joints: left out", [skeleton.GetPrim()])
+        skeleton.GetJointNamesAttr().Block()
+    elif names:
+        skeleton.CreateJointNamesAttr([names[i] for i in order])
     skeleton.CreateBindTransformsAttr(to_matrices(bind[order]))
     skeleton.CreateRestTransformsAttr(to_matrices(rest[order]))
     for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
@@ -108,15 +113,6 @@ def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
         values = floats(limits.Get())
         if len(values) == 9 * len(joints) > 0:
             limits.Set(to_floats(values.reshape(-1, 9)[order].ravel()))
-
-
-def _mend_names(scene: Scene, skeleton: UsdSkel.Skeleton, order: list[int]) -> None:
-    names = [str(name) for name in skeleton.GetJointNamesAttr().Get() or []]
-    if names and len(names) != len(order):
-        scene.warn(f"{len(names)} names of {len(order)} joints: left out", [skeleton.GetPrim()])
-        skeleton.GetJointNamesAttr().Block()
-    elif names:
-        skeleton.CreateJointNamesAttr([names[i] for i in order])
 
 
 def parents_first(joints: list[str]) -> list[int]:

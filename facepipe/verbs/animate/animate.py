@@ -108,13 +108,6 @@ def turns(skeleton: Skeleton, up_axis: str, joint: int, angles: FloatArray) -> F
     return found
 
 
-def angles_of(performance: Performance, part: str) -> FloatArray:
-    """(T, 3) yaw, pitch and roll of a part in radians; what a performance lacks of them is 0."""
-    columns = {angle_of(name): column for name, column in zip(performance.names, performance.values.T, strict=True)}
-    zero = np.zeros(len(performance.values))
-    return np.stack([columns.get(f"{part}{angle}", zero) for angle in ("Yaw", "Pitch", "Roll")], axis=1)
-
-
 def _rest_world(skeleton: Skeleton, joint: int) -> FloatArray:
     world = np.eye(4)
     while joint >= 0:
@@ -304,7 +297,10 @@ def _turned(
     wanted = dict(zip(PARTS, (options.head, options.left_eye, options.right_eye), strict=True))
     for part in PARTS:
         joint = joint_of(where, parts.skeleton, part, wanted[part])
-        angles = angles_of(performance, part)
+        # (T, 3) yaw, pitch and roll of a part in radians; what a performance lacks of them is 0
+        columns = {angle_of(name): column for name, column in zip(performance.names, performance.values.T, strict=True)}
+        zero = np.zeros(len(performance.values))
+        angles = np.stack([columns.get(f"{part}{angle}", zero) for angle in ("Yaw", "Pitch", "Roll")], axis=1)
         why = "left out" if wanted[part] else "no such joint"
         # an eye that shapes or sliders turn already would turn twice by its joint as well
         if joint is not None and wanted[part] is None and part != "Head":

@@ -184,10 +184,31 @@ class _Table(NamedTuple):
 
 def _read_csv(path: Path, fps: float | None, *, degrees: bool) -> Performance:
     """:raises InputError: no CSV with a header, missing columns, cells that are no numbers, or a wrong clock"""
-    table = _table(path)
+    _, lines = read_csv(path, _MOST_BYTES)
+    if len(lines) < 2:
+        raise InputError(path, f"{len(lines)} lines, expected a header and frames")
+    header = lines[0][1]
+    while header and not header[-1]:  # a comma at the end
+        header.pop()
+    number = next((name for name in header if _is_number(name)), None)
+    if number is not None or not all(header):
+        found = "a column without name" if number is None else f"'{number[:40]}'"
+        raise InputError(f"{path} -> line {lines[0][0]}", f"{found}, expected a header of names")
+    table = _Table(path, header, lines[1:])
     keys = [shape_key(name) for name in table.header]
     if _COUNT in keys:
-        table = _live_link(table, keys)
+        # the table without frames in which no face was seen
+        wanted = {shape_key(name): name for name in ("timecode", *sorted(ARKIT_SHAPES), *ANGLES.values())}
+        missing = [name for key, name in wanted.items() if key not in keys]
+        if missing:
+            some = first_names(missing, 4)
+            what = f"{len(missing)} columns of Live Link Face are missing ({some}), expected all {len(wanted) + 1}"
+            raise InputError(table.where(1), what)
+        place = list(keys).index(_COUNT)
+        seen = [(line, cells) for line, cells in table.lines if len(cells) <= place or cells[place] != "0"]
+        if not seen:
+            raise InputError(table.path, "a face in none of its frames, expected some")
+        table = table._replace(lines=seen)
         keys = [shape_key(name) for name in table.header]
     clock = next((keys.index(name) for name in _CLOCKS if name in keys), None)
     columns = [i for i, key in enumerate(keys) if i != clock and key != _COUNT and key not in _CLOCKS]
@@ -199,44 +220,12 @@ def _read_csv(path: Path, fps: float | None, *, degrees: bool) -> Performance:
     return steady(str(path), frames, rate, names, in_radians(values, names, degrees=degrees))
 
 
-def _table(path: Path) -> _Table:
-    _, lines = read_csv(path, _MOST_BYTES)
-    if len(lines) < 2:
-        raise InputError(path, f"{len(lines)} lines, expected a header and frames")
-    header = lines[0][1]
-    while header and not header[-1]:  # a comma at the end
-        header.pop()
-    number = next((name for name in header if _is_number(name)), None)
-    if number is not None or not all(header):
-        found = "a column without name" if number is None else f"'{number[:40]}'"
-        raise InputError(f"{path} -> line {lines[0][0]}", f"{found}, expected a header of names")
-    return _Table(path, header, lines[1:])
-
-
 def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
         return False
     return True
-
-
-def _live_link(table: _Table, keys: Sequence[str]) -> _Table:
-    """The table without frames in which no face was seen.
-
-    :raises InputError: columns that Live Link Face always writes are missing
-    """
-    wanted = {shape_key(name): name for name in ("timecode", *sorted(ARKIT_SHAPES), *ANGLES.values())}
-    missing = [name for key, name in wanted.items() if key not in keys]
-    if missing:
-        some = first_names(missing, 4)
-        what = f"{len(missing)} columns of Live Link Face are missing ({some}), expected all {len(wanted) + 1}"
-        raise InputError(table.where(1), what)
-    place = list(keys).index(_COUNT)
-    seen = [(line, cells) for line, cells in table.lines if len(cells) <= place or cells[place] != "0"]
-    if not seen:
-        raise InputError(table.path, "a face in none of its frames, expected some")
-    return table._replace(lines=seen)
 
 
 def _numbers(table: _Table, columns: Sequence[int]) -> FloatArray:
@@ -297,7 +286,13 @@ def _read_json(path: Path, fps: float | None, *, degrees: bool) -> Performance:
         raise InputError(f"{path} -> fps", f"{rate:g}, expected 1 to 1000")
     names, rows = _first(top, _NAMES), _first(top, _MATRIX)
     if names is not None and rows is not None:
-        frames: Any = _zipped(path, names, rows)
+        if not isinstance(names, list) or not isinstance(rows, list):
+            raise InputError(path, f"another form, expected {_EXPECTED}")
+        for number, row in enumerate(rows, 1):
+            if not isinstance(row, list) or len(row) != len(names):
+                found = f"{len(row)} weights" if isinstance(row, list) else "no list"
+                raise InputError(f"{path} -> frame {number}", f"{found}, expected {len(names)} weights")
+        frames: Any = [{"weights": dict(zip(map(str, names), row, strict=True))} for row in rows]
     else:
         frames = content if isinstance(content, list) else top.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, Mapping) for frame in frames):
@@ -344,16 +339,6 @@ def _weights(where: str, keyed: Mapping[str, Any], frame: Mapping[str, Any]) -> 
         if not isinstance(held, Mapping):
             raise InputError(where, "weights of another form, expected names with numbers")
     return {str(name): _number(f"{where} -> {name}", value) for name, value in {**(held or {}), **beside}.items()}
-
-
-def _zipped(path: Path, names: Any, rows: Any) -> list[Any]:
-    if not isinstance(names, list) or not isinstance(rows, list):
-        raise InputError(path, f"another form, expected {_EXPECTED}")
-    for number, row in enumerate(rows, 1):
-        if not isinstance(row, list) or len(row) != len(names):
-            found = f"{len(row)} weights" if isinstance(row, list) else "no list"
-            raise InputError(f"{path} -> frame {number}", f"{found}, expected {len(names)} weights")
-    return [{"weights": dict(zip(map(str, names), row, strict=True))} for row in rows]
 
 
 def _keyed(value: Mapping[str, Any]) -> dict[str, Any]:

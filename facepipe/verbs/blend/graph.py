@@ -65,7 +65,7 @@ def build_graph(sources: Sources, edge_weights: EdgeWeights, smoothing_mm: float
         main=main,
         anchor=held,
         bridges=bridges,
-        joint_bridges=joint_bridges(mean, _joint_places(sources)),
+        joint_bridges=joint_bridges(mean, np.asarray(joint_worlds(sources)[:, :, :3, 3].mean(axis=0))),
         regions=names,
         masks=masks,
         notes=(*guessed, *notes),
@@ -80,10 +80,6 @@ def joint_worlds(sources: Sources) -> FloatArray:
     ]
     stacked = np.array(binds, dtype=np.float64).reshape(len(binds), -1, 4, 4)
     return np.asarray(np.einsum("kab,kjbc->kjac", sources.to_base, stacked))
-
-
-def _joint_places(sources: Sources) -> FloatArray:
-    return np.asarray(joint_worlds(sources)[:, :, :3, 3].mean(axis=0))
 
 
 def _topology(sources: Sources) -> tuple[IntArray, IntArray]:
@@ -147,7 +143,12 @@ def find_anchor(sources: Sources, given: int | None, component: IntArray) -> tup
     anchor, notes = _authored(sources), tuple[str, ...]()
     if anchor is None:
         # even where a point is given: by this one alone can be told that the given one lies on a loose part
-        anchor = _guessed(sources)
+        number = _face_mesh(sources.base)
+        mesh, start = sources.base.meshes[number], int(sources.mesh_offsets[number])
+        placed = sources.points[0, start : start + len(mesh.points)] @ sources.base.skeleton.transform[:3, :3].T
+        upright = placed if sources.base.up_axis == "Y" else placed[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+        place = back_of_border(upright, mesh.face_vertex_counts, mesh.face_vertex_indices)
+        anchor = None if place is None else start + place
         if anchor is not None:
             notes = (f"no anchor authored, taken from the open border: {_name(sources, anchor)}",)
     if given is not None:
@@ -166,15 +167,6 @@ def _authored(sources: Sources) -> int | None:
         if mesh.anchor is not None:
             return int(start + mesh.anchor)
     return None
-
-
-def _guessed(sources: Sources) -> int | None:
-    number = _face_mesh(sources.base)
-    mesh, start = sources.base.meshes[number], int(sources.mesh_offsets[number])
-    placed = sources.points[0, start : start + len(mesh.points)] @ sources.base.skeleton.transform[:3, :3].T
-    upright = placed if sources.base.up_axis == "Y" else placed[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    place = back_of_border(upright, mesh.face_vertex_counts, mesh.face_vertex_indices)
-    return None if place is None else start + place
 
 
 def _face_mesh(base: FaceParts) -> int:
@@ -205,7 +197,8 @@ def region_masks(
     masks = _stacked(sources, names)
     bare = np.concatenate([np.full(len(mesh.points), not mesh.regions) for mesh in sources.base.meshes])
     notes = _notes(sources, masks[:, ~bare]) if names else ()
-    full = _with_rest(masks)
+    normalised, rest = normalise_masks(masks)[:2]
+    full = np.concatenate([normalised, rest[None]])
     if smoothing > 0 and names:
         full = smooth_masks(full, sources.points.mean(axis=0), edges, smoothing)
     # after the smoothing, so that followers have the masks that their leaders end with
@@ -225,11 +218,6 @@ def _stacked(sources: Sources, names: tuple[str, ...]) -> FloatArray:
         where = f"{sources.names[0]} -> region {names[row]} -> {place}"
         raise InputError(where, f"mask {masks[row, point]:g}, expected 0 or more")
     return masks
-
-
-def _with_rest(masks: FloatArray) -> FloatArray:
-    normalised, rest = normalise_masks(masks)[:2]
-    return np.concatenate([normalised, rest[None]])
 
 
 def _notes(sources: Sources, masks: FloatArray) -> tuple[str, ...]:

@@ -50,7 +50,17 @@ def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidCont
     """The contact at every kept part that is round and belongs to a mesh named like an eye."""
     contacts = {}
     for name, part in _eye_parts(session):
-        shell = _outer_shell(session, part)
+        # points (s,) and triangles (t, 3), into them, of the outermost of a part's large components. Eyeballs are
+        # modelled as one shell around another; small components are irises, lenses and caps.
+        graph, points = session.graph, session.sources.points[0]
+        triangles = graph.triangles[_places(part, len(points))[graph.triangles[:, 0]] >= 0]
+        component = graph.component[part]
+        areas = np.bincount(component, point_areas(points, triangles)[part])
+        reach = np.zeros(len(areas))
+        np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
+        shell = part[component == np.where(areas >= _LARGE * areas.max(), reach, 0.0).argmax()]
+        local = _places(shell, len(points))[triangles]
+        shell = shell, local[local[:, 0] >= 0]
         stands = [_surface(points, shell) for points in (*session.sources.points, solution.neutral.points)]
         surfaces = [surface for surface in stands if surface is not None]
         if len(surfaces) == len(stands):
@@ -68,22 +78,6 @@ def _eye_parts(session: BlendSession) -> Iterator[tuple[str, IntArray]]:
         parts = np.unique(kept.part[inside])
         for count, part in enumerate(parts, 1):
             yield mesh.name if len(parts) == 1 else f"{mesh.name} {count}", kept.points[kept.part == part]
-
-
-def _outer_shell(session: BlendSession, part: IntArray) -> tuple[IntArray, IntArray]:
-    """Points (s,) and triangles (t, 3), into them, of the outermost of a part's large components.
-
-    Eyeballs are modelled as one shell around another; small components are irises, lenses and caps.
-    """
-    graph, points = session.graph, session.sources.points[0]
-    triangles = graph.triangles[_places(part, len(points))[graph.triangles[:, 0]] >= 0]
-    component = graph.component[part]
-    areas = np.bincount(component, point_areas(points, triangles)[part])
-    reach = np.zeros(len(areas))
-    np.maximum.at(reach, component, np.linalg.norm(points[part] - points[part].mean(axis=0), axis=1))
-    shell = part[component == np.where(areas >= _LARGE * areas.max(), reach, 0.0).argmax()]
-    local = _places(shell, len(points))[triangles]
-    return shell, local[local[:, 0] >= 0]
 
 
 def _surface(points: FloatArray, shell: tuple[IntArray, IntArray]) -> RadialSurface | None:
@@ -311,7 +305,9 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
         warnings=(*sources.warnings, *graph.notes, *neutral.notes, *_warnings(session)),
     )
-    return report, _at_points(lengths, graph.edges, count)
+    ends = graph.edges.ravel()
+    squares = np.bincount(ends, np.repeat(lengths**2, 2), minlength=count)
+    return report, np.sqrt(squares / np.maximum(np.bincount(ends, minlength=count), 1))
 
 
 def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuality:
@@ -380,26 +376,16 @@ def _deviation(lengths: FloatArray) -> Deviation:
     )
 
 
-def _at_points(lengths: FloatArray, edges: IntArray, count: int) -> FloatArray:
-    ends = edges.ravel()
-    squares = np.bincount(ends, np.repeat(lengths**2, 2), minlength=count)
-    return np.sqrt(squares / np.maximum(np.bincount(ends, minlength=count), 1))
-
-
 def _match(match: MatchReport, sources: Sequence[str]) -> str:
     """The weights that were found, a region a line, and how near they come to the target."""
-    rows: list[list[object]] = [["found weights", *_short(sources)]]
+    # file names where all differ, else the paths
+    names = [Path(path).name for path in sources]
+    rows: list[list[object]] = [["found weights", *(names if len(set(names)) == len(names) else sources)]]
     for name, row in match.weights.regions.items():
         lock = match.weights.locked.get(name)
         rows.append([name, *(f"{one:.3f}" for one in row), *([f"locked to {lock}"] if lock else [])])
     rows.append(["default", *(f"{one:.3f}" for one in match.weights.default or ())])
     return f"{table(rows)}\nedges differ from the target's by {match.rms_mm:.4f} mm RMS, {match.max_mm:.4f} mm at most"
-
-
-def _short(paths: Sequence[str]) -> Sequence[str]:
-    """File names where all differ, else the paths."""
-    names = [Path(path).name for path in paths]
-    return names if len(set(names)) == len(names) else paths
 
 
 def _deviations(report: BlendReport) -> str:

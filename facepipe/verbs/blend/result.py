@@ -14,7 +14,7 @@ from facepipe.core.threads import one_thread
 from facepipe.core.tokens import SEAM_RESIDUAL
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.vectors import group_sums, transformed, unit_vectors
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe, Skin, Slider, SliderNetwork
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe, SliderNetwork
 from facepipe.rig import mesh_spaces
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
@@ -95,14 +95,10 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
             _without_tracks(animation, gone)
             for animation in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
-        sliders=tuple(_without_shapes(slider, gone) for slider in base.sliders),
+        sliders=tuple(kept(slider, lambda joint: True, lambda shape: shape not in gone) for slider in base.sliders),
         slider_network=_network_without(base.slider_network, gone),
         photos=(),  # they show the person of one source
     )
-
-
-def _skin(sources: Sources, shares: FloatArray, number: int) -> Skin | None:
-    return blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, sources.joint_maps)
 
 
 def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
@@ -115,7 +111,7 @@ def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
         base,
         points=points,
         normals=_normals(sources, shares, number, points),
-        skin=_skin(sources, shares, number),
+        skin=blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, sources.joint_maps),
         blendshapes=_blendshapes(meshes, points, solution, span, back[:3, :3]),
     )
 
@@ -153,7 +149,11 @@ def _blendshapes(
     """The shapes of one mesh, in the order of the base."""
     triangles = point_triangles(meshes[0].face_vertex_counts, meshes[0].face_vertex_indices)
     with_normals = {shape.name for mesh in meshes for shape in mesh.blendshapes if shape.normal_offsets is not None}
-    still = _still(solution) & {shape.name for mesh in meshes for shape in mesh.blendshapes}
+    # shapes that move no point anywhere: they stay on the face, so that what drives them finds them
+    moving = {sculpt.shape for sculpt in solution.sculpts if len(sculpt.points)}
+    still = ({sculpt.shape for sculpt in solution.sculpts} - moving) & {
+        shape.name for mesh in meshes for shape in mesh.blendshapes
+    }
     collected: dict[str, dict[tuple[float, str | None], tuple[IntArray, FloatArray]]] = {}
     for sculpt, offsets in zip(solution.sculpts, solution.offsets, strict=True):
         inside = slice(*np.searchsorted(sculpt.points, [span.start, span.stop]))
@@ -166,25 +166,15 @@ def _blendshapes(
         indices: IntArray = np.unique(np.concatenate([places for places, _ in sculpts.values()])).astype(np.int32)
         if name in with_normals:
             # beside moving points triangles turn: normals change there at points that stay
-            indices = _with_neighbours(indices, triangles)
+            # `indices` and the points of all triangles at them: their normals turn, though they don't move
+            touched = np.isin(triangles, indices).any(axis=1)
+            indices = np.unique(np.concatenate([indices, triangles[touched].ravel()])).astype(np.int32)
         elif not len(indices) and name in still:
             indices = np.zeros(1, dtype=np.int32)  # USD reads a shape without indices as one over all points
         if len(indices):
             spread = {key: _spread(indices, *sculpt) for key, sculpt in sculpts.items()}
             shapes.append(_shape(name, indices, spread, (points, triangles) if name in with_normals else None))
     return tuple(shapes)
-
-
-def _still(solution: Solution) -> set[str]:
-    """Shapes that move no point anywhere: they stay on the face, so that what drives them finds them."""
-    moving = {sculpt.shape for sculpt in solution.sculpts if len(sculpt.points)}
-    return {sculpt.shape for sculpt in solution.sculpts} - moving
-
-
-def _with_neighbours(indices: IntArray, triangles: IntArray) -> IntArray:
-    """`indices` and the points of all triangles at them: their normals turn, though they don't move."""
-    touched = np.isin(triangles, indices).any(axis=1)
-    return np.unique(np.concatenate([indices, triangles[touched].ravel()])).astype(np.int32)
 
 
 def _spread(indices: IntArray, places: IntArray, offsets: FloatArray) -> FloatArray:
@@ -218,10 +208,6 @@ def _shape(
     return Blendshape(
         name=name, point_indices=indices, offsets=whole, normal_offsets=normals(whole), inbetweens=inbetweens
     )
-
-
-def _without_shapes(slider: Slider, gone: Iterable[str]) -> Slider:
-    return kept(slider, lambda joint: True, lambda shape: shape not in gone)
 
 
 def _network_without(network: SliderNetwork | None, gone: set[str]) -> SliderNetwork | None:

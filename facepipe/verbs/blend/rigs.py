@@ -154,7 +154,13 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     if base is None:
         return None
     given = [(k, skin) for k, skin in enumerate(skins) if skin is not None]
-    merged = [_merged(joint_maps[k][skin.joint_indices], _stored(skin)) for k, skin in given]
+    merged = [
+        _merged(
+            joint_maps[k][skin.joint_indices],
+            np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64)),
+        )
+        for k, skin in given
+    ]
     width = max(skin.joint_indices.shape[1] for _, skin in given)
     agreed = _agreed([_sorted(*one, width) for one in merged])
     if agreed.all():
@@ -168,11 +174,6 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     # sum_k a_k w equals w only up to rounding: put back, the weights that all agree on keep every digit
     indices[agreed], blended[agreed] = (one[agreed] for one in _sorted(*merged[0], width))
     return replace(base, joint_indices=indices, joint_weights=blended)
-
-
-def _stored(skin: Skin) -> FloatArray:
-    """Weights as files hold them, for sums in double precision."""
-    return np.asarray(np.asarray(skin.joint_weights, dtype=np.float32).astype(np.float64))
 
 
 def _merged(joints: IntArray, weights: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -233,7 +234,11 @@ def _rebased(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:
     before = local_transforms(old, replace(animation, coefficients=None))
     used = [place[joint] for joint in animation.joints]
     rest_old, rest_new = (np.asarray(one.rest_transforms, dtype=np.float64)[used] for one in (old, new))
-    after = decompose(rest_new @ _inverse_rests(rest_old, animation) @ before)
+    singular = ~(np.abs(np.linalg.det(rest_old[:, :3, :3])) > 0)
+    if singular.any():
+        joint = animation.joints[int(np.argmax(singular))]
+        raise TopologyError(f"{animation.name} -> {joint}", "singular rest transform, expected an invertible one")
+    after = decompose(rest_new @ np.asarray(np.linalg.inv(rest_old)) @ before)
     was = decompose(before)
     kept = (rest_old.astype(np.float32) == rest_new.astype(np.float32)).all(axis=(1, 2))
     values = [one if part is None else np.asarray(part) for part, one in zip(given, was[:3], strict=True)]
@@ -255,11 +260,3 @@ def _continuous(rotations: FloatArray, before: FloatArray) -> FloatArray:
     for one in (rotations, np.asarray(before, dtype=np.float64)):
         flips[1:] *= np.where(np.einsum("tjc,tjc->tj", one[1:], one[:-1]) < 0, -1.0, 1.0)
     return np.asarray(rotations * np.cumprod(flips, axis=0)[..., None])
-
-
-def _inverse_rests(rests: FloatArray, animation: Animation) -> FloatArray:
-    singular = ~(np.abs(np.linalg.det(rests[:, :3, :3])) > 0)
-    if singular.any():
-        joint = animation.joints[int(np.argmax(singular))]
-        raise TopologyError(f"{animation.name} -> {joint}", "singular rest transform, expected an invertible one")
-    return np.asarray(np.linalg.inv(rests))

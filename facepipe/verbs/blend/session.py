@@ -75,7 +75,15 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
             continue
         transferred += [(shape, sources.names[k]) for k in lack]
         for weight, name in _weights(sources.parts, shape):
-            offsets = _stacked(sources, shape, weight)
+            # (K, n, 3) offsets at a weight of the shape; 0 in sources without it
+            offsets = np.zeros(sources.points.shape)
+            for k, parts in enumerate(sources.parts):
+                starts = sources.mesh_offsets[:-1]
+                for mesh, start, space in zip(parts.meshes, starts, mesh_spaces(parts), strict=True):
+                    linear = sources.to_base[k, :3, :3] @ space[:3, :3]
+                    for blendshape in mesh.blendshapes:
+                        if blendshape.name == shape:
+                            offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
             # in any source, whatever its weight: the moving points, and so the factor, are the same for all weights
             points = np.flatnonzero((np.linalg.norm(offsets, axis=2) * sources.mm_per_unit > threshold_mm).any(axis=0))
             if lack:
@@ -112,19 +120,6 @@ def _shapes(parts: Sequence[FaceParts], shape: str) -> list[Blendshape]:
         for blendshape in mesh.blendshapes
         if blendshape.name == shape
     ]
-
-
-def _stacked(sources: Sources, shape: str, weight: float) -> FloatArray:
-    """(K, n, 3) offsets at a weight of the shape; 0 in sources without it."""
-    offsets = np.zeros(sources.points.shape)
-    for k, parts in enumerate(sources.parts):
-        starts = sources.mesh_offsets[:-1]
-        for mesh, start, space in zip(parts.meshes, starts, mesh_spaces(parts), strict=True):
-            linear = sources.to_base[k, :3, :3] @ space[:3, :3]
-            for blendshape in mesh.blendshapes:
-                if blendshape.name == shape:
-                    offsets[k, start + blendshape.point_indices] = _at(blendshape, weight) @ linear.T
-    return offsets
 
 
 def _at(shape: Blendshape, weight: float) -> FloatArray:

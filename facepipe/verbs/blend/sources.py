@@ -87,7 +87,9 @@ def stack(faces: Sequence[Face]) -> Sources:
         mesh_offsets=rigs[0].mesh_offsets,
         to_base=to_base,
         points=np.stack(moved),
-        mm_per_unit=base.meters_per_unit * 1000.0 * _unit(base.skeleton.transform),
+        mm_per_unit=base.meters_per_unit
+        * 1000.0
+        * float(np.cbrt(np.abs(np.linalg.det(base.skeleton.transform[:3, :3])))),
         joint_maps=tuple(
             np.array([base_joints[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
         ),
@@ -142,11 +144,6 @@ def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
     """(4, 4) from bind space to the base's, over the world of both stages."""
     world = world_to_world(parts.meters_per_unit, parts.up_axis, base) @ parts.skeleton.transform
     return np.asarray(np.linalg.inv(base.skeleton.transform) @ world)
-
-
-def _unit(matrix: FloatArray) -> float:
-    """How much longer a matrix makes lengths, on average."""
-    return float(np.cbrt(np.abs(np.linalg.det(matrix[:3, :3]))))
 
 
 def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_name: str) -> None:

@@ -11,7 +11,6 @@ import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -109,14 +108,6 @@ class _Kept:
     locked: Mapping[str, int] | None = None
 
 
-def read_weights(path: Path) -> Weights:
-    """The weights of a JSON file; names and counts are checked against the faces later.
-
-    :raises InputError: not such JSON
-    """
-    return weights_from_json(read_json_object(path, _MOST_BYTES), str(path))
-
-
 def weights_to_json(weights: Weights) -> dict[str, Any]:
     """The weights as `weights_from_json` reads them."""
     return {
@@ -144,7 +135,11 @@ def weights_of(arguments: argparse.Namespace, kept: Weights) -> Weights:
 
     :raises InputError: words that are no weights, a region or lock given twice, or weights for what is locked
     """
-    file = read_weights(arguments.weights) if arguments.weights else Weights()
+    file = (
+        weights_from_json(read_json_object(arguments.weights, _MOST_BYTES), str(arguments.weights))
+        if arguments.weights
+        else Weights()
+    )
     for name in arguments.unlock:
         if name not in kept.locked and name not in file.locked:
             near = suggestion(name, {**kept.locked, **file.locked}, "a region that is")

@@ -72,7 +72,10 @@ class BoneFit:
         self._levers = np.repeat([1.0, 0.1 * size], [3, 6])
         self.tree = Tree(rig, parent_world)
         self.skin = SkinnedPoints(rig)
-        self.weightless = self._weightless()
+        # (m,) joints without influence on a point that counts: they keep their place. What one of them does to the
+        # joints below it these can do themselves.
+        count = len(self.rig.joints)
+        self.weightless = np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) <= 0
         self.symmetry: Symmetry | None = symmetry(rig, ~self.weightless) if symmetric else None
         if self.symmetry is not None:
             self.lower, self.upper = self.symmetry.limits(self.lower, self.upper)
@@ -238,14 +241,6 @@ class BoneFit:
     def _strain(self, coefficients: FloatArray) -> FloatArray:
         """(m, 9) how far coefficients are from rest, in stage units."""
         return np.asarray((coefficients - self._rest) * self._levers)
-
-    def _weightless(self) -> BoolArray:
-        """(m,) joints without influence on a point that counts: they keep their place.
-
-        What one of them does to the joints below it these can do themselves.
-        """
-        count = len(self.rig.joints)
-        return np.asarray(abs(self.rig.influences[:, :count]).T @ (self.weights > 0)) <= 0
 
 
 def _nearer(one: Fitted, other: Fitted) -> Fitted:

@@ -203,7 +203,14 @@ class LimitRules:
             for channel, pair in channels.items():
                 where = f"{self.where} -> joints -> {pattern} -> {channel}"
                 _channels(where, channel)
-                _check_pair(where, pair)
+                low, high = pair
+                for value in (low, high):
+                    if (
+                        value is not None and not -_LARGEST <= value <= _LARGEST
+                    ):  # NaN and integers beyond any float too
+                        raise InputError(where, f"{str(value)[:20]}, expected a finite number, or null for no limit")
+                if low is not None and high is not None and low > high:
+                    raise InputError(where, f"lower limit {low:g} above the upper {high:g}")
         for word in self.lock:
             where = f"{self.where} -> lock -> {word}"
             pattern, colon, channel = word.rpartition(":")
@@ -276,15 +283,6 @@ def limits_from_json(content: object, where: str) -> LimitRules:
     """
     kept = from_json(_KeptRules, content, where)
     return LimitRules(joints=kept.joints, lock=kept.lock, units=kept.units, where=where)
-
-
-def _check_pair(where: str, pair: Range) -> None:
-    low, high = pair
-    for value in (low, high):
-        if value is not None and not -_LARGEST <= value <= _LARGEST:  # NaN and integers beyond any float too
-            raise InputError(where, f"{str(value)[:20]}, expected a finite number, or null for no limit")
-    if low is not None and high is not None and low > high:
-        raise InputError(where, f"lower limit {low:g} above the upper {high:g}")
 
 
 def _channels(where: str, name: str) -> list[int]:

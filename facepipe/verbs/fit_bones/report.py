@@ -75,10 +75,21 @@ class FitBonesReport(Report):
     def as_text(self, out: Path) -> str:
         """How near each target is reached."""
         count = len(self.targets)
+        decimals, residual = _decimals(self), any(target.residual for target in self.targets.values())
+        head = ["distance, mm", "frames", "steps", "before", "mean", "RMS", "p95", "max"]
+        rows: list[list[object]] = [[*head, *(["residual points", "max"] if residual else [])]]
+        for name, target in self.targets.items():
+            off, corrected = target.distances, target.residual
+            numbers = (
+                f"{value:.{decimals}f}"
+                for value in (target.before.max_mm, off.mean_mm, off.rms_mm, off.p95_mm, off.max_mm)
+            )
+            rest = [f"{corrected.points:,}", f"{corrected.distances.max_mm:.{decimals}f}"] if corrected else []
+            rows.append([name, target.frames, target.steps, *numbers, *rest, *([] if target.reached else ["missed"])])
         lines = [
             f"{out}: {count} target{'s' * (count != 1)}, {self.free} of {self.joints} joints, "
             f"{self.points:,} points in {self.seconds:.2f} s",
-            _targets(self),
+            table(rows),
             *(_worst_regions(target, _decimals(self)) for target in self.targets.values() if count == 1),
             *(
                 f"{name}: stopped by limits: {_names(target.at_limits)}"
@@ -124,20 +135,6 @@ def at_limits(
     held = ((coefficients <= lower) | (coefficients >= upper)).any(axis=0) & (lower < upper)
     allowed = np.isin(np.arange(len(joints)), free)
     return tuple(f"{joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(held & allowed[:, None]))
-
-
-def _targets(report: FitBonesReport) -> str:
-    decimals, residual = _decimals(report), any(target.residual for target in report.targets.values())
-    head = ["distance, mm", "frames", "steps", "before", "mean", "RMS", "p95", "max"]
-    rows: list[list[object]] = [[*head, *(["residual points", "max"] if residual else [])]]
-    for name, target in report.targets.items():
-        off, corrected = target.distances, target.residual
-        numbers = (
-            f"{value:.{decimals}f}" for value in (target.before.max_mm, off.mean_mm, off.rms_mm, off.p95_mm, off.max_mm)
-        )
-        rest = [f"{corrected.points:,}", f"{corrected.distances.max_mm:.{decimals}f}"] if corrected else []
-        rows.append([name, target.frames, target.steps, *numbers, *rest, *([] if target.reached else ["missed"])])
-    return table(rows)
 
 
 def _decimals(report: FitBonesReport) -> int:

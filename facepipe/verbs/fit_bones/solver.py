@@ -245,7 +245,15 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
         memory.keep(going)
         if not len(states.rows) or step == steps:
             break
-        ahead, better = _searched(objective, states, _direction(objective, memory, states))
+        # (k, v) where to go; unknowns at a limit that would go beyond it are held, and the others follow
+        inside = ~objective.held(states, states.gradient)
+        for _ in range(_HELD_ROUNDS):
+            direction = memory.direction(states.gradient, inside)
+            beyond = inside & objective.held(states, -direction)
+            if not beyond.any():
+                break
+            inside &= ~beyond
+        ahead, better = _searched(objective, states, direction)
         memory.add(ahead.x - states.x, ahead.gradient - states.gradient)
         going = better | memory.forget(~better)
         memory.keep(going)
@@ -318,18 +326,6 @@ class _Objective:
         free = ~self.held(states, states.gradient)
         largest = np.abs(states.gradient / self._shared.metric * free).max(axis=1, initial=0.0)
         return np.asarray(largest / np.sqrt(2.0 * np.maximum(states.objective, _TINY)))
-
-
-def _direction(objective: _Objective, memory: _Memory, states: _States) -> FloatArray:
-    """(k, v) where to go; unknowns at a limit that would go beyond it are held, and the others follow."""
-    inside = ~objective.held(states, states.gradient)
-    for _ in range(_HELD_ROUNDS):
-        direction = memory.direction(states.gradient, inside)
-        beyond = inside & objective.held(states, -direction)
-        if not beyond.any():
-            break
-        inside &= ~beyond
-    return direction
 
 
 def _searched(objective: _Objective, states: _States, direction: FloatArray) -> tuple[_States, BoolArray]:

@@ -114,16 +114,17 @@ def with_half_scales(rig: Rig, coefficients: FloatArray, lower: FloatArray, uppe
     Where limits (m, 9) leave no such scale beside a coefficient, and where a transform has shear, it stays as it is.
     """
     rounded = np.array(coefficients, dtype=np.float64)
-    rounded[:, 6:] = _nearest(rounded[:, 6:], _factors(rig, rounded), lower[:, 6:], upper[:, 6:])
-    return rounded
-
-
-def _factors(rig: Rig, coefficients: FloatArray) -> FloatArray:
-    """(m, 3) scales of the local transforms, by those of the coefficients; NaN where there are none."""
-    local = decompose(rig.local_transforms(coefficients))
+    # (m, 3) scales of the local transforms, by those of the coefficients; NaN where there are none
+    local = decompose(rig.local_transforms(rounded))
     with np.errstate(divide="ignore", invalid="ignore"):
-        factors = local.scale / coefficients[:, 6:]
-    return np.where(local.sheared[:, None] | (factors == 0) | ~np.isfinite(factors), np.nan, factors)
+        factors = local.scale / rounded[:, 6:]
+    rounded[:, 6:] = _nearest(
+        rounded[:, 6:],
+        np.where(local.sheared[:, None] | (factors == 0) | ~np.isfinite(factors), np.nan, factors),
+        lower[:, 6:],
+        upper[:, 6:],
+    )
+    return rounded
 
 
 def _nearest(values: FloatArray, factors: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -287,7 +288,12 @@ class TargetFits:
         miss = self._distances(posed, target)
         corrected = (miss > STRICTER * threshold) & counts & (miss[:, counts].max(axis=1) > threshold)[:, None]
         residuals = self._residuals(target, name, coefficients, corrected)
-        shapes, weights = _tracks(residuals, len(coefficients))
+        frames = len(coefficients)
+        # the shapes of all frames, and their weights (T, shapes): 1 at the frame that each is for
+        made = {frame: one.shapes for frame, one in residuals.items() if any(shape is not None for shape in one.shapes)}
+        weights = np.zeros((frames, len(made)))
+        weights[list(made), np.arange(len(made))] = 1.0
+        shapes, weights = tuple(made.values()), weights
         for frame, residual in residuals.items():
             posed[frame] = residual.points
         miss_at_end = self._distances(posed, target)
@@ -308,7 +314,7 @@ class TargetFits:
             times=target.times,
             joints=self._rig.joints,
             coefficients=coefficients,
-            shapes=tuple(_shape_name(shape) for shape in shapes),
+            shapes=tuple(next(part.name for part in shape if part is not None) for shape in shapes),
             shape_weights=weights if shapes else None,
         )
         size = size_warning(target, name, self._rest_points, fit.weights)
@@ -362,18 +368,6 @@ class TargetFits:
         if sheared:
             lines.append(f"{name}: SkelAnimation can't hold the shear of {sheared}; the coefficients do")
         return lines
-
-
-def _tracks(residuals: Mapping[int, Residual], frames: int) -> tuple[tuple[ShapeOfMeshes, ...], FloatArray]:
-    """The shapes of all frames, and their weights (T, shapes): 1 at the frame that each is for."""
-    made = {frame: one.shapes for frame, one in residuals.items() if any(shape is not None for shape in one.shapes)}
-    weights = np.zeros((frames, len(made)))
-    weights[list(made), np.arange(len(made))] = 1.0
-    return tuple(made.values()), weights
-
-
-def _shape_name(shape: ShapeOfMeshes) -> str:
-    return next(part.name for part in shape if part is not None)
 
 
 def _residual_report(shapes: Sequence[ShapeOfMeshes], miss_at_end: FloatArray) -> ResidualReport:

@@ -17,7 +17,7 @@ from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build, person_of, sample_transforms, sample_weights
 from facepipe.stage import Face, open_face
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
-from facepipe.stage.point_cache import PointCache, read_loose_animations, read_point_cache
+from facepipe.stage.point_cache import read_loose_animations, read_point_cache
 from facepipe.verbs.cached_points import cached_points
 from facepipe.verbs.whole_faces import match_meshes, world_to_world
 
@@ -167,7 +167,11 @@ def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> _
         return _animation(parts, path, name, cache.has_face)
     if cache.times is None and cache.has_face:
         return _neutral(parts, open_face(path).parts(), str(path))
-    return _cached(parts, cache, path)
+    # points over time; those of a face as its skeleton at rest places them
+    cached = cached_points(cache, path)
+    points = np.stack([cached.sample(number) for number in range(cached.count)])
+    moved = _to_world(parts, points, cache.meters_per_unit, cache.up_axis)
+    return _matched(parts, cached.meshes, moved, cache.times, str(path))
 
 
 def _sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
@@ -186,14 +190,6 @@ def _neutral(parts: FaceParts, other: FaceParts, where: str, only: str = "", *, 
     points = build(other).evaluate(person.weights, coefficients=person.coefficients)
     moved = _to_world(parts, points[None], other.meters_per_unit, other.up_axis)
     return _matched(parts, other.meshes, moved, None, where, only, triangles=triangles)
-
-
-def _cached(parts: FaceParts, cache: PointCache, path: Path) -> _FilePoints:
-    """Points over time; those of a face as its skeleton at rest places them."""
-    cached = cached_points(cache, path)
-    points = np.stack([cached.sample(number) for number in range(cached.count)])
-    moved = _to_world(parts, points, cache.meters_per_unit, cache.up_axis)
-    return _matched(parts, cached.meshes, moved, cache.times, str(path))
 
 
 def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _FilePoints:

@@ -15,7 +15,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import components, edges, point_areas, triangulate, welded_points
-from facepipe.parts import Blendshape, FaceParts, Landmarks, MaterialFaces, Mesh, Skin, UvSet
+from facepipe.parts import Blendshape, FaceParts, MaterialFaces, Mesh, UvSet
 from facepipe.rig import Rig, mesh_spaces
 
 _NORMAL_STEPS = 64  # of -1 to 1: corners whose normals differ less are no crease
@@ -91,11 +91,17 @@ def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
         normals=None if mesh.normals is None else mesh.normals[corners if _by_corner(mesh) else kept],
         uv_sets=tuple(_uv_set(uv_set, kept, corners) for uv_set in mesh.uv_sets),
         colors=None if mesh.colors is None else mesh.colors[kept],
-        skin=None if mesh.skin is None else _skin(mesh.skin, kept),
+        skin=None
+        if mesh.skin is None
+        else replace(
+            mesh.skin, joint_indices=mesh.skin.joint_indices[kept], joint_weights=mesh.skin.joint_weights[kept]
+        ),
         blendshapes=tuple(_shape(blendshape, place) for blendshape in mesh.blendshapes),
         regions={name: mask[kept] for name, mask in mesh.regions.items()},
         point_subsets=_subsets(mesh.point_subsets, place),
-        landmarks={name: _landmarks(one, place) for name, one in mesh.landmarks.items()},
+        landmarks={
+            name: replace(one, indices=place[one.indices].astype(np.int32)) for name, one in mesh.landmarks.items()
+        },
         anchor=None if mesh.anchor is None else int(place[mesh.anchor]),
         material_faces=_material_faces(mesh, wedges.materials[triangles[:, 0]]),
     )
@@ -108,10 +114,6 @@ def _uv_set(uv: UvSet, kept: IntArray, corners: IntArray) -> UvSet:
     return replace(uv, values=uv.values[used], indices=indices.ravel().astype(np.int32))
 
 
-def _skin(skin: Skin, kept: IntArray) -> Skin:
-    return replace(skin, joint_indices=skin.joint_indices[kept], joint_weights=skin.joint_weights[kept])
-
-
 def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
     points = place[shape.point_indices]
     kept = points >= 0
@@ -122,10 +124,6 @@ def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
 def _subsets(subsets: Mapping[str, IntArray], place: IntArray) -> dict[str, IntArray]:
     places = {name: place[points] for name, points in subsets.items()}
     return {name: points[points >= 0].astype(np.int32) for name, points in places.items()}
-
-
-def _landmarks(landmarks: Landmarks, place: IntArray) -> Landmarks:
-    return replace(landmarks, indices=place[landmarks.indices].astype(np.int32))
 
 
 def _material_faces(mesh: Mesh, materials: IntArray) -> tuple[MaterialFaces, ...]:
@@ -307,7 +305,10 @@ class Surface:
         self._rig = rig
         self._simplify = Simplifier()
         self._motion = _motion_of(rig, MOST_ATTRIBUTES)[self._point]
-        rims = np.setdiff1d(self._rims(), self.triangles[self.is_skin])
+        # points where materials meet
+        materials = _joined(wedge.materials for wedge in self._wedges)
+        points, counts = np.unique(np.unique(np.stack([self._point, materials]), axis=1)[0], return_counts=True)
+        rims = np.setdiff1d(np.asarray(points[counts > 1]), self.triangles[self.is_skin])
         with_rims = np.isin(np.arange(len(meshes)), np.searchsorted(firsts, rims, side="right") - 1)
         self._least = np.where(with_rims, 1.0, _LEAST)  # by mesh
         hairs = self.triangles[self.cards >= 0]
@@ -407,12 +408,6 @@ class Surface:
         """(t,) number of the mesh of each triangle (t, 3) of wedges."""
         return np.searchsorted(self._starts, wedges[:, 0], side="right") - 1
 
-    def _rims(self) -> IntArray:
-        """Points where materials meet."""
-        materials = _joined(wedge.materials for wedge in self._wedges)
-        points, counts = np.unique(np.unique(np.stack([self._point, materials]), axis=1)[0], return_counts=True)
-        return np.asarray(points[counts > 1])
-
     def skin_triangles(self, level: IntArray) -> int:
         """How many triangles of a level are of the skin."""
         return int(self._among(level, self.is_skin).sum())
@@ -492,15 +487,6 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
     squared differences are `_WEIGHT` squared times those of the offsets themselves, summed over all sculpts.
     """
     sculpts = [sparse.csr_array(rig.deltas[axis::3]) for axis in range(3)] if rig.targets else []
-    columns = sparse.csr_array(sparse.hstack([*sculpts, _by_joints(rig)]))
-    with one_thread():
-        values, vectors = np.linalg.eigh((columns.T @ columns).toarray())
-    _strongest = np.argsort(-values, kind="stable")[:most]
-    return np.asarray(_WEIGHT * (columns @ vectors[:, _strongest]))
-
-
-def _by_joints(rig: Rig) -> sparse.csr_array:
-    """(n, j) how far a turn of each joint takes the points, on average over those that follow it, by their weights."""
     weights = sparse.csr_array(rig.influences[:, : len(rig.joints)])
     distances = np.zeros(len(rig.joints))
     for joint, inverse in enumerate(rig.inverse_bind):
@@ -509,4 +495,10 @@ def _by_joints(rig: Rig) -> sparse.csr_array:
         total = share.sum()
         if total > 0:
             distances[joint] = (share * np.linalg.norm(rig.points - place, axis=1)).sum() / total
-    return sparse.csr_array(weights @ sparse.diags_array(_TURN * distances))
+    columns = sparse.csr_array(
+        sparse.hstack([*sculpts, sparse.csr_array(weights @ sparse.diags_array(_TURN * distances))])
+    )
+    with one_thread():
+        values, vectors = np.linalg.eigh((columns.T @ columns).toarray())
+    _strongest = np.argsort(-values, kind="stable")[:most]
+    return np.asarray(_WEIGHT * (columns @ vectors[:, _strongest]))

@@ -13,7 +13,7 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.heat_weights import heat_weights, normalised
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.warp import Warp, fit_warp, nearest_rotations
-from facepipe.parts import FaceParts, Skeleton
+from facepipe.parts import FaceParts
 from facepipe.rig import build
 from facepipe.verbs.skin.skinning import Skinning, TransferReport, with_binds
 from facepipe.verbs.skin.surface import LOWER, UPPER, Eyeball, Slit, Surface, eyeballs_of, slits_of, surface_of
@@ -52,25 +52,6 @@ class Places:
     def interpolated(self, values: FloatArray) -> FloatArray:
         """(k, c) what of the values (m, c) at the other face's points is at the places."""
         return np.asarray(np.einsum("kc,kcj->kj", self.shares, values[self.corners]))
-
-
-def main_places(
-    target: Surface, target_slits: Sequence[Slit], source: Surface, source_slits: Sequence[Slit], warped: FloatArray
-) -> Places:
-    """Of the points of the main part the nearest places on the other's.
-
-    :param warped: (m, 3) points of the source, warped onto the target
-    """
-    points = target.inside
-    triangles = source.triangles[(source.component[source.triangles] == source.main).all(axis=1)]
-    normals = point_normals(warped, triangles)
-    places = _empty(len(points))
-    for chosen, allowed in _sides(target_slits, source_slits, points, triangles):
-        part = nearest(target.points[points[chosen]], warped, triangles[allowed])
-        part = _turned(part, target, points[chosen], warped, normals, np.unique(triangles[allowed]))
-        places.corners[chosen], places.shares[chosen] = part.corners, part.shares
-        places.distances[chosen] = part.distances
-    return places
 
 
 def nearest(points: FloatArray, warped: FloatArray, triangles: IntArray) -> Places:
@@ -152,7 +133,11 @@ def matched_parts(
         done[ball.points] = True
     taken = np.concatenate([np.zeros(0, np.int64), *(other.points for _, other in eyeballs)])
     parts = _parts(source, taken)
-    rigid = {number for number in parts if number != source.main and _is_rigid(weights[source.component == number])}
+    rigid = {
+        number
+        for number in parts
+        if number != source.main and bool(weights[source.component == number].mean(axis=0).max(initial=0.0) >= _RIGID)
+    }
     rest = []
     loose = _pieces(target, target.loose[~np.isin(target.component[target.loose], target.component[done])])
     means = _mean_distances([target.points[points] for points in loose], warped, parts)
@@ -185,10 +170,6 @@ def _parts(source: Surface, taken: IntArray) -> dict[int, IntArray]:
     eyes = set(source.component[taken].tolist())
     found = {int(source.component[piece[0, 0]]): piece for piece in pieces}
     return {number: piece for number, piece in found.items() if number not in eyes}
-
-
-def _is_rigid(weights: FloatArray) -> bool:
-    return bool(weights.mean(axis=0).max(initial=0.0) >= _RIGID)
 
 
 def _whole(weights: FloatArray) -> FloatArray:
@@ -288,7 +269,10 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
         # by number, without a search: after the warp the nearest place need not be a point's own
         result, warnings = _weights(twin, surface.group, where)
         origin = {name: (name,) for name in sorted(surface.mesh_names)}
-        away = np.linalg.norm(warp.apply(_points_of(other, surface)) - surface.points, axis=1)[surface.inside]
+        away = np.linalg.norm(
+            warp.apply(other.points[other.group[np.unique(surface.group, return_index=True)[1]]]) - surface.points,
+            axis=1,
+        )[surface.inside]
     landmarks = np.linalg.norm(warp.apply(other.points[other.landmarks]) - surface.points[surface.landmarks], axis=1)
     report = TransferReport(
         source=where,
@@ -299,8 +283,22 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
         parts=origin,
     )
     warnings = (*warnings, *_shape_warnings(surface, other, warp))
+    # the source's joints warped: places as the warp moves them, axes turned by the rotation nearest to it there
+    to_world = np.asarray(source.skeleton.transform, np.float64)
+    worlds = to_world @ np.asarray(source.skeleton.bind_transforms, np.float64)
+    places = worlds[:, :3, 3] * source.meters_per_unit * 1000.0
+    bind = np.tile(np.eye(4), (len(worlds), 1, 1))
+    bind[:, :3, :3] = nearest_rotations(warp.jacobians(places)) @ nearest_rotations(worlds[:, :3, :3])
+    bind[:, :3, 3] = warp.apply(places) / (parts.meters_per_unit * 1000.0)
+    to_skeleton = np.linalg.inv(np.asarray(parts.skeleton.transform, np.float64))
+    bind = to_skeleton @ bind
+    bind[:, :3, :3] = nearest_rotations(bind[:, :3, :3])
+    made = with_binds(parts.skeleton, source.skeleton.joints, bind)
     return Skinning(
-        skeleton=_skeleton(parts, source, warp), weights=normalised(result), transfer=report, warnings=warnings
+        skeleton=replace(made, joint_names=source.skeleton.joint_names),
+        weights=normalised(result),
+        transfer=report,
+        warnings=warnings,
     )
 
 
@@ -310,11 +308,6 @@ def _twin(parts: FaceParts, source: FaceParts) -> FaceParts | None:
         return in_order(parts, parts.name, source, source.name)
     except TopologyError:
         return None
-
-
-def _points_of(other: Surface, surface: Surface) -> FloatArray:
-    """(m, 3) the points of the other face that are those of this one, on one topology."""
-    return other.points[other.group[np.unique(surface.group, return_index=True)[1]]]
 
 
 def _by_place(
@@ -327,7 +320,17 @@ def _by_place(
 ) -> tuple[FloatArray, Mapping[str, tuple[str, ...]], FloatArray]:
     """Weights (m, j), which meshes gave them to which, and how far the main part is from the other's (i,) mm."""
     warped = warp.apply(other.points)
-    places = main_places(surface, slits_of(surface), other, slits_of(other), warped)
+    target_slits = slits_of(surface)
+    source_slits = slits_of(other)
+    points = surface.inside
+    triangles = other.triangles[(other.component[other.triangles] == other.main).all(axis=1)]
+    normals = point_normals(warped, triangles)
+    places = _empty(len(points))
+    for chosen, allowed in _sides(target_slits, source_slits, points, triangles):
+        part = nearest(surface.points[points[chosen]], warped, triangles[allowed])
+        part = _turned(part, surface, points[chosen], warped, normals, np.unique(triangles[allowed]))
+        places.corners[chosen], places.shares[chosen] = part.corners, part.shares
+        places.distances[chosen] = part.distances
     result, origin = matched_parts(surface, other, warped, weights, pairs)
     lengths = np.clip(places.distances / _SURE, _SHARP, _LONGEST) * max(smoothing, _SHARP)
     inside = surface.inside
@@ -412,18 +415,3 @@ def _shape_warnings(target: Surface, source: Surface, warp: Warp) -> tuple[str, 
         return ()
     what = f"landmarks lie {unlike:.0%} of their spread from those of {source.where}, scaled and turned onto them"
     return (f"{what}: look at the weights",)
-
-
-def _skeleton(parts: FaceParts, source: FaceParts, warp: Warp) -> Skeleton:
-    """The source's joints warped: places as the warp moves them, axes turned by the rotation nearest to it there."""
-    to_world = np.asarray(source.skeleton.transform, np.float64)
-    worlds = to_world @ np.asarray(source.skeleton.bind_transforms, np.float64)
-    places = worlds[:, :3, 3] * source.meters_per_unit * 1000.0
-    bind = np.tile(np.eye(4), (len(worlds), 1, 1))
-    bind[:, :3, :3] = nearest_rotations(warp.jacobians(places)) @ nearest_rotations(worlds[:, :3, :3])
-    bind[:, :3, 3] = warp.apply(places) / (parts.meters_per_unit * 1000.0)
-    to_skeleton = np.linalg.inv(np.asarray(parts.skeleton.transform, np.float64))
-    bind = to_skeleton @ bind
-    bind[:, :3, :3] = nearest_rotations(bind[:, :3, :3])
-    made = with_binds(parts.skeleton, source.skeleton.joints, bind)
-    return replace(made, joint_names=source.skeleton.joint_names)

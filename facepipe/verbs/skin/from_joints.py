@@ -78,11 +78,6 @@ def joints_in(eyeballs: Sequence[Eyeball], positions: FloatArray, apart: BoolArr
     return turning
 
 
-def in_eyeballs(eyeballs: Sequence[Eyeball], positions: FloatArray) -> BoolArray:
-    """(j,) whether a joint (of positions (j, 3), mm) is in an eyeball."""
-    return np.asarray(np.any([np.zeros(len(positions), bool), *_inside(eyeballs, positions)], axis=0))
-
-
 def _inside(eyeballs: Sequence[Eyeball], positions: FloatArray) -> list[BoolArray]:
     return [np.linalg.norm(positions - ball.centre, axis=1) <= _IN_BALL * ball.radius for ball in eyeballs]
 
@@ -121,34 +116,30 @@ def hold_parts(
         if above == below or mouth is None:
             hold(weights, points, joints.index(above))
         else:
-            upper = _upper(surface, points, mouth)
+            # (k,) share of loose points that is above the mouth: small parts whole, others by the nearest of the face
+            triangles = surface.part_triangles(surface.inside)
+            places = closest_places(surface.points[points], surface.points[surface.inside], triangles)
+            side = mouth.side[surface.inside][triangles[places.triangles]].mean(axis=1)
+            upper = (side > 0).astype(np.float64)
+            component = surface.component[points]
+            large = np.zeros(len(points), bool)
+            for number in np.unique(component):
+                inside = component == number
+                if np.ptp(surface.points[points[inside]], axis=0).max() <= _SMALL * mouth.width:
+                    upper[inside] = float(side[inside].mean() > 0)
+                else:
+                    large |= inside
+            if large.any():
+                # gums and the like span both jaws: a step from 0 to 1 would tear them where the mouth opens
+                local = surface.part_triangles(points[large], even=True)
+                lengths = np.full(int(large.sum()), _BLEND)
+                spread = heat_weights(surface.points[points[large]], local, upper[large, None], lengths)
+                upper[large] = np.clip(spread[:, 0], 0.0, 1.0)
+            upper = np.asarray(upper)
             weights[points] = 0.0
             weights[points, joints.index(above)], weights[points, joints.index(below)] = upper, 1.0 - upper
         done += names
     return tuple(dict.fromkeys(done))
-
-
-def _upper(surface: Surface, points: IntArray, mouth: Slit) -> FloatArray:
-    """(k,) share of loose points that is above the mouth: small parts whole, others by the nearest of the face."""
-    triangles = surface.part_triangles(surface.inside)
-    places = closest_places(surface.points[points], surface.points[surface.inside], triangles)
-    side = mouth.side[surface.inside][triangles[places.triangles]].mean(axis=1)
-    upper = (side > 0).astype(np.float64)
-    component = surface.component[points]
-    large = np.zeros(len(points), bool)
-    for number in np.unique(component):
-        inside = component == number
-        if np.ptp(surface.points[points[inside]], axis=0).max() <= _SMALL * mouth.width:
-            upper[inside] = float(side[inside].mean() > 0)
-        else:
-            large |= inside
-    if large.any():
-        # gums and the like span both jaws: a step from 0 to 1 would tear them where the mouth opens
-        local = surface.part_triangles(points[large], even=True)
-        lengths = np.full(int(large.sum()), _BLEND)
-        spread = heat_weights(surface.points[points[large]], local, upper[large, None], lengths)
-        upper[large] = np.clip(spread[:, 0], 0.0, 1.0)
-    return np.asarray(upper)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +202,15 @@ class JointSet:
             raise InputError(f"{self.where} -> unit", f"'{self.unit[:40]}', expected one of {', '.join(_UNITS)}")
         known = set(paths)
         for number, path in enumerate(paths):
-            self._check_path(path, known, twice=path in paths[:number])
+            twice = path in paths[:number]
+            where = f"{self.where} -> {_shown(path)}"
+            if twice:
+                raise InputError(where, "twice, expected each joint once")
+            if len(path) > _LONGEST_PATH or any(identifier(part) != part for part in path.split("/")):
+                raise InputError(where, "expected names of ASCII letters, digits and underscores, joined by /")
+            parent = path.rpartition("/")[0]
+            if parent and parent not in known:
+                raise InputError(where, f"no parent '{parent[:80]}', expected it among the joints")
         for glob, names in self.parts.items():
             for name in names:
                 if name not in known:
@@ -220,16 +219,6 @@ class JointSet:
                     raise InputError(trail, f"no joint '{_shown(name)}'{near}")
         order = sorted(self.joints, key=lambda joint: joint.path.count("/"))
         object.__setattr__(self, "joints", tuple(order))
-
-    def _check_path(self, path: str, paths: set[str], *, twice: bool) -> None:
-        where = f"{self.where} -> {_shown(path)}"
-        if twice:
-            raise InputError(where, "twice, expected each joint once")
-        if len(path) > _LONGEST_PATH or any(identifier(part) != part for part in path.split("/")):
-            raise InputError(where, "expected names of ASCII letters, digits and underscores, joined by /")
-        parent = path.rpartition("/")[0]
-        if parent and parent not in paths:
-            raise InputError(where, f"no parent '{parent[:80]}', expected it among the joints")
 
     def scale(self, meters_per_unit: float) -> float:
         """Stage units in one unit of the file."""
@@ -270,8 +259,13 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     eyeballs = eyeballs_of(surface)
     apart = [joint.surface is True or bool(joint.regions) for joint in joints.joints]  # of the face for sure
     turned = joints_in(eyeballs, millimetres, np.array(apart))
-    held = in_eyeballs(eyeballs, millimetres)
-    moves = np.array([_moves(joint, one) for joint, one in zip(joints.joints, held, strict=True)])
+    held = np.asarray(np.any([np.zeros(len(millimetres), bool), *_inside(eyeballs, millimetres)], axis=0))
+    moves = np.array(
+        [
+            (joint.surface if joint.surface is not None else bool(joint.regions) or not one)
+            for joint, one in zip(joints.joints, held, strict=True)
+        ]
+    )
     if not moves.any():
         raise InputError(joints.where, "no joint moves the face itself, expected one outside eyeballs, or `surface`")
     chosen = [joint for joint, one in zip(joints.joints, moves, strict=True) if one]
@@ -295,10 +289,6 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
         weights=weights,
         warnings=warnings,
     )
-
-
-def _moves(joint: JointSpec, in_eyeball: bool) -> bool:
-    return joint.surface if joint.surface is not None else bool(joint.regions) or not in_eyeball
 
 
 def _mask(
@@ -389,31 +379,26 @@ def _distances(surface: Surface, positions: FloatArray) -> FloatArray:
     sources, starts = [], []
     for position, depth, triangle in zip(positions, places.distances, places.triangles, strict=True):
         corners = surface.inside[local[triangle]]
-        touched = _touched(surface, position, _REACH * depth, corners)
+        reach = _REACH * depth
+        # points within `reach`, in patches of the surface that are about as near as that of the nearest triangle. A
+        # joint of the lower lip has the upper one within its reach, but not through the lip; one in the middle of the
+        # head has a nearest place on either side.
+        away = np.linalg.norm(surface.points - position, axis=1)
+        near = (away <= reach) & (surface.component == surface.main)
+        near[corners] = True
+        numbers = np.flatnonzero(near)
+        place = np.full(len(near), -1)
+        place[numbers] = np.arange(len(numbers))
+        pairs = place[surface.edges]
+        patch = components(len(numbers), pairs[(pairs >= 0).all(axis=1)])
+        nearest = np.full(int(patch.max()) + 1, np.inf)
+        np.minimum.at(nearest, patch, away[numbers])
+        chosen = nearest <= _AS_NEAR * nearest.min()
+        chosen[patch[place[corners]]] = True
+        touched = np.asarray(numbers[chosen[patch]])
         sources.append(touched)
         starts.append(np.linalg.norm(surface.points[touched] - position, axis=1))
     return graph_distances(surface.graph, sources, starts)
-
-
-def _touched(surface: Surface, position: FloatArray, reach: float, corners: IntArray) -> IntArray:
-    """Points within `reach`, in patches of the surface that are about as near as that of the nearest triangle.
-
-    A joint of the lower lip has the upper one within its reach, but not through the lip; one in the middle of the head
-    has a nearest place on either side.
-    """
-    away = np.linalg.norm(surface.points - position, axis=1)
-    near = (away <= reach) & (surface.component == surface.main)
-    near[corners] = True
-    numbers = np.flatnonzero(near)
-    place = np.full(len(near), -1)
-    place[numbers] = np.arange(len(numbers))
-    pairs = place[surface.edges]
-    patch = components(len(numbers), pairs[(pairs >= 0).all(axis=1)])
-    nearest = np.full(int(patch.max()) + 1, np.inf)
-    np.minimum.at(nearest, patch, away[numbers])
-    chosen = nearest <= _AS_NEAR * nearest.min()
-    chosen[patch[place[corners]]] = True
-    return np.asarray(numbers[chosen[patch]])
 
 
 def _sides(surface: Surface, positions: FloatArray, slits: Sequence[Slit]) -> FloatArray:

@@ -82,7 +82,13 @@ class SetSliders:
             raise InputError(face.where, f"'{self.name[:40]}' is no name of a prim, expected one like sliders")
         parts = face.parts()
         values = self._all_values(face.where, parts.sliders)
-        _check_values(face.where, parts.sliders, values)
+        known = {slider.name: slider for slider in parts.sliders}
+        for name, value in values.items():
+            if name not in known:
+                raise InputError(face.where, unknown(name, known, "slider"))
+            low, high = known[name].minimum, known[name].maximum
+            if not low <= value <= high:  # NaN too
+                raise InputError(f"{face.where} -> slider {name}", f"value {value:g}, expected {low:g} to {high:g}")
         sliders = tuple(self._set(slider, values) for slider in parts.sliders)
         try:
             animation = pose(parts, sliders, self.name)
@@ -140,16 +146,6 @@ def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
 
 def _weights(animation: Animation) -> list[float]:
     return [] if animation.shape_weights is None else [float(one) for one in animation.shape_weights[0]]
-
-
-def _check_values(where: str, sliders: Sequence[Slider], values: Mapping[str, float]) -> None:
-    known = {slider.name: slider for slider in sliders}
-    for name, value in values.items():
-        if name not in known:
-            raise InputError(where, unknown(name, known, "slider"))
-        low, high = known[name].minimum, known[name].maximum
-        if not low <= value <= high:  # NaN too
-            raise InputError(f"{where} -> slider {name}", f"value {value:g}, expected {low:g} to {high:g}")
 
 
 def _with(where: str, animations: Sequence[Animation], new: Animation) -> tuple[Animation, ...]:
@@ -217,8 +213,14 @@ class AuthorSliders:
         valued, unset = with_values(new, parts.sliders)
         others = () if self.drop else tuple(slider for slider in parts.sliders if slider.name not in names)
         # over new and kept ones: a new slider may name a kept one as its mirror
-        merged = _mutual((*others, *valued))
-        self._check_mirrors(merged)
+        sliders = (*others, *valued)
+        # the sliders, a mirror that is named on one side only named on the other too
+        named = {slider.mirror: slider.name for slider in sliders if slider.mirror is not None}
+        merged = tuple(replace(slider, mirror=slider.mirror or named.get(slider.name)) for slider in sliders)
+        fault = sliders_fault(merged)
+        if fault:
+            where = {rule.name: rule.where for rule in self.table.rules}
+            raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
         network, lost = fitting_network(parts.slider_network, merged)
         changed = replace(parts, sliders=merged, slider_network=network, recipe=recipe or parts.recipe)
@@ -233,18 +235,6 @@ class AuthorSliders:
             authored=authored,
             warnings=(*unset, *lost, *_idle(new), *beyond_lines(beyond)),
         )
-
-    def _check_mirrors(self, sliders: Sequence[Slider]) -> None:
-        fault = sliders_fault(sliders)
-        if fault:
-            where = {rule.name: rule.where for rule in self.table.rules}
-            raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
-
-
-def _mutual(sliders: Sequence[Slider]) -> tuple[Slider, ...]:
-    """The sliders, a mirror that is named on one side only named on the other too."""
-    named = {slider.mirror: slider.name for slider in sliders if slider.mirror is not None}
-    return tuple(replace(slider, mirror=slider.mirror or named.get(slider.name)) for slider in sliders)
 
 
 def sliders_beyond(sliders: Sequence[Slider], joints: Sequence[str], limits: BoneLimits | None) -> tuple[str, ...]:

@@ -117,44 +117,10 @@ def _row(name: str, slider: MadeSlider) -> tuple[object, ...]:
     return (f"  {name}", slider.by or "left out", slider.joints, slider.channels, *numbers)
 
 
-def end_report(shape: str, motion: FloatArray, left: FloatArray, end: FloatArray, residual_points: int) -> EndReport:
-    """Of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves."""
-    rms, rest = (float(np.sqrt((one**2).mean())) for one in (motion, left))
-    return EndReport(
-        shape=shape,
-        rms_mm=rms,
-        max_mm=float(motion.max()),
-        left_rms_mm=rest,
-        left_max_mm=float(left.max()),
-        reach=max(0.0, 1.0 - rest / rms) if rms else 0.0,
-        residual_points=residual_points,
-        end_max_mm=float(end.max()),
-    )
-
-
 def reach_of(motions: Sequence[float], left: Sequence[float]) -> float:
     """How much bones reach of several motions, from their RMS and that of what is left of each."""
     length = float(np.linalg.norm(motions))
     return max(0.0, 1.0 - float(np.linalg.norm(left)) / length) if length else 0.0
-
-
-def by_group(sliders: Sequence[MadeSlider]) -> dict[str, GroupReach]:
-    """Group -> its sliders, in the order of their first ones."""
-    groups: dict[str, list[MadeSlider]] = {}
-    for slider in sliders:
-        groups.setdefault(slider.group, []).append(slider)
-    reaches = {}
-    for name, members in groups.items():
-        ends = [end for slider in members for end in slider.ends]
-        motions, left = np.array([end.rms_mm for end in ends]), np.array([end.left_rms_mm for end in ends])
-        reaches[name] = GroupReach(
-            sliders=len(members),
-            left_out=sum(not slider.by for slider in members),
-            rms_mm=float(np.sqrt((motions**2).mean())),
-            left_rms_mm=float(np.sqrt((left**2).mean())),
-            reach=reach_of(motions.tolist(), left.tolist()),
-        )
-    return reaches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +201,20 @@ class SliderMaker:
                 np.linalg.norm(target - one, axis=1) * self.mm for one in (self.fits.points, bones, end)
             )
             points = 0 if residual is None else sum(len(one.point_indices) for one in residual.shapes if one)
-            ends.append(end_report(shape, motion, left, last, points))
+            # of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves
+            rms, rest = (float(np.sqrt((one**2).mean())) for one in (motion, left))
+            ends.append(
+                EndReport(
+                    shape=shape,
+                    rms_mm=rms,
+                    max_mm=float(motion.max()),
+                    left_rms_mm=rest,
+                    left_max_mm=float(left.max()),
+                    reach=max(0.0, 1.0 - rest / rms) if rms else 0.0,
+                    residual_points=points,
+                    end_max_mm=float(last.max()),
+                )
+            )
         return MadeSlider(
             group=wanted.group,
             ends=tuple(ends),
@@ -309,7 +288,16 @@ class SlidersFromShapes(ShapeSliderOptions):
         for _ in still:
             done()
         new = [one.slider for one in made if one.slider is not None]
-        result = _merged(_with_residuals(parts, made), new, drop=self.drop)
+        added: list[list[Blendshape]] = [
+            [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
+            for number in range(len(parts.meshes))
+        ]
+        names = {shape.name for shapes in added for shape in shapes}
+        meshes = tuple(
+            replace(mesh, blendshapes=(*(shape for shape in mesh.blendshapes if shape.name not in names), *shapes))
+            for mesh, shapes in zip(parts.meshes, added, strict=True)
+        )
+        result = _merged(replace(parts, meshes=meshes), new, drop=self.drop)
         network, lost = fitting_network(parts.slider_network, result.sliders)
         authored = author_changes(face, replace(result, slider_network=network, recipe=recipe or parts.recipe))
         report = _report(parts, made, new, result.sliders)
@@ -318,7 +306,12 @@ class SlidersFromShapes(ShapeSliderOptions):
             unmoved=still,
             authored=authored,
             seconds=time.perf_counter() - start,
-            warnings=(*fits.warnings, *lost, *report.warnings, *_unmoved(still)),
+            warnings=(
+                *fits.warnings,
+                *lost,
+                *report.warnings,
+                *((f"{len(still)} shapes move nothing: {first_names(still, _SHOWN)}",) if still else ()),
+            ),
         )
 
     def _made(
@@ -341,20 +334,6 @@ def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts
     return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
 
 
-def _with_residuals(parts: FaceParts, made: Sequence[Made]) -> FaceParts:
-    """The face with the residual shapes of its sliders, which replace those of the same names."""
-    added: list[list[Blendshape]] = [
-        [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
-        for number in range(len(parts.meshes))
-    ]
-    names = {shape.name for shapes in added for shape in shapes}
-    meshes = tuple(
-        replace(mesh, blendshapes=(*(shape for shape in mesh.blendshapes if shape.name not in names), *shapes))
-        for mesh, shapes in zip(parts.meshes, added, strict=True)
-    )
-    return replace(parts, meshes=meshes)
-
-
 def _report(
     parts: FaceParts, made: Sequence[Made], new: Sequence[Slider], kept: Sequence[Slider]
 ) -> ShapeSlidersReport:
@@ -369,16 +348,27 @@ def _report(
         lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {names}")
     if lost:
         lines.append(f"{lost} points of residuals can't be corrected: skinning flattens what is around them")
+    sliders = [one.report for one in made]
+    groups: dict[str, list[MadeSlider]] = {}
+    for slider in sliders:
+        groups.setdefault(slider.group, []).append(slider)
+    reaches = {}
+    for name, members in groups.items():
+        ends = [end for slider in members for end in slider.ends]
+        motions, left = np.array([end.rms_mm for end in ends]), np.array([end.left_rms_mm for end in ends])
+        reaches[name] = GroupReach(
+            sliders=len(members),
+            left_out=sum(not slider.by for slider in members),
+            rms_mm=float(np.sqrt((motions**2).mean())),
+            left_rms_mm=float(np.sqrt((left**2).mean())),
+            reach=reach_of(motions.tolist(), left.tolist()),
+        )
     return ShapeSlidersReport(
         sliders={one.name: one.report for one in made if one.slider is not None},
         left_out=left_out,
-        groups=by_group([one.report for one in made]),
+        groups=reaches,
         replaced=tuple(slider.name for slider in parts.sliders if slider.name in made_names),
         dropped=tuple(slider.name for slider in parts.sliders if slider.name not in after),
         beyond_limits=beyond,
         warnings=(*lines, *beyond_lines(beyond)),
     )
-
-
-def _unmoved(shapes: Sequence[str]) -> tuple[str, ...]:
-    return (f"{len(shapes)} shapes move nothing: {first_names(shapes, _SHOWN)}",) if shapes else ()

@@ -93,7 +93,11 @@ class ShapeFits:
         self.points = rig.evaluate()
         self._threshold = STRICTER * options.threshold_mm / mm
         self._free = self._session(lower, upper)
-        self._check_rest()
+        out = (self.lower > self.rest) | (self.upper < self.rest)
+        if out.any():
+            joint, channel = np.argwhere(out)[0]
+            where = f"limits -> {self.rig.joints[joint]} -> {CHANNELS[channel]}"
+            raise InputError(where, f"without {self.rest[joint, channel]:g}, expected rest inside: sliders start there")
         self.mirror, self.warnings = self._mirror()
         self._symmetric = self._side = None
         if self.mirror is not None:
@@ -132,7 +136,12 @@ class ShapeFits:
         """The pose with the channels alone that do something, as float32."""
         if self.options.least_effect > 0:
             pose = self._fewer(target, pose)
-        gains = self._gains(pose.coefficients)
+        # less rest, as float32 numbers, which leave no limit by their rounding
+        gains = (pose.coefficients - self.rest).astype(np.float32)
+        beyond = self.rest + gains.astype(np.float64)
+        over = (beyond > self.upper) | (beyond < self.lower)
+        gains[over] = np.nextafter(gains[over], np.float32(0.0))
+        gains = gains.astype(np.float64)
         done()
         return ShapePose(gains, self.rig.evaluate(coefficients=self.rest + gains), pose.symmetric)
 
@@ -151,14 +160,6 @@ class ShapeFits:
         session = self._session(*within, symmetric=pose.symmetric)
         (fewer,) = self._together(session, [target], np.where(kept, pose.coefficients, self.rest))
         return fewer
-
-    def _gains(self, coefficients: FloatArray) -> FloatArray:
-        """Less rest, as float32 numbers, which leave no limit by their rounding."""
-        gains = (coefficients - self.rest).astype(np.float32)
-        beyond = self.rest + gains.astype(np.float64)
-        over = (beyond > self.upper) | (beyond < self.lower)
-        gains[over] = np.nextafter(gains[over], np.float32(0.0))
-        return gains.astype(np.float64)
 
     def _together(
         self, session: BoneFit, targets: Sequence[FloatArray], start: FloatArray | None = None
@@ -182,13 +183,6 @@ class ShapeFits:
             regularise=self.options.regularise,
             symmetric=symmetric,
         )
-
-    def _check_rest(self) -> None:
-        out = (self.lower > self.rest) | (self.upper < self.rest)
-        if out.any():
-            joint, channel = np.argwhere(out)[0]
-            where = f"limits -> {self.rig.joints[joint]} -> {CHANNELS[channel]}"
-            raise InputError(where, f"without {self.rest[joint, channel]:g}, expected rest inside: sliders start there")
 
     def _mirror(self) -> tuple[MirroredJoints | None, tuple[str, ...]]:
         """How joints mirror; None, and a warning, where they don't."""

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from facepipe.stage import Face
     from facepipe.verbs.fit_bones.limits import LimitRules
     from facepipe.verbs.sliders.author_sliders import SetSlidersReport
-    from facepipe.verbs.sliders.from_shapes import ShapeSlidersReport
 else:
     LimitRules = Any
 
@@ -109,9 +108,30 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
 
     def author(self, face: Face, job: Job) -> Report:
         if self.shapes is not None:
-            return self._make(face, job)
+            from facepipe.verbs.fit_bones.limits import LimitRules
+            from facepipe.verbs.sliders.from_shapes import SlidersFromShapes
+
+            maker = SlidersFromShapes(
+                **values_of(ShapeSliderOptions, self),
+                shapes=self.shapes or "",
+                limits=self.limits or LimitRules(),
+                drop=self.drop,
+            )
+            with job.watch("fit", len(maker.chosen(face))) as bar:
+                report = maker(face, recipe=job.recipe(), done=bar.update)
+            if not report.sliders:
+                what = "bones reach no shape, expected some that they can (or --residual, or a lower --least-reach)"
+                raise InputError(face.where, what)
+            return report
         if self.network is not None:
-            return self._learn(face, job)
+            from facepipe.importers.slider_network import read_network
+            from facepipe.verbs.sliders.author_sliders import AuthorNetwork
+
+            assert self.network is not None
+            if self.network.suffix.lower() != ".npz":
+                raise InputError(self.network, f"suffix '{self.network.suffix[:20]}', expected .npz")
+            network = read_network(self.network, face.skeleton.joints, face.shapes)
+            return AuthorNetwork(network=network)(face, recipe=job.recipe())
         return self._set(face, job) if self.table is None else self._author(self.table, face, job)
 
     def _author(self, table: Path, face: Face, job: Job) -> Report:
@@ -119,33 +139,6 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
         from facepipe.verbs.sliders.tables import read_table
 
         return AuthorSliders(table=read_table(table), drop=self.drop)(face, recipe=job.recipe())
-
-    def _learn(self, face: Face, job: Job) -> Report:
-        from facepipe.importers.slider_network import read_network
-        from facepipe.verbs.sliders.author_sliders import AuthorNetwork
-
-        assert self.network is not None
-        if self.network.suffix.lower() != ".npz":
-            raise InputError(self.network, f"suffix '{self.network.suffix[:20]}', expected .npz")
-        network = read_network(self.network, face.skeleton.joints, face.shapes)
-        return AuthorNetwork(network=network)(face, recipe=job.recipe())
-
-    def _make(self, face: Face, job: Job) -> ShapeSlidersReport:
-        from facepipe.verbs.fit_bones.limits import LimitRules
-        from facepipe.verbs.sliders.from_shapes import SlidersFromShapes
-
-        maker = SlidersFromShapes(
-            **values_of(ShapeSliderOptions, self),
-            shapes=self.shapes or "",
-            limits=self.limits or LimitRules(),
-            drop=self.drop,
-        )
-        with job.watch("fit", len(maker.chosen(face))) as bar:
-            report = maker(face, recipe=job.recipe(), done=bar.update)
-        if not report.sliders:
-            what = "bones reach no shape, expected some that they can (or --residual, or a lower --least-reach)"
-            raise InputError(face.where, what)
-        return report
 
     def _set(self, face: Face, job: Job) -> SetSlidersReport:
         from facepipe.core.names import named

@@ -270,10 +270,6 @@ def read(path: Path) -> SliderTable:
         found = f"no column '{missing[0]}'" if missing else f"column '{others[0][:40]}'"
         expected = f"{', '.join(_LIST)}, and curve, {', '.join(_SETTINGS)} where needed"
         raise InputError(f"{path} -> line 1", f"{found}, expected columns {expected}")
-    return _list(path, rows)
-
-
-def _list(path: Path, rows: Sequence[Row]) -> SliderTable:
     drives: dict[str, list[Drive]] = {}
     settings: dict[str, dict[str, str]] = {}
     places: dict[str, str] = {}
@@ -342,7 +338,10 @@ def _merge(where: str, settings: dict[str, str], row: Mapping[str, str]) -> None
 def _rows(path: Path) -> tuple[list[str], list[Row]]:
     delimiter, lines = read_csv(path, MOST_BYTES)
     if delimiter == ";":
-        lines = [(number, [_with_points(cell) for cell in cells]) for number, cells in lines]
+        lines = [
+            (number, [(cell.replace(",", ".") if set(cell) <= _NUMERIC else cell) for cell in cells])
+            for number, cells in lines
+        ]
     if len(lines) < 2:
         raise InputError(path, f"{len(lines)} rows, expected a header and sliders")
     header = lines[0][1]
@@ -357,11 +356,6 @@ def _rows(path: Path) -> tuple[list[str], list[Row]]:
         row = {name: cell for name, cell in zip(header, cells, strict=False) if cell}
         rows.append((f"{path} -> line {number}", row))
     return header, rows
-
-
-def _with_points(cell: str) -> str:
-    """A number with a point for its decimal comma; other texts as they are."""
-    return cell.replace(",", ".") if set(cell) <= _NUMERIC else cell
 
 
 def _needed(where: str, row: Mapping[str, str], column: str) -> str:
