@@ -18,6 +18,7 @@ _MOVED = {
     "facepipe.learn": (),
     "facepipe.learn.features.crops": ("facepipe.networks.crops",),
     "facepipe.processors": ("facepipe.verbs",),
+    "facepipe.processors.bone_payload": ("facepipe.verbs.apply_bones",),
 }
 _STARTS = ("facepipe.core.trust", "facepipe.learn", "facepipe.processors", "facepipe.photo_options")
 

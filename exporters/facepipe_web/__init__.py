@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe_web.viewer import Options, Viewer, view
+    from facepipe_web.options import Options
+    from facepipe_web.viewer import Viewer, view
 else:
     __getattr__, __dir__ = lazy(__name__)
 

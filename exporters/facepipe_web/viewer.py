@@ -8,7 +8,6 @@ import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,9 +16,9 @@ from facepipe import registry
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_found
 from facepipe.core.reading import check_regular
-from facepipe.declare import option
 from facepipe.records import Json
 from facepipe_web import build
+from facepipe_web.options import Options
 from facepipe_web.server import Answer, Server
 
 if TYPE_CHECKING:
@@ -28,22 +27,6 @@ if TYPE_CHECKING:
 
 _PORTS = (0, 65535)
 _KEPT = 2  # versions of the face that may still be on their way to the page
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """Options of the viewer."""
-
-    port: int = option(0, "port on 127.0.0.1, 0 to 65535; 0 takes one that is free", *_PORTS)
-    pose: str = option("set", "the person at rest: set (as FACE is set), rest (the template), or an animation")
-
-    def check(self) -> None:
-        """Check the values.
-
-        :raises InputError: a value out of range
-        """
-        if not _PORTS[0] <= self.port <= _PORTS[1]:
-            raise InputError("--port", f"is {self.port}, expected a number from {_PORTS[0]} to {_PORTS[1]}")
 
 
 def write_assets(

@@ -33,7 +33,7 @@ ROWS: list[Any] = list(PAGES["rows"]())
 FIELDS: tuple[Any, ...] = PAGES["FIELDS"]
 
 
-_CHECKING = ("policy.paths", "policy.urls", "policy.named", "reading")
+_CHECKING = ("policy.paths", "reading")
 LOOKS = {"open", "read_bytes", "read_text", "iterdir", "glob", "rglob", "walk", "stat", "lstat", "exists", "is_file"}
 LOOKS |= {"is_dir", "samefile", "readlink", "unlink", "mkdir", "scandir", "listdir", "isfile", "isdir"}
 OPENERS = {"open", "np.load", "np.memmap", "np.fromfile", "zipfile.ZipFile", "onnx.load", "trimesh.load"}
@@ -193,13 +193,13 @@ OPENED = {
         facepipe.networks.masks:own_network facepipe.rig.conventions:_tables
         facepipe.stage.api_schemas:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
-        facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:_page_files
+        facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:view
         """,
     "it was typed, and is checked by the command line or its reader": """
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
         facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
         facepipe.verbs.blend.blend_action:BlendFaces.check
-        facepipe.scanning.database.actions:DatabaseInfo.look
+        facepipe.scanning.database.info_action:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
         facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos

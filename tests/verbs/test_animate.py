@@ -11,7 +11,7 @@ import live_link
 import numpy as np
 import pytest
 from command_line import done, exit_code, failed, run
-from facepipe_gltf.read.face import Options as GltfOptions
+from facepipe_gltf.read.options import Options as GltfOptions
 from faces import replace_mesh, tiny_face
 from gltf_reader import read as read_gltf
 from import_data import shared

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe_gltf.read.face import Options, read
+    from facepipe_gltf.read.face import read
+    from facepipe_gltf.read.options import Options
 else:
     __getattr__, __dir__ = lazy(__name__)
 

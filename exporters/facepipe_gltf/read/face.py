@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.core.policy.bounds import check_counts
-from facepipe.declare import check_ranges, option
+from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.imported import Imported, import_recipe, with_units
@@ -23,6 +23,7 @@ from facepipe_gltf.read.animations import read_animations
 from facepipe_gltf.read.document import Document, open_document
 from facepipe_gltf.read.materials import material_names, read_materials
 from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
@@ -33,19 +34,6 @@ _READ = ("facepipe", "targetNames")  # keys of extras
 _NEAREST = (9728, 9984, 9986)  # texture filters
 _FILTERS = ("magFilter", "minFilter")
 _LISTED = 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """What to read, and how."""
-
-    weld: bool = option(True, "join vertices that were split at UV and normal seams into one point")
-    scene: int | None = option(None, "number of the scene to read; the file's default scene where not given")
-    fps: float | None = option(
-        None, "frames per second that animations are sampled at; their own keys where not given", 1.0, 1000.0
-    )
-    meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
-    up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")
 
 
 def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
