@@ -12,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,20 @@ def run_child(python: str, script: Path, *arguments: str | Path) -> Json:
         raise ChildError(f"{script.name}: {lines[-1]}")
     result: Json = json.loads(report.read_text(encoding="utf-8"))
     return result
+
+
+def run_side(script: str | Path, side: str, *arguments: str | Path) -> Json:
+    """What one side of a benchmark reports, as `run_child`: ``SCRIPT --side SIDE ... REPORT``."""
+    return run_child(sys.executable, Path(script), "--side", side, *arguments)
+
+
+def is_side(sides: Mapping[str, Callable[..., Json]]) -> bool:
+    """Whether this process is a child for one of the sides, which is run then."""
+    if sys.argv[1:2] != ["--side"]:
+        return False
+    side, *arguments, report = sys.argv[2:]
+    write_report(report, sides[side](*arguments))
+    return True
 
 
 def write_report(path: str | Path, report: Json) -> None:

@@ -32,8 +32,7 @@ import numpy as np
 import support_modules  # noqa: F401  (finds the modules of tests/support)
 import torch
 from arguments import positive
-from call_times import measured
-from photo_peer import compare, peer_table
+from photo_peer import compare, measured, peer_table
 from slider_graphs import slider_rows
 from tables import aligned
 

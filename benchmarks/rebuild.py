@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from arguments import add_common, positive
-from children import Json, run_child
-from rebuild_table import table
+from children import Json, run_side
+from tables import aligned, mib, times
 
-_CHILD = Path(__file__).resolve().parent / "facepipe_rebuild.py"
+_SIDES = Path(__file__).resolve().with_name("rebuild_sides.py")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _FIRST_SEED = 101  # of the people
 _NEEDED = {"trimesh": ("trimesh", "rtree"), "the tests' scanner": ("pytest", "hypothesis")}
@@ -35,6 +35,22 @@ SIDES: dict[str, tuple[str, ...]] = {
     "nricp_sumner, tuned": ("trimesh", "sumner", "tuned"),
 }
 AIMS = {"processor_s": 5.0, "mean_mm": 1.0}  # the least that a peer's figure is of ours
+Row = tuple[str, ...]
+_HEADER = (
+    "person",
+    "side",
+    "points",
+    "processor",
+    "ratio",
+    "wall",
+    "mean",
+    "ratio",
+    "p95",
+    "narrow",
+    "p95",
+    "off scan",
+    "memory",
+)
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -75,12 +91,12 @@ def measure(data: Path, identities: int, runs: int) -> Json:
 def _person(seed: int, data: Path, folder: Path, sides: dict[str, tuple[str, ...]], runs: int) -> Json:
     """All sides in turn, so that they meet the same noise."""
     task, report = folder / "task.npz", folder / "report.json"
-    made = run_child(sys.executable, _CHILD, "prepare", str(seed), data, task, report)
+    made = run_side(_SIDES, "prepare", str(seed), data, task, report)
     samples: dict[str, list[Json]] = {side: [] for side in sides}
     for _ in range(runs):
         for side, words in sides.items():
             _set_threads("all threads" in side)
-            samples[side].append(run_child(sys.executable, _CHILD, *words, task, report))
+            samples[side].append(run_side(_SIDES, *words, task, report))
     return {**made, "samples": samples, "best": {side: _best(of_side) for side, of_side in samples.items()}}
 
 
@@ -126,6 +142,54 @@ def _parser() -> argparse.ArgumentParser:
     add_common(parser, 1, "best")
     parser.add_argument("--identities", type=positive, default=2, help="people (default 2)")
     return parser
+
+
+def table(result: Json) -> str:
+    """One table for people: a row a side, ratios always side / facepipe; what was skipped below."""
+    rows: list[Row] = [_HEADER]
+    for person in result["people"]:
+        rows += _rows(str(person["seed"]), person["best"], {})
+    rows += _rows("mean", result["means"], result["ratios"])
+    skipped = [f"skipped: {name}: {reason}" for name, reason in result["skipped"].items()]
+    legend = "true errors and distances in mm, ratio = side / facepipe"
+    runs = result["runs"]
+    return "\n".join([*aligned(rows), *_aims(result), *skipped, f"best of {runs} run{'s' * (runs > 1)}; {legend}"])
+
+
+def _rows(name: str, sides: Json, ratios: Json) -> list[Row]:
+    rows = []
+    for side, one in sides.items():
+        ratio = ratios.get(side, {})
+        rows.append(
+            (
+                name,
+                side,
+                f"{one['points']:,.0f}",
+                f"{one['processor_s']:,.1f} s",
+                times(ratio.get("processor_s")),
+                f"{one['wall_s']:,.1f} s",
+                f"{one['mean_mm']:.3f}",
+                times(ratio.get("mean_mm")),
+                f"{one['p95_mm']:.2f}",
+                f"{one['narrow_mean_mm']:.3f}",
+                f"{one['narrow_p95_mm']:.2f}",
+                f"{one['surface_mm']:.3f}",
+                mib(one.get("peak_bytes")),
+            )
+        )
+    return rows
+
+
+def _aims(result: Json) -> list[str]:
+    """Which peers are met by what they should be."""
+    lines = []
+    for key, text in (("processor_s", "time"), ("mean_mm", "mean error")):
+        peers = {side: ratio[key] for side, ratio in result["ratios"].items() if side.startswith("nricp")}
+        missed = [f"{side} {ratio:.1f}x" for side, ratio in peers.items() if ratio < result["aims"][key]]
+        if peers:
+            verdict = f"missed against {', '.join(missed)}" if missed else "met"
+            lines.append(f"aim, {text} of peers {result['aims'][key]:g}x ours or more: {verdict}")
+    return lines
 
 
 if __name__ == "__main__":

@@ -15,13 +15,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from arguments import add_common
-from children import ChildError, Json, run_child
+from children import ChildError, Json, run_side
 from tables import aligned, mib, ms, times
 
-_CHILD = Path(__file__).resolve().with_name("render_side.py")
+_SIDES = Path(__file__).resolve().with_name("render_sides.py")
 _ICT = "ict_facekit/ict_facekit.npz"
 _SEEDS = {"head in the box": "0", "long hair": "4", "bald": "12"}
-_SIDES = ("command", "picture", "facepipe", "embreex")
+_COMPARED = ("command", "picture", "facepipe", "embreex")
 _WORK = {"seen": "5.8 million samples seen", "sky": "24 directions of the sky, each point"}
 
 
@@ -44,10 +44,10 @@ def measure(data: Path, runs: int) -> Json:
     with tempfile.TemporaryDirectory() as folder:
         for name, stage in _stages(data, Path(folder), reasons).items():
             faces[name] = {}
-            for side in _SIDES:
+            for side in _COMPARED:
                 try:
                     report = Path(folder) / "report.json"
-                    found = [run_child(sys.executable, _CHILD, side, stage, report) for _ in range(runs)]
+                    found = [run_side(_SIDES, side, stage, report) for _ in range(runs)]
                 except ChildError as error:
                     reasons.append(f"{name}, {side}: {error}")
                     continue
@@ -58,10 +58,10 @@ def measure(data: Path, runs: int) -> Json:
 def _stages(data: Path, folder: Path, reasons: list[str]) -> dict[str, Path]:
     stages = {name: folder / f"head{seed}.usdc" for name, seed in _SEEDS.items()}
     for name, seed in _SEEDS.items():
-        run_child(sys.executable, _CHILD, "sample", seed, stages[name], folder / "report.json")
+        run_side(_SIDES, "sample", seed, stages[name], folder / "report.json")
     if (data / _ICT).is_file():
         stages["ICT-FaceKit"] = folder / "ict.usdc"
-        run_child(sys.executable, _CHILD, "ict", data / _ICT, stages["ICT-FaceKit"], folder / "report.json")
+        run_side(_SIDES, "ict", data / _ICT, stages["ICT-FaceKit"], folder / "report.json")
     else:
         reasons.append(f"ICT-FaceKit: {data / _ICT} is not there")
     return stages

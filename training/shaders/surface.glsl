@@ -1,5 +1,5 @@
 #version 330
-// What a sample shows: facepipe.pictures.materials and facepipe.pictures.portrait, in float32.
+// What a sample shows: facepipe.pictures.shade and facepipe.pictures.lighting, in float32.
 in vec3 place, turned, world, carried_ahead, carried_behind;
 in vec2 at;
 uniform sampler2D diffuse_color_map, roughness_map, occlusion_map, opacity_map, normal_map, key_map;

@@ -1,7 +1,13 @@
-"""A scan of a known person and the face to fit to it, as arrays that all sides of rebuild.py load."""
+"""Sides of rebuild.py, a process each: a scan of a known person is made, or facepipe or trimesh fits a face to it.
+
+usage: rebuild_sides.py --side prepare SEED DATA TASK REPORT
+       rebuild_sides.py --side facepipe face|head TASK REPORT
+       rebuild_sides.py --side trimesh amberg|sumner default|tuned TASK REPORT
+"""
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from dataclasses import dataclass, fields
@@ -10,16 +16,37 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from children import Json
+from children import Json, is_side, peak_memory
 
 from facepipe.geometry.similarity import Similarity, fit_similarity
 
 FloatArray = npt.NDArray[np.floating]
 IntArray = npt.NDArray[np.integer]
-
 HEAD = 14062  # first points of ICT-FaceKit: face, neck, back of the head, insides of mouth and sockets
 _TESTS = Path(__file__).resolve().parents[1] / "tests" / "support"
 _REACH_MM, _ANGLE = 10.0, 0.84  # places on the scan that count for the distance from it
+TUNED: dict[str, dict[str, Any]] = {
+    "amberg": {  # stiffness, landmarks, normals, rounds
+        "steps": [[0.02, 30, 0.5, 10], [0.01, 30, 0.5, 10], [0.005, 30, 0.5, 10], [0.002, 30, 0.5, 10]],
+        "distance_threshold": 0.03,
+    },
+    "sumner": {  # nearest places, identity, smoothness, landmarks, normals
+        "steps": [[1, 0.3, 1, 1000, 0], *([wanted, 0.3, 1, 1000, 1] for wanted in (1, 10, 100, 100))],
+        "distance_threshold": 0.03,
+    },
+}
+"""What fitted best of about ten settings each on another person (seed 103)."""
+
+
+class Clock:
+    """Wall and processor seconds since it was made."""
+
+    def __init__(self) -> None:
+        self._wall, self._processor = time.perf_counter(), time.process_time()
+
+    def read(self) -> Json:
+        """Both; the second is of all threads together."""
+        return {"wall_s": time.perf_counter() - self._wall, "processor_s": time.process_time() - self._processor}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,12 +142,79 @@ class RebuildTask:
         }
 
 
-class Clock:
-    """Wall and processor seconds since it was made."""
+def prepare(seed: str, data: str, task: str) -> Json:
+    """Write the task."""
+    made = RebuildTask.of(int(seed), Path(data))
+    made.save(task)
+    return {
+        "seed": int(seed),
+        "scan_points": len(made.scan_points),
+        "scan_triangles": len(made.scan_triangles),
+        "modes": len(made.modes),
+    }
 
-    def __init__(self) -> None:
-        self._wall, self._processor = time.perf_counter(), time.process_time()
 
-    def read(self) -> Json:
-        """Both; the second is of all threads together."""
-        return {"wall_s": time.perf_counter() - self._wall, "processor_s": time.process_time() - self._processor}
+def facepipe_fit(mesh: str, path: str) -> Json:
+    """The fit of a neutral as `FitNeutral` makes it, of the mesh of the face area alone or of the whole head."""
+    import scipy.sparse.linalg
+    import scipy.spatial.transform  # noqa: F401  (modules are loaded before the clock runs)
+
+    from facepipe.geometry.registration import Anchors, DeformableSurface, ScanTarget, register
+
+    with contextlib.suppress(ImportError):
+        import cholespy  # noqa: F401
+    task = RebuildTask.load(path)
+    task = task.face_alone() if mesh == "face" else task
+    before, clock = peak_memory(), Clock()
+    surface = DeformableSurface(
+        base=task.mean,
+        modes=task.modes,
+        expected=np.zeros(len(task.modes)),
+        precision=np.full(len(task.modes), 0.1),
+        triangles=task.triangles,
+        seen=task.seen,
+        held=np.zeros(len(task.mean)),
+    )
+    target = ScanTarget.of_surface(task.scan_points, task.scan_triangles)
+    anchors = Anchors.at_points(task.landmarks, task.scan_landmarks)
+    found = register(surface, target, anchors, task.start())
+    seconds, peak = clock.read(), peak_memory()
+    errors = task.errors(found.points, found.place)
+    return {**seconds, **errors, "points": len(task.mean), "before_bytes": before, "peak_bytes": peak}
+
+
+def trimesh_fit(kind: str, setting: str, path: str) -> Json:
+    """The mesh of the face area drawn onto the scan by ``nricp_amberg`` or ``nricp_sumner``."""
+    import rtree  # noqa: F401  (modules are loaded before the clock runs)
+    import scipy.sparse.linalg
+    import scipy.spatial  # noqa: F401
+    import trimesh
+    import trimesh.registration
+
+    fit = {"amberg": trimesh.registration.nricp_amberg, "sumner": trimesh.registration.nricp_sumner}[kind]
+    task = RebuildTask.load(path).face_alone()
+    before, clock = peak_memory(), Clock()
+    place = task.start()
+    source = trimesh.Trimesh(task.mean, task.triangles, process=False)
+    scan = trimesh.Trimesh(place.apply(task.scan_points), task.scan_triangles, process=False)
+    fitted = fit(
+        source,
+        scan,
+        source_landmarks=task.landmarks,
+        target_positions=place.apply(task.scan_landmarks),
+        **(TUNED[kind] if setting == "tuned" else {}),
+    )
+    seconds, peak = clock.read(), peak_memory()
+    errors = task.errors(fitted, place)
+    return {
+        **seconds,
+        **errors,
+        "points": len(task.mean),
+        "before_bytes": before,
+        "peak_bytes": peak,
+        "version": trimesh.__version__,
+    }
+
+
+if __name__ == "__main__":
+    is_side({"prepare": prepare, "facepipe": facepipe_fit, "trimesh": trimesh_fit})

@@ -1,8 +1,8 @@
-"""Child of render.py: one side's times and memory on one face.
+"""Sides of render.py, a process each: times and memory on one face.
 
-usage: render_side.py sample SEED STAGE REPORT
-       render_side.py ict SOURCE STAGE REPORT
-       render_side.py command|picture|facepipe|embreex STAGE REPORT
+usage: render_sides.py --side sample SEED STAGE REPORT
+       render_sides.py --side ict SOURCE STAGE REPORT
+       render_sides.py --side command|picture|facepipe|embreex STAGE REPORT
 
 The first two make stages. `command` is `facepipe render` from its start to its file, `picture` draws the face in three
 views; the other two do the same work for its front view: what is seen in 9 samples a pixel, and which of 24 directions
@@ -20,7 +20,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from children import Json, peak_memory, write_report
+from children import Json, is_side, peak_memory
 
 SIZE, SAMPLES = 800, 3
 
@@ -150,6 +150,4 @@ def _summary(name: str, times: list[tuple[float, float]]) -> Json:
 
 
 if __name__ == "__main__":
-    what, *arguments, report = sys.argv[1:]
-    sides = {one.__name__: one for one in (sample, ict, command, picture, facepipe, embreex)}
-    write_report(report, sides[what](*arguments))
+    is_side({one.__name__: one for one in (sample, ict, command, picture, facepipe, embreex)})
