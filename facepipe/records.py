@@ -133,7 +133,17 @@ def from_json(kind: type[Part], data: object, arrays: ArrayReader, where: str) -
 
 def _read(kind: Any, data: Any, arrays: ArrayReader, where: str) -> Any:
     if dataclasses.is_dataclass(kind):
-        return _dataclass(kind, data, arrays, where)
+        if not isinstance(data, dict):
+            raise InputError(where, "no object, expected one")
+        hints = _hints(kind)
+        unknown = sorted(set(data) - set(hints))
+        if unknown:
+            raise InputError(where, f"unknown field '{ascii(unknown[0])[1:40]}': made by a newer version?")
+        values = {name: _read(hints[name], inner, arrays, f"{where}.{name}") for name, inner in data.items()}
+        try:
+            return kind(**values)
+        except TypeError:
+            raise InputError(where, "lacks a value") from None
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is np.ndarray:
         return arrays.array(data, where)
@@ -176,20 +186,6 @@ def _union(kinds: tuple[Any, ...], data: object, arrays: ArrayReader, where: str
         except InputError as error:
             problem = error
     raise problem
-
-
-def _dataclass(kind: Any, data: object, arrays: ArrayReader, where: str) -> Any:
-    if not isinstance(data, dict):
-        raise InputError(where, "no object, expected one")
-    hints = _hints(kind)
-    unknown = sorted(set(data) - set(hints))
-    if unknown:
-        raise InputError(where, f"unknown field '{ascii(unknown[0])[1:40]}': made by a newer version?")
-    values = {name: _read(hints[name], inner, arrays, f"{where}.{name}") for name, inner in data.items()}
-    try:
-        return kind(**values)
-    except TypeError:
-        raise InputError(where, "lacks a value") from None
 
 
 @cache

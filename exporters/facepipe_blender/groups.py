@@ -32,7 +32,13 @@ def read_groups(obj: Any, bones: set[str], helpers: set[str]) -> Groups:
     Groups called ``region:NAME`` are its regions; where there are none, all groups with weights that are no bones and
     serve no modifier or shape key.
     """
-    weights = _weights(obj)
+    count = len(obj.data.vertices)
+    weights = [np.zeros(count) for _ in obj.vertex_groups]
+    for index, vertex in enumerate(obj.data.vertices):
+        for entry in vertex.groups:
+            if entry.group < len(weights):
+                weights[entry.group][index] = entry.weight
+    weights = {group.name: values for group, values in zip(obj.vertex_groups, weights, strict=True)}
     of_bones = {name: values for name, values in weights.items() if name in bones}
     free = {name: values for name, values in weights.items() if name not in bones}
     marked = {name: values for name, values in free.items() if name.startswith(REGION)}
@@ -71,16 +77,6 @@ def _add(obj: Any, groups: Mapping[str, FloatArray]) -> None:
         values = np.asarray(mask, dtype=np.float64)
         for value in np.unique(values[values != 0]):
             group.add(np.flatnonzero(values == value).tolist(), float(value), "REPLACE")
-
-
-def _weights(obj: Any) -> dict[str, FloatArray]:
-    count = len(obj.data.vertices)
-    weights = [np.zeros(count) for _ in obj.vertex_groups]
-    for index, vertex in enumerate(obj.data.vertices):
-        for entry in vertex.groups:
-            if entry.group < len(weights):
-                weights[entry.group][index] = entry.weight
-    return {group.name: values for group, values in zip(obj.vertex_groups, weights, strict=True)}
 
 
 def helper_groups(obj: Any) -> set[str]:

@@ -10,8 +10,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from facepipe.core.arrays import FloatArray
-
 
 @contextlib.contextmanager
 def with_modifiers(obj: Any, warnings: list[str]) -> Iterator[Any]:
@@ -76,7 +74,9 @@ def _applied(obj: Any, after: contextlib.ExitStack) -> Any:
         made.shape_key_add(name=names[0], from_mix=False)
     for block in blocks:
         block.value = 1.0
-        points = _points(_evaluated(work).data)
+        data = _evaluated(work).data
+        points = np.empty(3 * len(data.vertices), dtype=np.float32)
+        data.vertices.foreach_get("co", points)
         block.value = 0.0
         # a modifier may make other points of each key (decimate, weld): these are no offsets
         if len(points) != 3 * len(mesh.vertices):
@@ -99,9 +99,3 @@ def _copy(obj: Any, data: Any, after: contextlib.ExitStack) -> Any:
 def _evaluated(obj: Any) -> Any:
     bpy.context.view_layer.update()
     return obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-
-
-def _points(data: Any) -> FloatArray:
-    found = np.empty(3 * len(data.vertices), dtype=np.float32)
-    data.vertices.foreach_get("co", found)
-    return found

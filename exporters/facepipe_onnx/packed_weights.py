@@ -59,7 +59,8 @@ def ramps_of(rig: Rig, sliders: Sequence[Slider], whole: Collection[str] = ()) -
         if slider.name in whole and slider.minimum < slider.maximum:
             rows[number, slider.minimum, slider.maximum] = np.zeros(len(base))
         for column, gain, curve in _entries(rig, slider):
-            values = _values(slider, curve)
+            inner = {value for value, _ in curve or () if slider.minimum < value < slider.maximum}
+            values = sorted({slider.minimum, slider.maximum, *inner})
             amounts = [gain * response(curve, value, slider.default) for value in values]
             # curve(x) = its first value + sum of rises * clip((x - start) / (end - start), 0, 1)
             base[column] += amounts[0]
@@ -90,12 +91,6 @@ def _entries(rig: Rig, slider: Slider) -> Iterator[tuple[int, float, Curve | Non
         if shape not in rig.shapes:
             raise ExportError(f"{rig.name} -> slider {slider.name}", f"no shape '{shape}'")
         yield 9 * len(rig.joints) + rig.shapes.index(shape), gain, curve
-
-
-def _values(slider: Slider, curve: Curve | None) -> list[float]:
-    """Slider values between which an entry is straight, from minimum to maximum."""
-    inner = {value for value, _ in curve or () if slider.minimum < value < slider.maximum}
-    return sorted({slider.minimum, slider.maximum, *inner})
 
 
 def ramp_nodes(nodes: Nodes, ramps: Ramps, sliders: int) -> str:

@@ -25,7 +25,7 @@ from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
 from facepipe_onnx.deform import Ends, activation_nodes, normal_nodes
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
-from facepipe_onnx.joints import Chains, chain_nodes, chains_of, end_nodes, tree_order
+from facepipe_onnx.joints import chain_nodes, chains_of, end_nodes, tree_order
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_weights import (
     PackedNodes,
@@ -107,22 +107,17 @@ def _joints(nodes: PackedNodes, rig: Rig, ramps: Ramps, risen: str, options: Opt
     chains = chains_of(
         rig, np.asarray(own.reshape(-1, 9).any(axis=1)), np.eye(4) if options.parent else rig.parent_world
     )
-    coefficients = _coefficients(nodes, ramps, chains, risen, options.batch)
-    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
-    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
-    order = tree_order(rig.parents)[0]
-    return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
-
-
-def _coefficients(nodes: PackedNodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
-    """[batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output."""
+    # [batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output
     rows, count = len(chains.joints), len(ramps.gains)
     joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
     joint_base = np.concatenate([ramps.base.reshape(-1, 9), rest_coefficients(1)])
     gains, base = joint_gains[:, chains.joints].reshape(count, -1), joint_base[chains.joints].ravel()
-    coefficients = nodes.reshape(_product(nodes, risen, gains, base, batch), batch, rows, 9)
+    coefficients = nodes.reshape(_product(nodes, risen, gains, base, options.batch), options.batch, rows, 9)
     nodes.add("Gather", coefficients, nodes.indices(chains.rows), axis=1, name="coefficients")
-    return coefficients
+    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
+    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
+    order = tree_order(rig.parents)[0]
+    return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
 
 
 def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:

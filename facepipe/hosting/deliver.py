@@ -65,7 +65,16 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
             findings += validate(inner / f"{name}.{suffix}")
         names = sorted(one.name for one in inner.iterdir())
         report = _in_folder(folder, [*names, f"{name}.report.json"], exports, findings)
-        (inner / f"{name}.report.json").write_text(_text(report), encoding="utf-8")
+        # the report as JSON with file names alone and without times: the same face gives the same bytes
+        content = report.to_dict()
+        content["files"] = [Path(one).name for one in content["files"]]
+        for export in content["exports"]:
+            del export["seconds"]
+            export["path"] = Path(export["path"]).name
+            export["files"] = [Path(file).name for file in export["files"]]
+        (inner / f"{name}.report.json").write_text(
+            json.dumps(content, indent=2, sort_keys=True) + "\n", encoding="utf-8"
+        )
         with together(folder / f"{name}.glb"):
             for one in sorted(inner.iterdir()):
                 with replacing(folder / one.name) as temporary:
@@ -88,14 +97,3 @@ def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], find
         facts=tuple(dict.fromkeys(line for export in exports for line in export.dropped)),
         warnings=tuple(dict.fromkeys(line for export in exports for line in export.warnings)),
     )
-
-
-def _text(report: DeliveryReport) -> str:
-    """The report as JSON with file names alone and without times: the same face gives the same bytes."""
-    content = report.to_dict()
-    content["files"] = [Path(one).name for one in content["files"]]
-    for export in content["exports"]:
-        del export["seconds"]
-        export["path"] = Path(export["path"]).name
-        export["files"] = [Path(file).name for file in export["files"]]
-    return json.dumps(content, indent=2, sort_keys=True) + "\n"
