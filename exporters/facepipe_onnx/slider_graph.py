@@ -91,7 +91,12 @@ def build(
     ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
     activations = None
     if rig.targets:
-        activations = activation_nodes(nodes, rig, _weights(nodes, ramps, risen), name="morph_weights")
+        weights = "weights"  # of the input, and those that the sliders drive
+        if ramps.shape_gains.any() or ramps.shape_base.any():
+            names_of = ("shape_gains", "shape_base")
+            driven = product_nodes(nodes, risen, names_of, ramps.shape_gains, ramps.shape_base)
+            weights = nodes.add("Add", driven, weights)
+        activations = activation_nodes(nodes, rig, weights, name="morph_weights")
     if options.points and (rig.joints or options.parent):
         skinned(nodes, rig, ends, options, activations)
     elif options.points:
@@ -131,14 +136,6 @@ def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray
     own = product_nodes(nodes, risen, ("gains", "base"), gains[:, columns], base[columns])
     both = nodes.concat([own, nodes.constant("still", np.tile(still, (batch, 1)))], 1)
     return nodes.gather(both, 1, place)
-
-
-def _weights(nodes: PackedNodes, ramps: Ramps, risen: str) -> str:
-    """[batch, shapes] weights: the input's and those that the sliders drive."""
-    if not ramps.shape_gains.any() and not ramps.shape_base.any():
-        return "weights"
-    driven = product_nodes(nodes, risen, ("shape_gains", "shape_base"), ramps.shape_gains, ramps.shape_base)
-    return nodes.add("Add", driven, "weights")
 
 
 def signature(
@@ -191,7 +188,24 @@ def _network_nodes(
         )
     both = nodes.concat([risen, units], 1)
     follow(nodes, both, lambda *values: np.concatenate(values, axis=1), risen, units)
-    return _with_rows(rig, network, ramps, *layers[-1]), both
+    for shape in network.shapes:
+        if shape not in rig.shapes:
+            raise ExportError(f"{rig.name} -> slider network", f"no shape '{shape}'")
+    bones = 9 * len(rig.joints)
+    columns = [9 * rig.joints.index(joint) + CHANNELS.index(channel) for joint, channel in network.channels]
+    columns += [bones + rig.shapes.index(shape) for shape in network.shapes]
+    last, last_bias = layers[-1]
+    rows = np.zeros((last.shape[1], bones + len(rig.shapes)))
+    rows[:, columns] = last.T
+    base = np.concatenate([ramps.base, ramps.shape_base])
+    base[columns] += last_bias
+    longer = ramps._replace(
+        base=base[:bones],
+        gains=np.concatenate([ramps.gains, rows[:, :bones]]),
+        shape_base=base[bones:],
+        shape_gains=np.concatenate([ramps.shape_gains, rows[:, bones:]]),
+    )
+    return longer, both
 
 
 def _first_layer(
@@ -213,23 +227,3 @@ def _first_layer(
         keys.index((number, one.minimum, one.maximum)) for number, one in inputs_of_network if one.minimum < one.maximum
     ]
     return np.array(inputs), (weight * reach)[:, reach > 0], bias + weight @ lower
-
-
-def _with_rows(rig: Rig, network: SliderNetwork, ramps: Ramps, weight: FloatArray, bias: FloatArray) -> Ramps:
-    """The ramps with what a last layer (outputs, units) adds."""
-    for shape in network.shapes:
-        if shape not in rig.shapes:
-            raise ExportError(f"{rig.name} -> slider network", f"no shape '{shape}'")
-    bones = 9 * len(rig.joints)
-    columns = [9 * rig.joints.index(joint) + CHANNELS.index(channel) for joint, channel in network.channels]
-    columns += [bones + rig.shapes.index(shape) for shape in network.shapes]
-    rows = np.zeros((weight.shape[1], bones + len(rig.shapes)))
-    rows[:, columns] = weight.T
-    base = np.concatenate([ramps.base, ramps.shape_base])
-    base[columns] += bias
-    return ramps._replace(
-        base=base[:bones],
-        gains=np.concatenate([ramps.gains, rows[:, :bones]]),
-        shape_base=base[bones:],
-        shape_gains=np.concatenate([ramps.shape_gains, rows[:, bones:]]),
-    )
