@@ -37,16 +37,14 @@ def _others() -> dict[str, EntryPoint]:
 
 def summaries(group: str = "") -> dict[str, str]:
     """Verb -> what it does, for all actions, or those of a group; for a plug-in that can't be used, the reason."""
-    own = {verb: one["summary"] for verb, one in _own().items() if verb.startswith(group)}
-    others = {verb: _summary(entry) for verb, entry in _others().items() if verb.startswith(group)}
-    return dict(sorted({**others, **own}.items()))
-
-
-def _summary(entry: EntryPoint) -> str:
-    try:
-        return _of_others(entry).summary
-    except InputError as error:
-        return f"({error})"
+    found = {verb: one["summary"] for verb, one in _own().items() if verb.startswith(group)}
+    for verb, entry in _others().items():
+        if verb.startswith(group):
+            try:
+                found[verb] = _of_others(entry).summary
+            except InputError as error:
+                found[verb] = f"({error})"
+    return dict(sorted(found.items()))
 
 
 def groups() -> dict[str, str]:

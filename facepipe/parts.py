@@ -175,14 +175,13 @@ class Skeleton:
     def parents(self) -> IntArray:
         """(j,) int32 index of each joint's parent, -1 for a root."""
         index = {joint: i for i, joint in enumerate(self.joints)}
-        return np.array([_nearest(index, joint) for joint in self.joints], dtype=np.int32)
-
-
-def _nearest(index: Mapping[str, int], joint: str) -> int:
-    parent = joint.rpartition("/")[0]
-    while parent and parent not in index:
-        parent = parent.rpartition("/")[0]
-    return index.get(parent, -1)
+        parents = []
+        for joint in self.joints:
+            parent = joint.rpartition("/")[0]
+            while parent and parent not in index:  # a part of the path that is no joint
+                parent = parent.rpartition("/")[0]
+            parents.append(index.get(parent, -1))
+        return np.array(parents, dtype=np.int32)
 
 
 @dataclass(frozen=True, kw_only=True)

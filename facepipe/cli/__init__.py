@@ -68,8 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (OSError, MemoryError, UnicodeError, RecursionError) as error:
-        # what the machine or the terminal refuses is not our fault: one line, as for bad input
-        print(f"facepipe: {_refusal(error)}", file=sys.stderr)
+        # what the machine or the terminal refuses is not our fault: one line, as for bad input; of ASCII, as the
+        # terminal may hold no other
+        said = f"{type(error).__name__}: {ascii(str(error) or 'no memory left')[1:-1]}"
+        if isinstance(error, OSError) and error.filename and error.strerror:
+            name = str(error.filename)
+            said = ascii(f"{name if len(name) < 200 else f'{name[:80]}...'}: {error.strerror.lower()}")[1:-1]
+        print(f"facepipe: {said}", file=sys.stderr)
         return 2
 
 
@@ -94,14 +99,6 @@ def _ending() -> Iterator[None]:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-def _refusal(error: Exception) -> str:
-    """One line of ASCII: the terminal may hold no other."""
-    if isinstance(error, OSError) and error.filename and error.strerror:
-        name = str(error.filename)
-        return ascii(f"{name if len(name) < 200 else f'{name[:80]}...'}: {error.strerror.lower()}")[1:-1]
-    return f"{type(error).__name__}: {ascii(str(error) or 'no memory left')[1:-1]}"
-
-
 def _run(words: list[str]) -> int:
     command = next((word for word in words if not word.startswith("-")), None)
     module = None if command is None else command_module(command)
@@ -110,26 +107,28 @@ def _run(words: list[str]) -> int:
     place = words.index(command)
     rest = [*words[:place], *words[place + 1 :]]  # -v and -q may stand before it
     project = None if {"-h", "--help"} & {*rest} else _project()
-    line = rest if project is None else _line_in(project, command, rest)
+    line = rest
+    if project is not None:
+        finder = Parser(add_help=False, common=False, prog=f"facepipe {command}")
+        finder.add_argument("--root", action="append", default=argparse.SUPPRESS)
+        # files that the project names may lie below roots of the line
+        with trusting(_trust_of(finder.parse_known_args(rest)[0], project)):
+            line = in_project(project, [command, *rest], Path.cwd())[1:]
     parser = Parser(prog=f"facepipe {command}", description=module.__doc__)
     module.configure(parser, line)
     parsed = parser.parse_args(line)
     with speaking(getattr(parsed, "loudness", "usual")), trusting(_trust_of(parsed, project)):
         _log.debug("facepipe %s, Python %s: %s", __version__, sys.version.split()[0], " ".join([command, *line]))
-        _note_roots(project)
+        if project is not None:
+            _log.debug("project file %s", project.file)
+            if project.roots and not project.trusted:
+                untrusted = f"expected FACEPIPE_PROJECT={project.file} if you trust them"
+                note(f"warning: roots of {project.file} are left out, {untrusted}")
         for path in paths_in(list(vars(parsed).values())):
             check_input(path)
         code = int(module.run(parsed))
         _log.debug("exit code %d", code)
         return code
-
-
-def _line_in(project: Project, command: str, rest: list[str]) -> list[str]:
-    """The words after the command, with what the project says; files that it names may lie below roots of the line."""
-    finder = Parser(add_help=False, common=False, prog=f"facepipe {command}")
-    finder.add_argument("--root", action="append", default=argparse.SUPPRESS)
-    with trusting(_trust_of(finder.parse_known_args(rest)[0], project)):
-        return in_project(project, [command, *rest], Path.cwd())[1:]
 
 
 def _project() -> Project | None:
@@ -141,17 +140,6 @@ def _project() -> Project | None:
     from facepipe.core.project import project_around
 
     return project_around(folder)
-
-
-def _note_roots(project: Project | None) -> None:
-    """Warn where roots of an untrusted project are left out."""
-    if project is None:
-        return
-    from facepipe.core.project import VARIABLE
-
-    _log.debug("project file %s", project.file)
-    if project.roots and not project.trusted:
-        note(f"warning: roots of {project.file} are left out, expected {VARIABLE}={project.file} if you trust them")
 
 
 def in_project(project: Project, words: Sequence[str], folder: Path, out: str = "") -> list[str]:

@@ -43,7 +43,15 @@ class ActionLine:
         staged = issubclass(kind, StageAction)
         parser.set_defaults(edit=None, flatten=False)
         if not issubclass(kind, Inspector):
-            _add_result(parser, kind)
+            result = kind.output if issubclass(kind, FileAction) else _STAGE
+            if not any(field.stands_alone for field in fields):
+                add("out", nargs="?", type=Path, metavar="OUT", help=f"{result} (or -o OUT)")
+            add("-o", "--output", type=Path, metavar="OUT", help=result.replace("%", "%%"))
+            edited = ", or with --edit RESULT," if staged else ""
+            add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
+        if staged:
+            add("--edit", type=Path, metavar="RESULT", help=_EDIT)
+            add("--flatten", action="store_true", help="write a standalone file")
         if staged and any(field.several and field.stands_alone for field in fields):
             text = "with --edit: another file for source N of the recipe"
             add("--replace", action="append", default=[], metavar="N=FILE", help=text)
@@ -84,7 +92,9 @@ class ActionLine:
         if isinstance(action, FileAction) and not a_folder:
             result["bytes"] = out.stat().st_size
         result["warnings"] = [*(kept.warnings if kept else ()), *done.report.warnings]
-        text = [action.text(done.report, out), *map(_line, done.beside.values())]
+        text = [action.text(done.report, out)]
+        for one in done.beside.values():
+            text.append(f"{one['path']}: {one['bytes']:,} bytes" if isinstance(one, Mapping) else str(one))
         emit(result, "\n".join(text), as_json=arguments.json)
         return 1 if action.missed(done.report) else 0
 
@@ -118,29 +128,12 @@ class ActionGroup:
         return ActionLine(kind)
 
 
-def _add_result(parser: Parser, kind: type[Action[Any]]) -> None:
-    add, staged = parser.add_argument, issubclass(kind, StageAction)
-    result = kind.output if issubclass(kind, FileAction) else _STAGE
-    if not any(field.stands_alone for field in fields_of(kind)):
-        add("out", nargs="?", type=Path, metavar="OUT", help=f"{result} (or -o OUT)")
-    add("-o", "--output", type=Path, metavar="OUT", help=result.replace("%", "%%"))
-    edited = ", or with --edit RESULT," if staged else ""
-    add("--force", action="store_true", help=f"overwrite OUT{edited} and what is written beside it")
-    if staged:
-        add("--edit", type=Path, metavar="RESULT", help=_EDIT)
-        add("--flatten", action="store_true", help="write a standalone file")
-
-
 def inputs_of(arguments: argparse.Namespace, action: Action[Any]) -> list[Path]:
     """The files that an action reads, and those that the line gives for values of its fields."""
     from facepipe.performing import files_of
 
     read = [getattr(arguments, field.name, None) for field in fields_of(type(action)) if field.is_read]
     return [*files_of(action), *(path for path in read if path is not None)]
-
-
-def _line(beside: Any) -> str:
-    return f"{beside['path']}: {beside['bytes']:,} bytes" if isinstance(beside, Mapping) else str(beside)
 
 
 def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None, A]:
@@ -179,17 +172,13 @@ def action_of(arguments: argparse.Namespace, kind: type[A]) -> tuple[Kept | None
             value = given[field.name]
             if field.is_read and field.parse and value:
                 value = field.parse(value)
-            values[field.name] = _joined(values.get(field.name), value)
+            old = values.get(field.name)
+            if isinstance(old, Mapping) and isinstance(value, Mapping) and value:
+                value = {**old, **value}  # a mapping adds to the old one; any other value replaces it
+            values[field.name] = tuple(value) if isinstance(value, list) else value
     values = kind.line_values(arguments, values)
     for field in fields:
         if field.needed and field.name not in values:
             edit = " (or --edit RESULT)" if issubclass(kind, StageAction) else ""
             raise InputError(field.shown, f"none given, expected {field.help.split(';')[0]}{edit}")
     return kept, kind(**values)
-
-
-def _joined(old: Any, given: Any) -> Any:
-    """A mapping adds to the old one; any other value replaces it."""
-    if isinstance(old, Mapping) and isinstance(given, Mapping) and given:
-        return {**old, **given}
-    return tuple(given) if isinstance(given, list) else given

@@ -5,17 +5,13 @@ from __future__ import annotations
 import argparse
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
 from facepipe.verbs.apply_bones_action import ApplyCoefficients
-
-if TYPE_CHECKING:
-    from facepipe.payload import Header, PayloadContent
-    from facepipe.stage import Face
 
 _LINE = ActionLine(ApplyCoefficients)
 __doc__ = _LINE.__doc__  # of --help
@@ -78,14 +74,20 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
 
 
 def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
+    import numpy as np
+
     import facepipe
-    from facepipe.payload import decode, read_header
+    from facepipe.payload import decode, joints_hash, read_header
     from facepipe.verbs.apply_bones import beyond_limits, limit_warnings, payload_bytes
 
     where = action.coefficients
     face, data = facepipe.read(action.face), payload_bytes(where)
     header = read_header(data, where)
-    misfit = _misfit(face, header)
+    joints, misfit = face.skeleton.joints, ""  # why it is not for the face
+    if (header.joints, header.joints_hash) != (len(joints), joints_hash(joints).hex()):
+        misfit = f"its {len(joints)} joints are others"
+    elif np.float32(header.meters_per_unit) != np.float32(face.meters_per_unit):
+        misfit = f"its units are {face.meters_per_unit:g} m"
     result: dict[str, Any] = {"path": str(where), "bytes": len(data), "fits": not misfit, **header._asdict()}
     frames = f"{header.frames} frame(s)" if header.has_frames else "one pose"
     lines = [
@@ -96,44 +98,15 @@ def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
     if misfit:
         lines.append(f"is not for {action.face}: {misfit}")
     else:
-        content = decode(data, face.skeleton.joints, where)
-        beyond, ranges = beyond_limits(face, content), _ranges(content)
-        result |= {**ranges, "beyond_limits": beyond}
-        lines += [*_ranges_text(ranges), *limit_warnings(beyond, clamped=False)]
+        content = decode(data, joints, where)
+        beyond, values, times = beyond_limits(face, content), content.frames, content.times
+        moved, turned = (float(np.abs(values[..., part]).max()) for part in (slice(3), slice(3, 6)))
+        least, most = float(values[..., 6:].min()), float(values[..., 6:].max())
+        ends = None if times is None else [float(times[0]), float(times[-1])]
+        result |= {"translation": moved, "rotation": turned, "scale": [least, most], "times": ends}
+        result["beyond_limits"] = beyond
+        lines.append(f"moves by at most {moved:g} units, {turned:g} radians, scales {least:g} to {most:g}")
+        lines += [f"times {ends[0]:g} to {ends[1]:g} s"] if ends else []
+        lines += limit_warnings(beyond, clamped=False)
     emit(result, "\n".join(lines), as_json=as_json)
     return 1 if beyond or misfit else 0
-
-
-def _misfit(face: Face, header: Header) -> str:
-    """Why a payload is not for a face; empty where it is."""
-    import numpy as np
-
-    from facepipe.payload import joints_hash
-
-    joints = face.skeleton.joints
-    if (header.joints, header.joints_hash) != (len(joints), joints_hash(joints).hex()):
-        return f"its {len(joints)} joints are others"
-    if np.float32(header.meters_per_unit) != np.float32(face.meters_per_unit):
-        return f"its units are {face.meters_per_unit:g} m"
-    return ""
-
-
-def _ranges(content: PayloadContent) -> dict[str, Any]:
-    import numpy as np
-
-    values = content.frames
-    return {
-        "translation": float(np.abs(values[..., :3]).max()),
-        "rotation": float(np.abs(values[..., 3:6]).max()),
-        "scale": [float(values[..., 6:].min()), float(values[..., 6:].max())],
-        "times": None if content.times is None else [float(content.times[0]), float(content.times[-1])],
-    }
-
-
-def _ranges_text(ranges: dict[str, Any]) -> list[str]:
-    scales = " to ".join(f"{one:g}" for one in ranges["scale"])
-    times = ranges["times"]
-    return [
-        f"moves by at most {ranges['translation']:g} units, {ranges['rotation']:g} radians, scales {scales}",
-        *([f"times {times[0]:g} to {times[1]:g} s"] if times else []),
-    ]

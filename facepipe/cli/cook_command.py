@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import emit, progress, warn
@@ -49,7 +49,8 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Cook, with a line for each file once it is done."""
-    from facepipe.cooking import CookOptions, cook
+    from facepipe.cooking import CookOptions, CookReport, cook
+    from facepipe.cooking.graph import shown
 
     done: list[NodeReport] = []
 
@@ -57,13 +58,17 @@ def run(arguments: argparse.Namespace) -> int:
         done.append(node)
         warn(node.warnings)
         if not arguments.json:
-            print(_line(node), flush=True)
+            why = f" ({'; '.join(node.why)})" if node.why else ""
+            seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""
+            missed = ", a threshold is missed" if node.missed else ""
+            print(f"{shown(node.file)}: {node.verb}: {node.action}{seconds}{missed}{why}", flush=True)
 
     try:
         report = cook(arguments.stages, options_from(arguments, CookOptions), watch=progress, on_node=report_node)
     except FacepipeError as error:
-        if arguments.json:
-            emit(_ended(done, error), "", as_json=True)
+        if arguments.json:  # the files before it are done
+            so_far = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
+            emit({**so_far.to_dict(), "good": False, "error": str(error)}, "", as_json=True)
         raise
     result = {"good": report.good, **report.to_dict()}
     findings = [str(finding) for findings in report.findings.values() for finding in findings]
@@ -75,23 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
         as_json=arguments.json,
     )
     return 0 if report.good else 1
-
-
-def _ended(done: list[NodeReport], error: FacepipeError) -> dict[str, Any]:
-    """The report of a cook that `error` has ended: the files before it are done."""
-    from facepipe.cooking import CookReport
-
-    report = CookReport(nodes=tuple(done), findings={}, seconds=sum(one.seconds for one in done))
-    return {**report.to_dict(), "good": False, "error": str(error)}
-
-
-def _line(node: NodeReport) -> str:
-    from facepipe.cooking.graph import shown
-
-    why = f" ({'; '.join(node.why)})" if node.why else ""
-    seconds = f" in {node.seconds:.1f} s" if node.action == "cooked" else ""
-    missed = ", a threshold is missed" if node.missed else ""
-    return f"{shown(node.file)}: {node.verb}: {node.action}{seconds}{missed}{why}"
 
 
 _ACTIONS = {

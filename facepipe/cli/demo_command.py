@@ -8,16 +8,13 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
 from facepipe.verbs.inspect_action import report_of
-
-if TYPE_CHECKING:
-    from facepipe.stage import Face
 
 TEXTURES = "head_textures"  # the folder beside head.usda
 FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
@@ -49,8 +46,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Make all files, print what was made."""
     from facepipe.core.atomic import hidden_folder, replacing, replacing_folder, together
 
-    start = time.perf_counter()
-    folder = _folder(arguments)
+    start, folder = time.perf_counter(), Path(arguments.folder)
+    for name in (*FILES, TEXTURES):
+        check_written(folder / name)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(folder, "is a file, expected a folder")
+    there = [name for name in (*FILES, TEXTURES) if (folder / name).exists()]
+    if there and not arguments.force:
+        raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
+    check_written(folder)
+    folder.mkdir(parents=True, exist_ok=True)
     with hidden_folder(folder) as inner:
         errors = _made(inner, arguments.seed)
         with together(folder / FILES[0]):
@@ -66,14 +71,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _made(folder: Path, seed: int) -> int:
     """Make the files in `folder`; the number of errors found in them."""
+    import io
+
+    import numpy as np
+
+    import facepipe
+    from facepipe.core.atomic import write_bytes
     from facepipe.performing import perform
+    from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
     from facepipe.verbs.sample_action import Sample
 
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
         perform(Sample(seed=seed, textures=_TEXTURES), path["head.usda"])
         bar.update()
-        face = _inspected(path["head.usda"])
+        face = facepipe.open(path["head.usda"])
+        print(report_of(face).as_text(path["head.usda"]))
         for name in ("head.glb", "head.onnx"):
             exporter = registry.exporter(path[name])
             report = exporter.export(face, path[name], exporter.Options())
@@ -81,41 +94,22 @@ def _made(folder: Path, seed: int) -> int:
             bar.update()
         errors = _validated([path[name] for name in ("head.usda", "head.glb", "head.onnx")])
         bar.update()
-        _evaluated(face, path["head.onnx"], path["points.npz"])
-        out = path["sheet.png"]
-        from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
-
+        graphs: Any = registry.exporter(path["head.onnx"])
+        outputs: dict[str, Any] = graphs.Deformer(path["head.onnx"]).evaluate(POSE)
+        buffer = io.BytesIO()
+        np.savez(buffer, **outputs)
+        write_bytes(path["points.npz"], buffer.getvalue())
+        apart = np.linalg.norm(outputs["points"].reshape(-1, 3) - face.evaluate(POSE), axis=1).max()
+        print(f"points.npz: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")
         parts = face.parts()
         options = PictureOptions(size=320, view="three-quarter", framing=face.evaluate())
         shapes = [name for name in SHEET if name in face.shapes]
         points = [face.evaluate(), *(face.evaluate({name: 1.0}) for name in shapes)]
         images = zip(("neutral", *shapes), poses(parts, points, options), strict=True)
-        save_png(contact_sheet(list(images), columns=4), out)
+        save_png(contact_sheet(list(images), columns=4), path["sheet.png"])
         bar.update()
     print("\nsheet.png: the face and its shapes")
     return errors
-
-
-def _folder(arguments: argparse.Namespace) -> Path:
-    folder = Path(arguments.folder)
-    for name in (*FILES, TEXTURES):
-        check_written(folder / name)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "is a file, expected a folder")
-    there = [name for name in (*FILES, TEXTURES) if (folder / name).exists()]
-    if there and not arguments.force:
-        raise InputError(folder / there[0], "exists, expected a new folder (or --force)")
-    check_written(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def _inspected(path: Path) -> Face:
-    import facepipe
-
-    face = facepipe.open(path)
-    print(report_of(face).as_text(path))
-    return face
 
 
 def _validated(paths: list[Path]) -> int:
@@ -130,19 +124,3 @@ def _validated(paths: list[Path]) -> int:
         for one in findings:
             print(f"  {one}")
     return errors
-
-
-def _evaluated(face: Face, model: Path, out: Path) -> None:
-    import io
-
-    import numpy as np
-
-    from facepipe.core.atomic import write_bytes
-
-    graphs: Any = registry.exporter(model)
-    outputs: dict[str, Any] = graphs.Deformer(model).evaluate(POSE)
-    buffer = io.BytesIO()
-    np.savez(buffer, **outputs)
-    write_bytes(out, buffer.getvalue())
-    apart = np.linalg.norm(outputs["points"].reshape(-1, 3) - face.evaluate(POSE), axis=1).max()
-    print(f"{out.name}: onnxruntime agrees with the stage to {apart * face.mm_per_unit:.1e} mm")

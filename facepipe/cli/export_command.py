@@ -23,16 +23,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from facepipe import registry
 from facepipe.cli.parser import Parser, add_options, add_output, add_rename, output_of
 from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
 from facepipe.verbs.sliders.options import DISTIL, DistilOptions
-
-if TYPE_CHECKING:
-    from facepipe.verbs.sliders import DistilReport
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -105,22 +101,17 @@ def _as_text(report: ExportReport) -> str:
         clips = f", in clips by {report.clips_mm:.4f} mm" if report.clips_mm else ""
         left = f"points are off by at most {report.dropped_mm:.4f} mm for offsets that its shapes leave out"
         lines.append(f"neural rig: {left}{clips}")
-    if isinstance(report, DistilledExportReport):
-        lines += _distilled_text(report.distilled)
+    if isinstance(report, DistilledExportReport) and report.distilled.sliders:
+        learned = report.distilled
+        what = f"{learned.channels} channels and {learned.shapes} shapes of {len(learned.sliders)} sliders"
+        lines.append(f"learned: {what}, {learned.width} {learned.activation} units, {learned.steps} steps")
+        units = {"translation": "stage units", "rotation": "rad", "scale": "of rest"}
+        rows = [(name, one, units[name]) for name, one in learned.coefficients.items()]
+        rows += [("shape weights", learned.shape_weights, "")] if learned.shape_weights else []
+        rows += [("points", learned.points_mm, "mm")] if learned.points_mm else []
+        lines += [
+            f"  {name}: mean {error.mean:.2g}, p95 {error.p95:.2g}, max {error.max:.2g} {unit}".rstrip()
+            for name, error, unit in rows
+        ]
+        lines.append(f"  off so far over {learned.vectors} random slider vectors that were not trained on")
     return "\n".join(lines)
-
-
-def _distilled_text(report: DistilReport) -> list[str]:
-    if not report.sliders:
-        return []
-    what = f"{report.channels} channels and {report.shapes} shapes of {len(report.sliders)} sliders"
-    lines = [f"learned: {what}, {report.width} {report.activation} units, {report.steps} steps"]
-    units = {"translation": "stage units", "rotation": "rad", "scale": "of rest"}
-    rows = [(name, one, units[name]) for name, one in report.coefficients.items()]
-    rows += [("shape weights", report.shape_weights, "")] if report.shape_weights else []
-    rows += [("points", report.points_mm, "mm")] if report.points_mm else []
-    lines += [
-        f"  {name}: mean {error.mean:.2g}, p95 {error.p95:.2g}, max {error.max:.2g} {unit}".rstrip()
-        for name, error, unit in rows
-    ]
-    return [*lines, f"  off so far over {report.vectors} random slider vectors that were not trained on"]

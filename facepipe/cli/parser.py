@@ -33,22 +33,29 @@ class Parser(argparse.ArgumentParser):
                 "nothing on stderr but errors: no progress, no notes, no warnings (they are in the report of --json)"
             )
             group.add_argument("-q", "--quiet", const="quiet", help=quiet, **given)
-            self._add_trust()
+            # nothing where none is given: an action's parser would hide what stands before the action
+            given = {"default": argparse.SUPPRESS}
+            others = self.add_argument_group("files of others")
+            roots = (
+                "folder that files may be written to and copied from; may be given again (default FACEPIPE_ROOTS, else "
+                "the nearest folder with a facepipe.toml, else the folder of the file); for batch also "
+                "s3://BUCKET/FOLDER"
+            )
+            others.add_argument("--root", action="append", metavar="DIR", help=roots, **given)
+            models = "load models that can run code (.pt2)"
+            others.add_argument("--trust-models", action="store_true", help=models, **given)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """As argparse does; of a word that no command knows the error has the nearest flag."""
         parsed, others = self.parse_known_args(args, namespace)
         if others:
             flags = [other.partition("=")[0] for other in others if other.startswith("-")]
-            near = did_you_mean(flags[0], self._flags()) if flags else ""
+            groups = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+            below = [parser for group in groups for parser in group.choices.values()]
+            known = [flag for parser in (self, *below) for flag in parser._option_string_actions]
+            near = did_you_mean(flags[0], [flag for flag in known if flag.startswith("--")]) if flags else ""
             self.error(f"unrecognized arguments: {' '.join(others)}{near}")
         return parsed
-
-    def _flags(self) -> list[str]:
-        """The flags of this parser and of those below it."""
-        groups = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
-        below = [parser for group in groups for parser in group.choices.values()]
-        return [flag for parser in (self, *below) for flag in parser._option_string_actions if flag.startswith("--")]
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """:raises argparse.ArgumentError: `value` is no choice of the action; with the nearest one"""
@@ -66,17 +73,6 @@ class Parser(argparse.ArgumentParser):
             return self.parse_known_intermixed_args(args, namespace)
         finally:
             self.intermixed = True
-
-    def _add_trust(self) -> None:
-        group = self.add_argument_group("files of others")
-        roots = (
-            "folder that files may be written to and copied from; may be given again (default FACEPIPE_ROOTS, else "
-            "the nearest folder with a facepipe.toml, else the folder of the file); for batch also s3://BUCKET/FOLDER"
-        )
-        # nothing where none is given: an action's parser would hide what stands before the action
-        given: Any = {"default": argparse.SUPPRESS}
-        group.add_argument("--root", action="append", metavar="DIR", help=roots, **given)
-        group.add_argument("--trust-models", action="store_true", help="load models that can run code (.pt2)", **given)
 
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with 2."""

@@ -43,7 +43,16 @@ def with_project(project: Project, words: Sequence[str], modules: Modules, folde
     verb, rest = list(words[:count]), list(words[count:])
     result = ["-o", out] if out else []
     put = [] if "--edit" in words else list(_flags(project, " ".join(verb), modules, [*rest, *result], folder))
-    return [*verb, *_named(project, [*put, *rest], folder)]
+    line, named = [*put, *rest], []  # with tables of names as their files
+    for number, word in enumerate(line):
+        flag, equals, value = word.partition("=")
+        after = number > 0 and line[number - 1] == "--rename"
+        name = value if flag == "--rename" and equals else word if after else ""
+        if name in project.names:
+            file = _seen(project, f"{project.file} -> names.{name}", project.names[name], folder)
+            word = f"--rename={file}" if equals and not after else file
+        named.append(word)
+    return [*verb, *named]
 
 
 def _flags(project: Project, command: str, modules: Modules, words: Sequence[str], folder: Path) -> Iterator[str]:
@@ -83,17 +92,3 @@ def _known(command: str, modules: Modules, words: Sequence[str]) -> Mapping[str,
 def _seen(project: Project, where: str, name: str, folder: Path) -> str:
     """A file that the project names, as seen from where the line is run."""
     return relative(file_chosen(where, name, project.file, project.folders), folder)
-
-
-def _named(project: Project, words: list[str], folder: Path) -> list[str]:
-    """The words with tables of names as their files."""
-    named = []
-    for number, word in enumerate(words):
-        flag, equals, value = word.partition("=")
-        after = number > 0 and words[number - 1] == "--rename"
-        name = value if flag == "--rename" and equals else word if after else ""
-        if name in project.names:
-            file = _seen(project, f"{project.file} -> names.{name}", project.names[name], folder)
-            word = f"--rename={file}" if equals and not after else file
-        named.append(word)
-    return named

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from facepipe.cli.action_line import ActionLine
 from facepipe.cli.show import emit
@@ -12,7 +12,7 @@ from facepipe.core.reports import table
 from facepipe.verbs.sliders.sliders_action import SlidersOfFace
 
 if TYPE_CHECKING:
-    from facepipe.parts import Curve, Slider, SliderNetwork
+    from facepipe.parts import Curve, Slider
 
 _LINE = ActionLine(SlidersOfFace)
 __doc__ = _LINE.__doc__  # of --help
@@ -39,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.face is None:
         raise InputError("FACE", "none given, expected a face stage")
     import facepipe
+    from facepipe.rig.sliders import channel_entries, shape_entries
 
     face = facepipe.read(arguments.face)
     sliders = face.sliders
@@ -47,62 +48,49 @@ def run(arguments: argparse.Namespace) -> int:
         groups.setdefault(slider.group, []).append(slider)
     rows = [row for group in sorted(groups) for row in _rows(group, groups[group])]
     lines = [f"{arguments.face}: {len(sliders)} sliders in {len(groups)} groups", *([table(rows)] if rows else [])]
-    lines += [_listed(face.slider_network)] if face.slider_network else []
-    network = None if face.slider_network is None else face.slider_network.summary()
-    result = {"path": str(arguments.face), "sliders": [_json(one) for one in sliders], "network": network}
+    network = face.slider_network
+    if network:
+        layers = " -> ".join(map(str, network.layers))
+        what = f"{len(network.channels)} channels and {len(network.shapes)} shapes"
+        lines.append(f"learned network {layers} ({network.activation}) adds to {what}")
+    listed = [
+        {
+            "name": one.name,
+            "group": one.group,
+            "range": [one.minimum, one.maximum],
+            "default": one.default,
+            "value": one.setting,
+            "mirror": one.mirror,
+            "channels": [
+                {"joint": joint, "channel": channel, "gain": gain, "curve": curve}
+                for (joint, channel, gain), curve in channel_entries(one)
+            ],
+            "shapes": [{"shape": shape, "gain": gain, "curve": curve} for (shape, gain), curve in shape_entries(one)],
+        }
+        for one in sliders
+    ]
+    result = {"path": str(arguments.face), "sliders": listed, "network": network and network.summary()}
     emit(result, "\n".join(lines), as_json=arguments.json)
     return 0
 
 
 def _rows(group: str, sliders: list[Slider]) -> list[tuple[str, ...]]:
+    from facepipe.rig.sliders import channel_entries, shape_entries
+
     rows: list[tuple[str, ...]] = [(group or "(no group)",)]
     for slider in sliders:
         value = "" if slider.value is None or slider.value == slider.default else f"= {slider.value:g}"
         span = f"{slider.minimum:g} to {slider.maximum:g}, {slider.default:g}"
-        from facepipe.rig.sliders import channel_entries, shape_entries
-
         texts = [
             f"{joint.rpartition('/')[2]}:{channel} {gain:g}{_bent(curve)}"
             for (joint, channel, gain), curve in channel_entries(slider)
         ]
         texts += [f"{shape} {gain:g}{_bent(curve)}" for (shape, gain), curve in shape_entries(slider)]
         more = f" ... ({len(texts)} in all)" if len(texts) > _SHOWN else ""
-        rows.append(
-            (
-                f"  {slider.name}",
-                span,
-                value,
-                (", ".join(texts[:_SHOWN]) + more),
-                f"mirror {slider.mirror}" if slider.mirror else "",
-            )
-        )
+        mirror = f"mirror {slider.mirror}" if slider.mirror else ""
+        rows.append((f"  {slider.name}", span, value, ", ".join(texts[:_SHOWN]) + more, mirror))
     return rows
 
 
 def _bent(curve: Curve | None) -> str:
     return "" if curve is None else f" x curve of {len(curve)}"
-
-
-def _json(slider: Slider) -> dict[str, Any]:
-    from facepipe.rig.sliders import channel_entries, shape_entries
-
-    return {
-        "name": slider.name,
-        "group": slider.group,
-        "range": [slider.minimum, slider.maximum],
-        "default": slider.default,
-        "value": slider.setting,
-        "mirror": slider.mirror,
-        "channels": [
-            {"joint": joint, "channel": channel, "gain": gain, "curve": curve}
-            for (joint, channel, gain), curve in channel_entries(slider)
-        ],
-        "shapes": [{"shape": shape, "gain": gain, "curve": curve} for (shape, gain), curve in shape_entries(slider)],
-    }
-
-
-def _listed(network: SliderNetwork) -> str:
-    """A face's network in the list of sliders, as text."""
-    layers = " -> ".join(map(str, network.layers))
-    what = f"{len(network.channels)} channels and {len(network.shapes)} shapes"
-    return f"learned network {layers} ({network.activation}) adds to {what}"

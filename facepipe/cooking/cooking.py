@@ -105,7 +105,19 @@ class _Run:
             self._stale.add(key)
             return _report(node, "stale", why, self._old(node))
         with trusting(replace(trust(), roots=roots)), locked(node.path, waiting=self._digests.forget_all):
-            return self._cook(node, key)
+            start, node = time.perf_counter(), read_node(node.path)
+            why = self._why(node)
+            if not why or node.recipe is None:
+                self._wrote(key)
+                return _report(node, "up to date", ("another process cooked it",))
+            report, missed = self._steady(node, node.recipe.verb, key)
+            return replace(
+                _report(node, "cooked", why),
+                seconds=time.perf_counter() - start,
+                missed=missed,
+                warnings=(*self._old(node), *report.warnings),
+                report=report.to_dict(),
+            )
 
     def _why(self, node: Node) -> tuple[str, ...]:
         """Why `node` is to be cooked; nothing where it is up to date."""
@@ -119,23 +131,6 @@ class _Run:
         below = {one for source in node.sources for one in self.graph.made_of(source)}
         found = sorted(below & self._outside)
         return tuple(f"{one.name} is outside the roots and not up to date: taken as it is" for one in found)
-
-    def _cook(self, node: Node, key: Path) -> NodeReport:
-        """With the lock of the file: another process may have cooked it before."""
-        start, node = time.perf_counter(), read_node(node.path)
-        why = self._why(node)
-        if not why or node.recipe is None:
-            self._wrote(key)
-            return _report(node, "up to date", ("another process cooked it",))
-        report, missed = self._steady(node, node.recipe.verb, key)
-        done = _report(node, "cooked", why)
-        return replace(
-            done,
-            seconds=time.perf_counter() - start,
-            missed=missed,
-            warnings=(*self._old(node), *report.warnings),
-            report=report.to_dict(),
-        )
 
     def _steady(self, node: Node, verb: str, key: Path) -> tuple[Report, bool]:
         """Cook; once more where a source has changed meanwhile: the recipe must be of what was read."""

@@ -76,7 +76,11 @@ def read_graph(paths: Iterable[Path]) -> Graph:
     walk, starts = _Walk(), []
     for path in paths:
         check_stage_file(path)
-        starts.append(_place(path))
+        # of a link to a file beside it, that file is read and written. Links elsewhere are kept: USD looks for layers
+        # from the folder of the link
+        path = Path(os.path.abspath(path))  # noqa: PTH100  (links to folders stay as they are)
+        meant = path.resolve()
+        starts.append(path.with_name(meant.name) if meant.parent == path.parent.resolve() else path)
         walk.visit(starts[-1])
     return Graph(nodes=walk.done, roots=_writable(walk.done, starts))
 
@@ -103,16 +107,6 @@ def shown(path: Path) -> str:
     """A path as seen from the working folder, where it lies below that."""
     folder = Path.cwd()
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
-
-
-def _place(path: Path) -> Path:
-    """The file that is read and written for a given path: of a link to one beside it, that one.
-
-    Links elsewhere are kept: USD looks for layers from the folder of the link.
-    """
-    path = Path(os.path.abspath(path))  # noqa: PTH100  (links to folders stay as they are)
-    meant = path.resolve()
-    return path.with_name(meant.name) if meant.parent == path.parent.resolve() else path
 
 
 class _Walk:
@@ -148,12 +142,6 @@ class _Walk:
             node = read_node(path)
         except FacepipeError as error:
             raise (error.under(_line(self._paths())) if self._trail else error) from None
-        self._check(node)
-        self._trail[key] = node
-        return [iter(node.below)]
-
-    def _check(self, node: Node) -> None:
-        """:raises InputError: what it is made of is gone"""
         for number, source in enumerate(node.sources, 1):
             if not is_source(source):
                 place = _line([*self._paths(), node.path])
@@ -161,6 +149,8 @@ class _Walk:
         if node.recipe is None and node.lost:
             place = _line([*self._paths(), node.path])
             raise InputError(place, f"stands on {shown(node.lost[0])}, which is gone, expected it there")
+        self._trail[key] = node
+        return [iter(node.below)]
 
     def _paths(self) -> list[Path]:
         return [node.path for node in self._trail.values()]

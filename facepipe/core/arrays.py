@@ -62,22 +62,19 @@ def _culprits(value: object) -> Iterator[tuple[str, ...]]:
         if value.dtype.kind in "fc" and not np.isfinite(value).all():
             yield ()
     else:
-        for label, inner in _children(value):
+        inside: list[tuple[str, object]] = []
+        if dataclasses.is_dataclass(value):
+            for field in dataclasses.fields(value):
+                inner = getattr(value, field.name)
+                named = isinstance(inner, tuple) and inner and _name(inner[0])
+                inside.append(("" if named else field.name, inner))  # of a named tuple the name, not the number
+        elif isinstance(value, Mapping):
+            inside += [(str(key), inner) for key, inner in value.items()]
+        elif isinstance(value, tuple | list):
+            inside += [(_name(inner), inner) for inner in value]
+        for label, inner in inside:
             for trail in _culprits(inner):
                 yield (label, *trail) if label else trail
-
-
-def _children(value: object) -> Iterator[tuple[str, object]]:
-    if dataclasses.is_dataclass(value):
-        for field in dataclasses.fields(value):
-            inner = getattr(value, field.name)
-            # of a named tuple: the name, not the number
-            named = isinstance(inner, tuple) and inner and _name(inner[0])
-            yield ("" if named else field.name), inner
-    elif isinstance(value, Mapping):
-        yield from ((str(key), inner) for key, inner in value.items())
-    elif isinstance(value, tuple | list):
-        yield from ((_name(inner), inner) for inner in value)
 
 
 def _name(value: object) -> str:

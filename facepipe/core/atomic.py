@@ -217,9 +217,12 @@ class _Group:
             Move(self.home(target.parent), target.name, identity(target), role)
             for target, role in self._written.items()
         ]
-        if len(moves) == 1 and moves[0].role != "stale" and self._in_one_step(moves[0]):
-            pass
-        elif moves:
+        in_one_step = len(moves) == 1 and moves[0].role != "stale"
+        if in_one_step and moves[0].former is not None and moves[0].target.is_dir():
+            in_one_step = exchange(moves[0].source, moves[0].target)
+        elif in_one_step:
+            patiently(moves[0].source.replace, moves[0].target)
+        if moves and not in_one_step:
             write_journal(moves, [home.path for home in self._homes.values()])
             try:
                 place(moves)
@@ -238,12 +241,6 @@ class _Group:
             _log.debug("%s: %s", move.target, "removed" if move.role == "stale" else "written")
         for call in self.calls:
             call()
-
-    def _in_one_step(self, move: Move) -> bool:
-        if move.former is not None and move.target.is_dir():
-            return exchange(move.source, move.target)
-        patiently(move.source.replace, move.target)
-        return True
 
 
 _group: ContextVar[_Group | None] = ContextVar("facepipe_files_together", default=None)

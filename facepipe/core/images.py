@@ -63,8 +63,24 @@ def open_image(
     from PIL import Image as Pillow
 
     with decoding(where, expected):
-        for fault in _too_many(data):
-            raise InputError(where, fault)
+        at, parts, what = len(_PNG), 0, "chunks"
+        if data.startswith(_PNG):
+            while at + 8 <= len(data) and parts <= _MOST_PARTS:
+                size, kind = struct.unpack_from(">I4s", data, at)
+                parts += kind not in (b"IDAT", b"fdAT")  # those of its pixels are as many as it is large
+                at += 12 + size
+        elif data.startswith(_JPEG):
+            at, what = 2, "segments"
+            while at + 4 <= len(data) and parts <= _MOST_PARTS:
+                marker, size = struct.unpack_from(">2H", data, at)
+                if marker == 0xFFDA or marker < 0xFF00:
+                    break
+                parts += 1
+                at += 2 + size
+        if parts > _MOST_PARTS:
+            raise InputError(where, f"more than {_MOST_PARTS} {what}")
+        if data.startswith(_JPEG) and data.count(b"\xff\xda") > _MOST_PARTS // 10:
+            raise InputError(where, f"more than {_MOST_PARTS // 10} scans")
         if data[4:12] in _HEIC:
             raise InputError(where, f"is HEIC, expected {expected}")
         Pillow.init()
@@ -136,30 +152,3 @@ def read_png(path: Path) -> npt.NDArray[np.uint8]:
         return np.repeat(grey[..., None], 3, axis=2)
     clear = "A" in image.getbands() or "transparency" in image.info
     return pixels(image, "RGBA" if clear else "RGB", path)
-
-
-def _too_many(data: bytes) -> Iterator[str]:
-    if data.startswith(_PNG) and _chunks(data) > _MOST_PARTS:
-        yield f"more than {_MOST_PARTS} chunks"
-    if data.startswith(_JPEG):
-        at, parts = 2, 0
-        while at + 4 <= len(data) and parts <= _MOST_PARTS:
-            marker, size = struct.unpack_from(">2H", data, at)
-            if marker == 0xFFDA or marker < 0xFF00:
-                break
-            parts += 1
-            at += 2 + size
-        if parts > _MOST_PARTS:
-            yield f"more than {_MOST_PARTS} segments"
-        if data.count(b"\xff\xda") > _MOST_PARTS // 10:
-            yield f"more than {_MOST_PARTS // 10} scans"
-
-
-def _chunks(data: bytes) -> int:
-    """Chunks of a PNG beside those of its pixels."""
-    at, parts = len(_PNG), 0
-    while at + 8 <= len(data) and parts <= _MOST_PARTS:
-        size, kind = struct.unpack_from(">I4s", data, at)
-        parts += kind not in (b"IDAT", b"fdAT")
-        at += 12 + size
-    return parts

@@ -208,17 +208,16 @@ def digest(files: Iterable[Path]) -> str:
 
     :raises InputError: a file can't be read
     """
-    sums = sorted((path.name, _sha256(path)) for path in files)
+    sums = []
+    for path in files:
+        check_regular(path)
+        try:
+            with path.open("rb") as file:
+                sums.append((path.name, hashlib.file_digest(file, "sha256").hexdigest()))
+        except OSError as error:
+            raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    sums.sort()
     if len(sums) == 1:
         return f"sha256:{sums[0][1]}"
     listing = "".join(f"{value}  {name}\n" for name, value in sums)
     return f"sha256:{hashlib.sha256(listing.encode()).hexdigest()}"
-
-
-def _sha256(path: Path) -> str:
-    check_regular(path)
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error

@@ -83,10 +83,9 @@ def table(rows: Iterable[Sequence[object]]) -> str:
     if not texts:
         return ""
     widths = [max(len(row[i]) for row in texts if i < len(row)) for i in range(max(map(len, texts)))]
-    return "\n".join(
-        "  ".join(_cell(cell, width) for cell, width in zip(row, widths, strict=False)).rstrip() for row in texts
-    )
-
-
-def _cell(text: str, width: int) -> str:
-    return text.rjust(width) if text.replace(".", "").replace(",", "").replace("-", "").isdigit() else text.ljust(width)
+    lines = []
+    for row in texts:
+        numbers = [one.replace(".", "").replace(",", "").replace("-", "").isdigit() for one in row]
+        cells = zip(row, widths, numbers, strict=False)
+        lines.append("  ".join(one.rjust(width) if right else one.ljust(width) for one, width, right in cells).rstrip())
+    return "\n".join(lines)

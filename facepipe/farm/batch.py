@@ -25,7 +25,7 @@ from facepipe.farm.run import Run
 from facepipe.stage.files import SUFFIXES
 
 if TYPE_CHECKING:
-    from facepipe.farm.ledger import Record
+    pass
 
 _DONE = ("made", "kept", "cached")
 _MOST_FAILURES = 20  # on the terminal
@@ -81,11 +81,19 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
     done = [record for record in run.records.values() if record["status"] in _DONE]
     left = (f"{run.gone}: {run.left} tasks are left, run it again to do them",) if run.gone else ()
     lines = Counter(one["error"] for one in own).items()
+    steps: dict[str, dict[str, Any]] = {}
+    for step in run.plan.steps:
+        ended = [one for name, one in run.records.items() if name.partition("/")[0] == step.name]
+        made = [one for one in ended if one["status"] in _DONE]
+        steps[step.name] = {"counts": dict(Counter(one["status"] for one in ended))}
+        if made:
+            steps[step.name]["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
+            steps[step.name]["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
     return BatchReport(
         faces=len(run.plan.rows),
         tasks=len(run.records),
         counts=dict(run.counts),
-        steps={step.name: _of_step(run.records, step.name) for step in run.plan.steps},
+        steps=steps,
         failures=(*(f"{line} ({count} tasks)" if count > 1 else line for line, count in lines), *left),
         missed_checks=tuple(one["task"] for one in done if one.get("missed")),
         attributions=tuple(sorted({text for one in done for text in one.get("attribution") or ()})),
@@ -97,16 +105,6 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
             *([f"{skipped} tasks were left out, since what they need failed"] if skipped else []),
         ),
     )
-
-
-def _of_step(records: Mapping[str, Record], step: str) -> dict[str, Any]:
-    ended = [one for name, one in records.items() if name.partition("/")[0] == step]
-    made = [one for one in ended if one["status"] in _DONE]
-    facts: dict[str, Any] = {"counts": dict(Counter(one["status"] for one in ended))}
-    if made:
-        facts["seconds_mean"] = sum(one["seconds"] for one in made) / len(made)
-        facts["peak_mb"] = max((one.get("peak_mb") or 0.0) for one in made)
-    return facts
 
 
 def write_report(report: BatchReport, run: Run, state: Path) -> None:
@@ -132,13 +130,33 @@ def write_report(report: BatchReport, run: Run, state: Path) -> None:
         if report.failures:
             lines = (tag("li", tag("code", line)) for line in report.failures[:_MOST_LINES])
             parts.append(joined(tag("h2", "Not done", class_="bad"), tag("ul", *lines)))
-        parts += [heading("Faces"), tag("div", *_faces(run, state), class_="cards")]
+        parts += [heading("Faces"), tag("div", *_cards(run, state), class_="cards")]
         if report.attributions:
             parts += [
                 heading("Licences and attributions"),
                 tag("ul", *(tag("li", line) for line in report.attributions)),
             ]
         write_bytes(state / "report.html", page(title, *parts))
+
+
+def _cards(run: Run, state: Path) -> Iterator[Markup]:
+    """A card for each face: picture, errors, times, what went wrong."""
+    from urllib.parse import quote
+
+    names = [step.name for step in run.plan.steps if not step.once]
+    for row in run.plan.rows:
+        tasks = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
+        written = [path for task in tasks for path in task.get("writes", ())]
+        image = []
+        if pictures := [path for path in written if path.endswith(".png") and not is_url(path)]:
+            there = Path(os.path.relpath(run.plan.folder / pictures[-1], state.absolute()))  # as the page names it
+            image = [tag("img", loading="lazy", src=quote(os.fsencode(there.as_posix())), alt="")]
+        errors = {name: value for task in tasks for name, value in errors_mm(task.get("report") or {}).items()}
+        seconds = sum(task.get("seconds", 0.0) for task in tasks)
+        lost = [task for task in tasks if task["status"] not in _DONE]
+        bad = [tag("div", task["task"], class_="bad", title=task["error"]) for task in lost]
+        figures = [tag("div", f"{name} {value:.3g} mm") for name, value in list(errors.items())[:_MOST_FIGURES]]
+        yield tag("div", *image, tag("b", row.name), f" {seconds:.1f} s", *bad, *figures, class_="card")
 
 
 def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
@@ -153,30 +171,6 @@ def errors_mm(report: Mapping[str, Any]) -> dict[str, float]:
         elif key.endswith("_mm") and isinstance(value, int | float):
             errors[key.removesuffix("_mm")] = value
     return errors
-
-
-def _faces(run: Run, state: Path) -> Iterator[Markup]:
-    """A card each: picture, errors, times, what went wrong."""
-    names = [step.name for step in run.plan.steps if not step.once]
-    for row in run.plan.rows:
-        tasks = [run.records[f"{name}/{row.name}"] for name in names if f"{name}/{row.name}" in run.records]
-        written = [path for task in tasks for path in task.get("writes", ())]
-        pictures = [path for path in written if path.endswith(".png") and not is_url(path)]
-        image = [tag("img", loading="lazy", src=_address(run, state, pictures[-1]), alt="")] if pictures else []
-        errors = {name: value for task in tasks for name, value in errors_mm(task.get("report") or {}).items()}
-        seconds = sum(task.get("seconds", 0.0) for task in tasks)
-        bad = [
-            tag("div", task["task"], class_="bad", title=task["error"]) for task in tasks if task["status"] not in _DONE
-        ]
-        figures = [tag("div", f"{name} {value:.3g} mm") for name, value in list(errors.items())[:_MOST_FIGURES]]
-        yield tag("div", *image, tag("b", row.name), f" {seconds:.1f} s", *bad, *figures, class_="card")
-
-
-def _address(run: Run, state: Path, path: str) -> str:
-    """A picture as the page names it."""
-    from urllib.parse import quote
-
-    return quote(os.fsencode(Path(os.path.relpath(run.plan.folder / path, state.absolute())).as_posix()))
 
 
 def batch(
@@ -225,10 +219,19 @@ def batch(
         raise InputError(state, f"can't be made: {error.strerror or error}") from error
     start = time.perf_counter()
     with ledger_in(state) as ledger:
-        run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None, roots=_roots(plan, state))
+        roots = (*(trust().roots or roots_of(plan.folder / "plan")), state)
+        run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None, roots=roots)
         if on_task is not None:
             run.on_task = on_task(run)
-        setting = _setting(plan, state, models, options)
+        setting = {  # what processes that do tasks need to know first
+            "folder": str(plan.folder),
+            "roots": [*dict.fromkeys(str(one.absolute()) for one in roots)],
+            "urls": trust().urls,
+            "models": models,
+            "local": options.local and str(options.local.absolute()),
+            "local_bytes": int(options.local_gb * 1e9),
+            "version": __version__,
+        }
         engine: Engine = (
             Cluster(cluster, setting, processes) if cluster else Processes(processes or os.cpu_count() or 1, setting)
         )
@@ -239,18 +242,6 @@ def batch(
         report = report_of(run, state, time.perf_counter() - start)
         write_report(report, run, state)
     return report
-
-
-def _roots(plan: Plan, state: Path) -> tuple[Path, ...]:
-    return (*(trust().roots or roots_of(plan.folder / "plan")), state)
-
-
-def _setting(plan: Plan, state: Path, models: bool, options: RunOptions) -> Mapping[str, Any]:
-    """What processes that do tasks need to know first."""
-    folders = [*dict.fromkeys(str(one.absolute()) for one in _roots(plan, state))]
-    local = {"local": options.local and str(options.local.absolute()), "local_bytes": int(options.local_gb * 1e9)}
-    setting = {"folder": str(plan.folder), "roots": folders, "urls": trust().urls, "models": models, **local}
-    return {**setting, "version": __version__}
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:

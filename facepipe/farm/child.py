@@ -11,7 +11,7 @@ import queue
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
 from typing import Any, Protocol
 
@@ -83,8 +83,15 @@ class Child:
             if until is not None and time.monotonic() > until:
                 self.end()
                 raise ChildLostError(request["task"], f"took more than {seconds:g} seconds")
-            used = None if memory_mb is None else _memory_of(process.pid)
-            if used is not None and memory_mb is not None and used > memory_mb:
+            used = 0.0  # MB
+            if memory_mb is not None:
+                try:
+                    import psutil
+                except ImportError:
+                    raise InputError("memory", "needs psutil: pip install 'facepipe[farm]'") from None
+                with contextlib.suppress(psutil.Error):  # it is gone
+                    used = float(psutil.Process(process.pid).memory_info().rss) / 1e6
+            if memory_mb is not None and used > memory_mb:
                 self.end()
                 raise ChildLostError(request["task"], f"took {used:.0f} MB, expected at most {memory_mb:g}")
 
@@ -122,21 +129,6 @@ def _pump(pipe: Any, answers: queue.SimpleQueue[bytes | None]) -> None:
         for line in pipe:
             answers.put(line)
     answers.put(None)
-
-
-def _memory_of(pid: int) -> float | None:
-    """The memory that a process has [MB]; None where it is gone.
-
-    :raises InputError: psutil is not installed
-    """
-    try:
-        import psutil
-    except ImportError:
-        raise InputError("memory", "needs psutil: pip install 'facepipe[farm]'") from None
-    try:
-        return float(psutil.Process(pid).memory_info().rss) / 1e6
-    except psutil.Error:
-        return None
 
 
 Done = Callable[[Record], object]
@@ -208,7 +200,7 @@ class Cluster:
         :raises InputError: Dask is not installed, no scheduler answers, none has a worker, or one of another facepipe
         """
         try:
-            from distributed import Client
+            from distributed import Client, SSHCluster
         except ImportError:
             raise InputError("--cluster", "needs Dask: pip install 'facepipe[farm]'") from None
         for name in list(logging.root.manager.loggerDict):
@@ -220,8 +212,17 @@ class Cluster:
         self._over = threading.Event()
         with contextlib.ExitStack() as ends:
             try:
-                over_ssh = address.startswith("ssh://")
-                target: Any = ends.enter_context(_over_ssh(address, processes)) if over_ssh else address
+                target: Any = address
+                if address.startswith("ssh://"):
+                    hosts = [one for one in address.removeprefix("ssh://").split(",") if one]
+                    if not hosts:
+                        raise InputError(f"--cluster {address}", "no host, expected ssh://HOST,HOST")
+                    options: Any = {
+                        "worker_options": {} if processes is None else {"nthreads": processes},
+                        "scheduler_options": {"idle_timeout": _IDLE},
+                        "remote_python": remote_python(),
+                    }
+                    target = ends.enter_context(SSHCluster([hosts[0], *hosts], **options))
                 self._client = ends.enter_context(Client(target, timeout=_CONNECT, set_as_default=False))
                 self._client.wait_for_workers(1, timeout=_WORKERS)
                 versions = self._on_all(_version)
@@ -339,19 +340,3 @@ def _version() -> str:
 
 def _brief(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-
-
-@contextlib.contextmanager
-def _over_ssh(address: str, processes: int | None) -> Iterator[Any]:
-    from distributed import SSHCluster
-
-    hosts = [one for one in address.removeprefix("ssh://").split(",") if one]
-    if not hosts:
-        raise InputError(f"--cluster {address}", "no host, expected ssh://HOST,HOST")
-    options: Any = {
-        "worker_options": {} if processes is None else {"nthreads": processes},
-        "scheduler_options": {"idle_timeout": _IDLE},
-        "remote_python": remote_python(),
-    }
-    with SSHCluster([hosts[0], *hosts], **options) as cluster:
-        yield cluster

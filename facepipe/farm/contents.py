@@ -98,7 +98,12 @@ def named(path: Path) -> set[Path]:
     if suffix in SUFFIXES:
         names: Iterable[str] = named_in(path) if suffix != ".usdz" else ()
     elif suffix == ".gltf":
-        names = _uris(path)
+        from urllib.parse import unquote
+
+        document = read_json_object(path, _MOST_BYTES)
+        lists = [one for one in (document.get("buffers"), document.get("images")) if isinstance(one, list)]
+        uris = [one.get("uri") for entries in lists for one in entries if isinstance(one, dict)]
+        names = [unquote(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
     elif suffix == ".obj":
         names = _MTLLIB.findall(_text(path))
     elif suffix == ".mtl":
@@ -112,16 +117,3 @@ def named(path: Path) -> set[Path]:
 
 def _text(path: Path) -> str:
     return read_bytes(path, _MOST_TEXT).decode("utf-8", "replace")
-
-
-def _uris(path: Path) -> Iterable[str]:
-    """Names of the buffers and images of a glTF."""
-    from urllib.parse import unquote
-
-    document = read_json_object(path, _MOST_BYTES)
-    for key in ("buffers", "images"):
-        entries = document.get(key)
-        for one in entries if isinstance(entries, list) else ():
-            uri = one.get("uri") if isinstance(one, dict) else None
-            if isinstance(uri, str) and not uri.startswith("data:"):
-                yield unquote(uri)

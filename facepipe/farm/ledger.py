@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -54,9 +54,24 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
         raise InputError(path, "is a link, expected a file")
     check_input(path)
     with locked(path, patience=0.0):
-        lines, records = _read(path)
-        if lines > _SLACK * len(records) + 100 or not _ends_whole(path) or _has_other_names(path):
-            _write(path, records.values())
+        records: dict[str, Record] = {}  # the last of each task; lines that are cut off or damaged are passed over
+        lines, line, is_shared = 0, b"\n", False
+        try:
+            if path.exists():
+                check_regular(path, _MOST_BYTES)
+                with path.open("rb") as former:
+                    while piece := former.readline(_MOST_LINE):
+                        line = piece
+                        lines += line.endswith(b"\n")
+                        record = parsed(line)
+                        if record is not None and is_record(record):
+                            records[record["task"]] = record
+                is_shared = path.stat().st_nlink > 1  # a hard link: what is added would be added to another's file
+        except OSError as error:
+            raise InputError(path, f"can't be read: {error.strerror or error}") from error
+        if lines > _SLACK * len(records) + 100 or not line.endswith(b"\n") or is_shared:
+            with replacing(path) as temporary, temporary.open("wb") as anew:
+                anew.writelines(map(_line, records.values()))
         try:
             file = path.open("ab")
         except OSError as error:
@@ -64,24 +79,6 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
         with file:
             yield Ledger(path, file, records)
             os.fsync(file.fileno())
-
-
-def _read(path: Path) -> tuple[int, dict[str, Record]]:
-    """The number of lines, and the last record of each task; lines that are cut off or damaged are passed over."""
-    records: dict[str, Record] = {}
-    lines = 0
-    try:
-        if path.exists():
-            check_regular(path, _MOST_BYTES)
-            with path.open("rb") as file:
-                while line := file.readline(_MOST_LINE):
-                    lines += line.endswith(b"\n")
-                    record = parsed(line)
-                    if record is not None and is_record(record):
-                        records[record["task"]] = record
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error
-    return lines, records
 
 
 def parsed(data: bytes) -> Any:
@@ -136,23 +133,12 @@ def _is_state(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 2 and _is_number(value[0]) and isinstance(value[1], int | str)
 
 
-def _is_write(value: Any) -> bool:
-    """The state of a file, None where a cache has it, and its digest."""
-    return (
-        isinstance(value, list) and len(value) == 2 and (value[0] is None or _is_state(value[0])) and _is_text(value[1])
-    )
-
-
 def _are_names(value: Any) -> bool:
     """Keys that files can be called by."""
     try:
         return isinstance(value, dict) and all(map(os.fsencode, value))
     except UnicodeEncodeError:  # half a surrogate pair
         return False
-
-
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
 
 
 _KINDS: Mapping[str, Callable[[Any], bool]] = {
@@ -164,34 +150,20 @@ _KINDS: Mapping[str, Callable[[Any], bool]] = {
     "verb": _is_text,
     "error": _is_text,
     "reads": lambda value: _are_names(value) and all(map(_is_state, value.values())),
-    "writes": lambda value: _are_names(value) and all(map(_is_write, value.values())),
+    # the state of each file, None where a cache has it, and its digest
+    "writes": lambda value: (
+        _are_names(value)
+        and all(isinstance(one, list) and len(one) == 2 for one in value.values())
+        and all((state is None or _is_state(state)) and _is_text(own) for state, own in value.values())
+    ),
     "report": lambda value: isinstance(value, dict),
-    "attribution": _are_texts,
+    "attribution": lambda value: isinstance(value, list) and all(map(_is_text, value)),
     "seconds": _is_number,
     "peak_mb": lambda value: value is None or _is_number(value),
     "lost": _is_number,
     "missed": lambda value: isinstance(value, bool),
     "passing": lambda value: isinstance(value, bool),
 }
-
-
-def _ends_whole(path: Path) -> bool:
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
-    return True  # empty, or none
-
-
-def _has_other_names(path: Path) -> bool:
-    """Whether a file is somebody else's too, by a hard link: what is added to it would be added there."""
-    with contextlib.suppress(OSError):
-        return path.stat().st_nlink > 1
-    return False
-
-
-def _write(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        file.writelines(map(_line, records))
 
 
 def _line(record: Mapping[str, Any]) -> bytes:

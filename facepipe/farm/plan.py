@@ -133,7 +133,12 @@ def plan_of(where: str, folder: Path, out: str, rows: Sequence[Row], steps: Mapp
     if links > _MOST_LINKS or text > _MOST_TEXT:
         raise InputError(where, f"{len(rows):,} faces are too many for {len(steps)} steps, expected fewer of either")
     faults |= _circles({name: one for name, one in known.items() if name not in faults})
-    return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=tuple(_ordered(known)), faults=faults)
+    ordered: dict[str, Step] = {}  # after those that they need, else as written; those in circles last
+    while len(ordered) < len(known):
+        ready = [one for one in known.values() if one.name not in ordered and set(one.needs) <= ordered.keys()]
+        ordered |= {one.name: one for one in ready or known.values() if one.name not in ordered}
+    steps_in_order = tuple(ordered.values())
+    return Plan(where=where, folder=folder, out=out, rows=tuple(rows), steps=steps_in_order, faults=faults)
 
 
 def _step(path: Path, name: str, table: Any) -> Step:
@@ -228,15 +233,6 @@ def _circles(steps: Mapping[str, Step]) -> dict[str, str]:
             faults |= dict.fromkeys(circle, f"needs itself: {' -> '.join(reversed(circle))}")
         else:
             return faults
-
-
-def _ordered(steps: Mapping[str, Step]) -> list[Step]:
-    """Steps after those that they need, else as written; those in circles last."""
-    done: dict[str, Step] = {}
-    while len(done) < len(steps):
-        ready = [step for step in steps.values() if step.name not in done and set(step.needs) <= done.keys()]
-        done |= {one.name: one for one in ready or steps.values() if one.name not in done}
-    return list(done.values())
 
 
 def filled(pattern: str, values: Mapping[str, str], most: int = _MOST_LINE) -> str:

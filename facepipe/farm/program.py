@@ -6,7 +6,6 @@ the version of the asking process.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import ctypes
 import gc
@@ -76,37 +75,29 @@ def _serve(
     least = math.inf  # MB that it had at rest since the last verb that was new: modules and data of that stay
     while True:
         record = do(json.loads(requests.get()))
-        at_rest, verb = _at_rest_mb(), str(record.get("verb"))
+        # memory that stays between two tasks; what is free goes back to the system first
+        gc.collect()
+        at_rest, verb, peak = 0.0, str(record.get("verb")), None
+        if sys.platform == "linux":
+            with contextlib.suppress(AttributeError):  # not glibc
+                ctypes.CDLL(None).malloc_trim(0)
+            at_rest = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
         least = min(at_rest, least if verb in verbs else math.inf)
         verbs.add(verb)
-        memory = {"peak_mb": _peak_mb(), "grown": at_rest > least + _GROWTH}
+        with contextlib.suppress(ImportError):  # Windows
+            import resource
+
+            used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            peak = round(used / (1e6 if sys.platform == "darwin" else 1e3), 1)
+        memory = {"peak_mb": peak, "grown": at_rest > least + _GROWTH}
         answers.write(json.dumps({**memory, **record}).encode() + b"\n")
         answers.flush()
-
-
-def _at_rest_mb() -> float:
-    """The memory that stays between two tasks; what is free goes back to the system first."""
-    gc.collect()
-    if sys.platform != "linux":
-        return 0.0
-    with contextlib.suppress(AttributeError):  # not glibc
-        ctypes.CDLL(None).malloc_trim(0)
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _listen(requests: queue.SimpleQueue[bytes]) -> None:
     for line in sys.stdin.buffer:
         requests.put(line)
     os._exit(1)
-
-
-def _peak_mb() -> float | None:
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(used / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
 def read_line(words: list[str]) -> Line:
@@ -121,7 +112,12 @@ def read_line(words: list[str]) -> Line:
     parser = Parser(prog=f"facepipe {verb}", description=module.__doc__, common=False)
     with _captured() as (_, errors):
         module.configure(parser, words[1:])
-        parsed = _parsed(parser, words[1:], errors)
+        try:
+            parsed = parser.parse_args(words[1:])
+        except SystemExit:
+            lines = errors.getvalue().strip().splitlines() or [f"{parser.prog}: no line to run"]
+            where, _, what = lines[-1].partition(": ")
+            raise InputError(where, what) from None
     parsed.json = parsed.force = True
     writes = [path for path in (getattr(parsed, "output", None), getattr(parsed, "out", None)) if path is not None]
     line = module.line(parsed.action) if isinstance(module, ActionGroup) else module
@@ -133,13 +129,22 @@ def read_line(words: list[str]) -> Line:
         action = action_of(parsed, kind)[1]
         beside = [getattr(action, field.name) for field in fields_of(kind) if field.role == "beside"]
         more = [path for path in beside if path is not None] + _companions(writes, kind)
-        reads, more = inputs_of(parsed, action), more
+        reads = inputs_of(parsed, action)
         writes += more
     else:
         reads = [path for path in paths_in(list(vars(parsed).values())) if path not in writes]
         reads += [Path(parsed.rename)] if Path(getattr(parsed, "rename", None) or "-").is_file() else []
         writes += _companions(writes)
-    return Line(verb=verb, reads=reads, writes=writes, run=lambda: _run(module, parsed))
+
+    def run() -> Outcome:
+        with _captured() as (printed, _):
+            code = int(module.run(parsed))
+        report: Any = {}  # of a command without one
+        with contextlib.suppress(ValueError):
+            report = json.loads(printed.getvalue())
+        return Outcome(missed=code == 1, report=report if isinstance(report, dict) else {"report": report})
+
+    return Line(verb=verb, reads=reads, writes=writes, run=run)
 
 
 def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> list[Path]:
@@ -153,26 +158,6 @@ def _companions(writes: list[Path], kind: type[Action[Any]] | None = None) -> li
         return [one for one in kind.with_it(out) if one != out]
     exported = out.suffix.lower().removeprefix(".") in suffixes()
     return [output for output in outputs(out) if output != out] if exported else []
-
-
-def _parsed(parser: Parser, words: list[str], errors: io.StringIO) -> argparse.Namespace:
-    try:
-        parsed: argparse.Namespace = parser.parse_args(words)
-        return parsed
-    except SystemExit:
-        lines = errors.getvalue().strip().splitlines() or [f"{parser.prog}: no line to run"]
-        where, _, what = lines[-1].partition(": ")
-        raise InputError(where, what) from None
-
-
-def _run(module: Any, parsed: argparse.Namespace) -> Outcome:
-    with _captured() as (printed, _):
-        code = int(module.run(parsed))
-    try:
-        report: Mapping[str, Any] = json.loads(printed.getvalue())
-    except ValueError:  # of a command without a report
-        report = {}
-    return Outcome(missed=code == 1, report=report if isinstance(report, dict) else {"report": report})
 
 
 @contextlib.contextmanager

@@ -72,9 +72,28 @@ class Run:
 
         :raises FacepipeError: the ledger can't be written
         """
-        start = time.perf_counter()
-        self._open()
-        waited = 0.0
+        start, waited = time.perf_counter(), 0.0
+        taken: dict[str, str] = {}  # result -> the task that makes it
+        for name, task in self._tasks.items():
+            fault = self.plan.faults.get(task.step.name)
+            error = f"steps.{task.step.name}: {fault}" if fault else ""
+            try:
+                path = "" if error else result_of(self.plan, task)
+                if path and taken.setdefault(path, name) != name:
+                    error = f"{name}: out is {path}, that of {taken[path]} too, expected another"
+            except FacepipeError as wrong:
+                error = str(wrong)
+            if error:
+                self._end(task, {"task": name, "status": FAILED, "error": printable(error)}, keep=False)
+        for name, task in self._tasks.items():
+            if name in self.records:
+                continue
+            needs = needed(self.plan, task)
+            self._waits[name] = sum(need not in self.records for need in needs)
+            for one in needs:
+                self._for.setdefault(one, []).append(name)
+            if self._waits[name] == 0:
+                self._make_ready(task)
         while not self.gone and self._hand_out(engine):
             before = time.perf_counter()
             record = self._answers.get()
@@ -87,34 +106,8 @@ class Run:
                 collect(folder)
         self.scheduling = time.perf_counter() - start - waited
 
-    def _open(self) -> None:
-        taken: dict[str, str] = {}
-        for name, task in self._tasks.items():
-            fault = self.plan.faults.get(task.step.name)
-            error = f"steps.{task.step.name}: {fault}" if fault else self._alike(task, taken)
-            if error:
-                self._end(task, {"task": name, "status": FAILED, "error": printable(error)}, keep=False)
-        for name, task in self._tasks.items():
-            if name in self.records:
-                continue
-            needs = needed(self.plan, task)
-            self._waits[name] = sum(need not in self.records for need in needs)
-            for one in needs:
-                self._for.setdefault(one, []).append(name)
-            if self._waits[name] == 0:
-                self._make_ready(task)
-
     def _make_ready(self, task: Task) -> None:
         heapq.heappush(self._ready, (task.order, next(self._numbers), task))
-
-    def _alike(self, task: Task, taken: dict[str, str]) -> str | None:
-        """What is wrong with where its result goes, if anything."""
-        try:
-            path = result_of(self.plan, task)
-        except FacepipeError as error:
-            return str(error)
-        other = taken.setdefault(path, task.name) if path else task.name
-        return None if other == task.name else f"{task.name}: out is {path}, that of {other} too, expected another"
 
     def _hand_out(self, engine: Engine) -> bool:
         """Give out what is ready; whether anything is being done."""
@@ -124,32 +117,35 @@ class Run:
             if failed:
                 self._end(task, {"task": task.name, "status": SKIPPED, "error": f"{task.name}: {failed[0]} failed"})
                 continue
-            self._give(engine, task)
+            results = {
+                step: [result_of(self.plan, self._tasks[name]) for name in tasks_named(self.plan, task, step)]
+                for step in task.step.needs
+            }
+            last = self._last(task)
+            try:
+                words = line_of(self.plan, task, results)
+            except FacepipeError as error:
+                self._end(task, {"task": task.name, "status": FAILED, "error": str(error)})
+                continue
+            if last is not None and self._stands(last, words):
+                status = KEPT if last["status"] in DONE else FAILED
+                self._end(task, {**last, "status": status}, keep=False)
+                continue
+            own = {"seconds": task.step.seconds, "memory_mb": task.step.memory_mb}
+            limits = {name: getattr(self.options, name) if value is None else value for name, value in own.items()}
+            request = {
+                "task": task.name,
+                "attempt": self._lost[task.name],
+                "words": words,
+                "last": last,
+                **limits,
+                "cache": self.options.cache and str(self.options.cache.absolute()),
+                "cache_bytes": int(self.options.cache_gb * 1e9),
+                "verify": self.options.verify,
+            }
+            self._out += 1
+            engine.submit(request, task.order, self._answers.put)
         return self._out > 0
-
-    def _give(self, engine: Engine, task: Task) -> None:
-        results = {
-            step: [result_of(self.plan, self._tasks[name]) for name in tasks_named(self.plan, task, step)]
-            for step in task.step.needs
-        }
-        last = self._last(task)
-        try:
-            words = line_of(self.plan, task, results)
-        except FacepipeError as error:
-            self._end(task, {"task": task.name, "status": FAILED, "error": str(error)})
-            return
-        if last is not None and self._stands(last, words):
-            status = KEPT if last["status"] in DONE else FAILED
-            self._end(task, {**last, "status": status}, keep=False)
-            return
-        own = {"seconds": task.step.seconds, "memory_mb": task.step.memory_mb}
-        folder = self.options.cache and str(self.options.cache.absolute())
-        cache = {"cache": folder, "cache_bytes": int(self.options.cache_gb * 1e9)}
-        limits = {name: getattr(self.options, name) if value is None else value for name, value in own.items()}
-        request = {"task": task.name, "attempt": self._lost[task.name], "words": words, "last": last, **limits, **cache}
-        request["verify"] = self.options.verify
-        self._out += 1
-        engine.submit(request, task.order, self._answers.put)
 
     def _stands(self, last: Mapping[str, Any], words: list[str]) -> bool:
         """Whether the last record of a task still holds."""

@@ -53,16 +53,14 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: boo
         columns: Iterable[dict[str, str]] = _of_glob(f"{where}.{kind}", folder, said, typed=typed)
     else:
         columns = {"csv": _of_csv, "rows": _of_rows, "range": _of_range}[kind](f"{where}.{kind}", folder, said)
-    rows = tuple(_row(number, values) for number, values in enumerate(columns, 1))
+    rows = []
+    for number, values in enumerate(columns, 1):
+        own = values.get("name") or (Path(values["face"]).stem if "face" in values else "")
+        name = file_name(own) if own else str(number)
+        rows.append(Row(name, {**values, "name": name}))
     if not rows:
         raise InputError(where, "no face, expected at least one")
-    return rows
-
-
-def _row(number: int, values: dict[str, str]) -> Row:
-    said = values.get("name") or (Path(values["face"]).stem if "face" in values else "")
-    name = file_name(said) if said else str(number)
-    return Row(name, {**values, "name": name})
+    return tuple(rows)
 
 
 def _of_glob(where: str, folder: Path, pattern: Any, *, typed: bool) -> list[dict[str, str]]:

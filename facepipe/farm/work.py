@@ -10,10 +10,10 @@ import errno
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from facepipe.core import __version__
 from facepipe.core.errors import ChangedError, FacepipeError, InputError, printable
@@ -72,10 +72,18 @@ def work(
         record["key"] = key = hashlib.sha256(said.encode()).hexdigest()
         states = {mirror.name(Path(path)): state for one in found for path, state in one.states.items()}
         record["reads"] = {name: mirror.state(name) if is_url(name) else state for name, state in states.items()}
-        kept = _kept(request.get("last"), key, mirror, verify=request.get("verify", False))
+        last, kept = request.get("last"), None
+        if last is not None and last.get("key") == key and last["status"] != FAILED:
+            kept = _kept(last, mirror, verify=request.get("verify", False))
         record |= kept or _result(request, line, key, mirror)
     except FacepipeError as error:
-        record |= {"status": FAILED, "error": str(error), "passing": _is_passing(error)}
+        # whether it may succeed later or elsewhere, as after a full disk, but not after a bad file
+        passing, cause = False, cast("BaseException | None", error)
+        while cause is not None and not passing:
+            passing = isinstance(cause, StoreError | ChangedError)
+            passing |= isinstance(cause, OSError) and cause.errno in _PASSING
+            cause = cause.__cause__ or cause.__context__
+        record |= {"status": FAILED, "error": str(error), "passing": passing}
     except (OSError, MemoryError) as error:
         record |= {"status": FAILED, "error": printable(f"{type(error).__name__}: {error}"), "passing": True}
     except Exception as error:  # a fault of ours or of a plug-in: the rest goes on
@@ -95,68 +103,65 @@ def _check_places(line: Line) -> None:
             raise InputError(path, f"is outside the roots ({roots}), expected --root")
 
 
-def _kept(last: Mapping[str, Any] | None, key: str, mirror: Mirror, *, verify: bool) -> Record | None:
-    """The last result, where it is that of the key and still there.
+def _kept(last: Mapping[str, Any], mirror: Mirror, *, verify: bool) -> Record | None:
+    """The last result, where it is still there.
 
     :param verify: its digests are compared even where nothing seems to have changed
     """
-    if last is None or last.get("key") != key or last["status"] == FAILED:
-        return None
     writes = {name: [mirror.state(name), own] for name, (_, own) in last["writes"].items()}
     for name, (state, own) in writes.items():
         former = last["writes"][name][0]
         unchanged = former is not None and state == tuple(former) and not verify
-        if not unchanged and (state is None or not _has_digest(name, own, mirror)):
-            return None
+        if not unchanged:
+            try:
+                if state is None or mirror.digest(name) != own:
+                    return None
+            except InputError:  # a folder, or a pipe: no result
+                return None
     names = ("report", "missed", "attribution", "verb", "seconds", "peak_mb")
     same = {name: last[name] for name in names if name in last}  # one of others may lack some
     return {**same, "status": KEPT, "writes": writes}
-
-
-def _has_digest(name: str, own: str, mirror: Mirror) -> bool:
-    try:
-        return mirror.digest(name) == own
-    except InputError:  # a folder, or a pipe: no result
-        return False
 
 
 def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) -> Record:
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    with _one_at_a_time(line.writes):
-        known = None if cache is None else cache.fetch(key, lambda path: _is_own(path, line))
-        record = known or _made(line, mirror)
-        if cache is not None and known is None:
-            cache.keep(key, record)
-    writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
-    folders = tuple(f"{mirror.name(place)}/" for path in line.writes for place in _places(path))
-    before = (request.get("last") or {}).get("writes", {})
-    mirror.remove(name for name in before if name not in writes and name.startswith(folders))
-    return {**record, "status": CACHED if known else MADE, "writes": writes}
+    places = [place for path in line.writes for place in _places(path)]
+    beside = {(one.parent, one.stem) for one in line.writes if one.suffix.lower() == ".gltf"}
 
+    def is_own(path: Path) -> bool:
+        """Whether the line could have written it: a result, what lies in one, or what a .gltf has beside it."""
+        if any(path.is_relative_to(place) for place in places):
+            return True
+        return path not in line.reads and (path.parent, path.name.partition(".")[0]) in beside
 
-@contextlib.contextmanager
-def _one_at_a_time(writes: Sequence[Path]) -> Iterator[None]:
-    """Batches with other states may make the same result, of which several files have to belong together.
-
-    :raises ChangedError: another makes it for long
-    """
     with contextlib.ExitStack() as ends:
-        for path in writes[:1]:
+        # batches with other states may make the same result, of which several files have to belong together
+        for path in line.writes[:1]:
             try:
                 ends.enter_context(locked(path))
             except InputError as error:
                 if not isinstance(error.__cause__, OSError):  # else its storage has no locks
                     raise ChangedError(path, "is made by another batch, expected one at a time") from error
-        yield
+        known = None if cache is None else cache.fetch(key, is_own)
+        record = known or _made(line, mirror)
+        if cache is not None and known is None:
+            cache.keep(key, record)
+    writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
+    folders = tuple(f"{mirror.name(place)}/" for place in places)
+    before = (request.get("last") or {}).get("writes", {})
+    mirror.remove(name for name in before if name not in writes and name.startswith(folders))
+    return {**record, "status": CACHED if known else MADE, "writes": writes}
 
 
 def _made(line: Line, mirror: Mirror) -> Record:
     """What a line came to; of what it wrote the digests, its result last."""
     outcome = line.run()
-    files = {file for path in line.writes for place in _places(path) for file in _files(place)}
-    files |= {beside for path in files for beside in _buffers(path)}
+    places = [place for path in line.writes for place in _places(path)]
+    files = {file for place in places for file in (place, *place.rglob("*")) if file.is_file()}
+    for path in [one for one in files if one.suffix.lower() == ".gltf"]:  # files beside it are called by their content
+        files |= {one for one in named(path) if one.is_relative_to(path.parent) and one.is_file()}
     for path in files:
         mirror.check_named(path)
     ordered = sorted(files, key=lambda path: (path == line.writes[0], path))
@@ -179,32 +184,3 @@ def _brief(value: Any) -> Any:
 def _places(path: Path) -> tuple[Path, ...]:
     """Where a result is written: itself, and the textures beside a stage."""
     return (path, texture_folder(path)) if path.suffix.lower() in SUFFIXES else (path,)
-
-
-def _is_own(path: Path, line: Line) -> bool:
-    """Whether a line could have written a file: a result, what lies in one, or what a .gltf has beside it."""
-    if any(path.is_relative_to(place) for one in line.writes for place in _places(one)):
-        return True
-    beside = {(one.parent, one.stem) for one in line.writes if one.suffix.lower() == ".gltf"}
-    return path not in line.reads and (path.parent, path.name.partition(".")[0]) in beside
-
-
-def _buffers(path: Path) -> set[Path]:
-    """What a .gltf holds in files beside it, which are called by their content."""
-    if path.suffix.lower() != ".gltf":
-        return set()
-    return {one for one in named(path) if one.is_relative_to(path.parent) and one.is_file()}
-
-
-def _files(path: Path) -> list[Path]:
-    return [one for one in (path, *path.rglob("*")) if one.is_file()]
-
-
-def _is_passing(error: FacepipeError) -> bool:
-    """Whether it may succeed later or elsewhere, as after a full disk, but not after a bad file."""
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, StoreError | ChangedError) or (isinstance(cause, OSError) and cause.errno in _PASSING):
-            return True
-        cause = cause.__cause__ or cause.__context__
-    return False

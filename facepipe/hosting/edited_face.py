@@ -16,8 +16,6 @@ from facepipe.parts import (
     Mesh,
     Skeleton,
     Skin,
-    Slider,
-    SliderNetwork,
     UvSet,
 )
 from facepipe.rig.slider_network import kept as kept_outputs
@@ -65,6 +63,12 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
     for name in subsets.keys() & kept.point_subsets.keys():
         if np.array_equal(np.unique(kept.point_subsets[name]), np.unique(subsets[name])):
             subsets[name] = kept.point_subsets[name]
+    skin, count = made.skin, len(kept.points)
+    if kept.skin is not None and skin is not None:
+        before, now, none = joint_table(kept.skin, count), joint_table(skin, count), np.zeros(count)
+        same_skin = all(_near(before.get(joint, none), now.get(joint, none)) for joint in {*before, *now})
+        own_bind = replace(skin, geom_bind_transform=kept.skin.geom_bind_transform)
+        skin = kept.skin if same_skin else own_bind
     result = replace(
         kept,
         points=made.points if moved else kept.points,
@@ -82,7 +86,7 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
         ),
         regions=kept.regions if same_regions else summed_to_one(made.regions),
         point_subsets=subsets,
-        skin=_skin(kept.skin, made.skin, len(kept.points)),
+        skin=skin,
         material=kept.material if whole else made.material,
         material_faces=made.material_faces,
     )
@@ -174,16 +178,6 @@ def joint_table(skin: Skin, points: int) -> dict[int, FloatArray]:
     return table
 
 
-def _skin(kept: Skin | None, made: Skin | None, points: int) -> Skin | None:
-    if kept is None or made is None:
-        return made
-    old, new = joint_table(kept, points), joint_table(made, points)
-    none = np.zeros(points)
-    if all(_near(old.get(joint, none), new.get(joint, none)) for joint in {*old, *new}):
-        return kept
-    return replace(made, geom_bind_transform=kept.geom_bind_transform)
-
-
 def _sculpts(shape: Blendshape, count: int) -> dict[str, FloatArray]:
     """Dense offsets (n, 3) of the shape, called '', and of its inbetweens by name."""
     offsets_by_name = {}
@@ -233,7 +227,12 @@ def edited_face(
         else:
             result.append(rest)
     sliders = with_mutual_mirrors(result)
-    network = _network(before.slider_network, sliders, joints, shapes, warnings)
+    network, named = before.slider_network, {slider.name for slider in sliders}
+    if network is not None:
+        network = kept_outputs(network, joints.__contains__, shapes.__contains__)
+        if network is None or not named.issuperset(network.sliders):
+            warnings.append("slider network: left out, its sliders or all that it adds to are gone")
+            network = None
     same_joints = before.skeleton.joints == skeleton.joints
     if before.bone_limits is not None and not same_joints:
         warnings.append("bone limits left out: the joints have changed")
@@ -360,15 +359,3 @@ def _in_order(parts: FaceParts, joints: tuple[str, ...]) -> FaceParts:
         return replace(mesh, skin=replace(mesh.skin, joint_indices=indices.astype(np.int32)))
 
     return replace(parts, meshes=tuple(renumbered(mesh) for mesh in parts.meshes))
-
-
-def _network(
-    before: SliderNetwork | None, sliders: tuple[Slider, ...], joints: set[str], shapes: set[str], warnings: list[str]
-) -> SliderNetwork | None:
-    if before is None:
-        return None
-    rest = kept_outputs(before, joints.__contains__, shapes.__contains__)
-    if rest is None or not {slider.name for slider in sliders}.issuperset(rest.sliders):
-        warnings.append("slider network: left out, its sliders or all that it adds to are gone")
-        return None
-    return rest

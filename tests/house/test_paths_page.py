@@ -208,7 +208,7 @@ OPENED = {
         facepipe_blender.panel:_deliver
         """,
     "it is made here: in a temporary folder, or as a result whose place was checked": """
-        facepipe.cli.action_line:ActionLine.run facepipe.cli.demo_command:run facepipe.hosting.host_face:face_to_bytes
+        facepipe.cli.action_line:ActionLine.run facepipe.hosting.host_face:face_to_bytes
         facepipe.verbs.array_file:write_arrays
         facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval_action:Eval.write
         facepipe.neural.bake_action:Bake.text
