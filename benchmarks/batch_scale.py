@@ -1,8 +1,7 @@
 """What giving tasks out takes, of tasks that do nothing: seconds and bytes a task of `facepipe batch` and of Dask.
 
-One side is `facepipe.farm.run.Run` with a simulated engine, whose workers answer at once, and answers that are as large
-as real ones. The other is a Dask scheduler in a process of its own, with
-a worker in another.
+One side is `facepipe.farm.batch.Run` with a simulated engine, whose workers answer at once, and answers that are as
+large as real ones. The other is a Dask scheduler in a process of its own, with a worker in another.
 
     python benchmarks/batch_scale.py [--tasks 100000] [--json out.json]
 """
@@ -31,9 +30,9 @@ from tables import aligned
 
 from facepipe.core import __version__
 from facepipe.farm import child
+from facepipe.farm.batch import _IN_FLIGHT, Run
 from facepipe.farm.ledger import FILE, ledger_in
 from facepipe.farm.plan import Plan, RunOptions, Step, plan_of
-from facepipe.farm.run import _IN_FLIGHT, Run
 from facepipe.farm.table import Row
 
 Json = dict[str, Any]

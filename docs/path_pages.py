@@ -95,11 +95,11 @@ FIELDS = (
     ),
     FileField("USD layer", "facepipe:photo:image", "facepipe.stage.photos:read_photo", "", _CONFORMS),
     # recipes
-    FileField("recipe", "sources, to cook", "facepipe.cooking.graph:read_node", "named_source", _STAGES),
+    FileField("recipe", "sources, to cook", "facepipe.cooking.cooking:read_node", "named_source", _STAGES),
     FileField("recipe", "sources, to edit or make again", "facepipe.performing:_places", "named_source", _STAGES),
     FileField("recipe", "sources", "facepipe.stage.recipes:named_source", "check_copied", _STAGES),
     FileField("folder of photos", "photos, of a recipe's source", "facepipe.stage.recipes:_photos", "files_in", _FOUND),
-    FileField("recipe", "results", "facepipe.cooking.graph:_writable", "is_writable", _WITHIN),
+    FileField("recipe", "results", "facepipe.cooking.cooking:_writable", "is_writable", _WITHIN),
     # projects
     FileField(
         "facepipe.toml",
@@ -175,9 +175,9 @@ FIELDS = (
     FileField("plan", "glob at a URL", "facepipe.farm.table:_of_glob", "checked", _URL),
     FileField("plan", "glob", "facepipe.farm.table:_matching", "check_copied", _BELOW),
     FileField("plan", "out", "facepipe.farm.plan:read_plan", "check_writable", _WITHIN),
-    FileField("plan", "results", "facepipe.farm.work:_check_places", "is_writable", _WITHIN),
+    FileField("plan", "results", "facepipe.farm.program:_check_places", "is_writable", _WITHIN),
     FileField("state folder", "itself", "facepipe.farm.batch:batch", "check_written", _WITHIN),
-    FileField("ledger", "reads, writes", "facepipe.farm.run:Run._last", "", _REACHED),
+    FileField("ledger", "reads, writes", "facepipe.farm.batch:Run._last", "", _REACHED),
     FileField("cache of results", "writes", "facepipe.farm.cache:Cache.fetch", "is_writable", _WITHIN),
 )
 

@@ -50,7 +50,7 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Cook, with a line for each file once it is done."""
     from facepipe.cooking import CookOptions, CookReport, cook
-    from facepipe.cooking.graph import shown
+    from facepipe.cooking.cooking import shown
 
     done: list[NodeReport] = []
 

@@ -32,8 +32,8 @@ from facepipe.core.errors import InputError
 from facepipe.farm.plan import RunOptions
 
 if TYPE_CHECKING:
+    from facepipe.farm.batch import Run
     from facepipe.farm.plan import Plan
-    from facepipe.farm.run import Run
 
 _EVERY = 10.0  # seconds between two lines of a log
 

@@ -230,7 +230,7 @@ OPENED = {
         facepipe.stage.composition:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
-        facepipe.cooking.graph:Node.below facepipe.cooking.graph:Node.lost facepipe.hosting.host_face:recipe_from
+        facepipe.cooking.cooking:Node.below facepipe.cooking.cooking:Node.lost facepipe.hosting.host_face:recipe_from
         facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:_with_relative_sources
         """,
 }

@@ -26,8 +26,7 @@ from facepipe.core.policy.paths import Trust, trusting
 from facepipe.farm import batch
 from facepipe.farm.contents import Contents
 from facepipe.farm.mirror import mirror
-from facepipe.farm.program import read_line
-from facepipe.farm.work import work
+from facepipe.farm.program import read_line, work
 from facepipe.stage import save_parts
 from facepipe.stage.files import naming
 
