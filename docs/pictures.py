@@ -181,8 +181,8 @@ def photo(folder: Path) -> Image.Image:
     """The report page of a fit to a portrait of Eileen Collins (NASA, public domain) with its landmarks."""
     head, marks, shot = person(folder, 0), PHOTO.with_suffix(".landmarks.json"), folder / "shot.png"
     run("fit-photo", PHOTO, head, "--landmarks", marks, "-o", folder / "out.usda", "--report", folder / "report")
-    with served(folder / "report") as url:
-        browse(url + "report.html", (1240, 4000), [{"wait": "body"}, {"picture": str(shot)}])  # more than it is high
+    page, size = folder / "report" / "report.html", (1240, 4000)  # more than it is high
+    browse(page.as_uri(), size, [{"wait": "body"}, {"picture": str(shot)}])
     image = Image.open(shot).convert("RGB")
     used = ImageChops.difference(image, Image.new("RGB", image.size, "white")).getbbox() or (0, 0, 0, 0)
     return image.crop((0, 0, image.width, used[3] + 36))
