@@ -16,6 +16,7 @@ from facepipe.cli.parser import Parser, holds_paths
 from facepipe.cli.project_words import NEVER
 from facepipe.declare import Field, fields_of
 from facepipe.kinds import StageAction
+from facepipe.registry import manifest
 
 PAGE = Path(__file__).resolve().parent / "paths.md"
 INTRO = """# Paths and URLs, and the checks they pass
@@ -194,7 +195,8 @@ def rows() -> Iterator[Row]:
 
     :raises ValueError: one that nobody has said the check of
     """
-    for command in [*COMMANDS, *(verb for verb in summaries() if verb not in COMMANDS)]:
+    commands = [*COMMANDS, *manifest()["commands"]]
+    for command in [*commands, *(verb for verb in summaries() if verb not in commands)]:
         for argument in _arguments(command):
             name = next(iter(argument.option_strings), argument.dest)
             checks = _checks(command, name, argument)
@@ -206,7 +208,7 @@ def _arguments(command: str) -> list[argparse.Action]:
     """Those of a command and of the action of its name."""
     kind = find_action(command)
     modules = [ActionLine(kind)] if kind else []
-    modules += [command_module(command)] if command in COMMANDS else []
+    modules += [command_module(command)] if command in (*COMMANDS, *manifest()["commands"]) else []
     found: dict[str, argparse.Action] = {}
     for module in modules:
         parser = Parser(add_help=False, common=False)

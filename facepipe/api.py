@@ -96,13 +96,26 @@ def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
 
     fields = fields_of(kind)
     keywords = _own(kind)
-    signature = inspect.Signature(_parameters(fields, keywords))
+    parameters = []
+    for field in sorted(fields, key=lambda field: (not field.stands_alone, not field.needed)):
+        way = inspect.Parameter.POSITIONAL_OR_KEYWORD if field.stands_alone else inspect.Parameter.KEYWORD_ONLY
+        default = inspect.Parameter.empty if field.needed else field.default
+        parameters.append(inspect.Parameter(field.name, way, default=default))
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    own = [inspect.Parameter(name, keyword, default=default) for name, (default, _) in keywords.items()]
+    alone = [parameter for parameter in parameters if parameter.kind is not keyword]
+    signature = inspect.Signature([*alone, *own, *(parameter for parameter in parameters if parameter.kind is keyword)])
 
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
         from facepipe.stage.outputs import check_output
 
-        values = _bound(signature, function_name(kind.verb), files, named)
+        try:
+            values = dict(signature.bind(*files, **named).arguments)
+        except TypeError as error:  # as Python says it, with the parameter that is most like an unknown one
+            wrong = next((one for one in named if one not in signature.parameters), None)
+            near = "" if wrong is None else did_you_mean(wrong, signature.parameters)
+            raise TypeError(f"facepipe.{function_name(kind.verb)}() {error}{near}") from None
         action = kind(**{field.name: _value(field, values[field.name]) for field in fields if field.name in values})
         if isinstance(action, Inspector):
             action.check()
@@ -134,19 +147,6 @@ def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
     return function
 
 
-def _bound(signature: inspect.Signature, name: str, files: Sequence[Any], named: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments by parameter.
-
-    :raises TypeError: as Python does, with the parameter that is most like an unknown one
-    """
-    try:
-        return dict(signature.bind(*files, **named).arguments)
-    except TypeError as error:
-        wrong = next((one for one in named if one not in signature.parameters), None)
-        near = "" if wrong is None else did_you_mean(wrong, signature.parameters)
-        raise TypeError(f"facepipe.{name}() {error}{near}") from None
-
-
 def _own(kind: type[Action[Any]]) -> dict[str, tuple[Any, str]]:
     """Parameters of its function that are no fields, with their defaults and what they are."""
     from facepipe.kinds import FileAction, InPlaceAction, Inspector, StageAction
@@ -157,18 +157,6 @@ def _own(kind: type[Action[Any]]) -> dict[str, tuple[Any, str]]:
     default = None if issubclass(kind, InPlaceAction) else inspect.Parameter.empty
     own = {"out": (default, result), "overwrite": (False, "put it in place of a file that is there")}
     return {**own, "flatten": (False, "write a standalone file")} if issubclass(kind, StageAction) else own
-
-
-def _parameters(fields: tuple[Field, ...], more: Mapping[str, tuple[Any, str]]) -> list[inspect.Parameter]:
-    parameters = []
-    for field in sorted(fields, key=lambda field: (not field.stands_alone, not field.needed)):
-        kind = inspect.Parameter.POSITIONAL_OR_KEYWORD if field.stands_alone else inspect.Parameter.KEYWORD_ONLY
-        default = inspect.Parameter.empty if field.needed else field.default
-        parameters.append(inspect.Parameter(field.name, kind, default=default))
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    own = [inspect.Parameter(name, keyword, default=default) for name, (default, _) in more.items()]
-    alone = [parameter for parameter in parameters if parameter.kind is not keyword]
-    return [*alone, *own, *(parameter for parameter in parameters if parameter.kind is keyword)]
 
 
 def _value(field: Field, value: Any) -> Any:

@@ -199,19 +199,16 @@ class Field:
             return
         inside = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else None
         for one in (value,) if inside is None or not self.several else inside:
-            self._check(one)
-
-    def _check(self, value: object) -> None:
-        if self.choices and value not in self.choices:
-            choices = [str(choice) for choice in self.choices]
-            near = did_you_mean(value, choices) if isinstance(value, str) else ""
-            expected = f", expected one of {', '.join(choices)}"
-            raise InputError(f"option {self.name}", f"is {value!r}{near or expected}")
-        if self.low is None or self.high is None or value is None:
-            return
-        if not (isinstance(value, int | float) and self.low <= value <= self.high and abs(value) < math.inf):
-            expected = f"a number from {self.low:g} to {self.high:g}"
-            raise InputError(f"option {self.name}", f"is {value!r}, expected {expected}")
+            if self.choices and one not in self.choices:
+                choices = [str(choice) for choice in self.choices]
+                near = did_you_mean(one, choices) if isinstance(one, str) else ""
+                expected = f", expected one of {', '.join(choices)}"
+                raise InputError(f"option {self.name}", f"is {one!r}{near or expected}")
+            if self.low is None or self.high is None or one is None:
+                continue
+            if not (isinstance(one, int | float) and self.low <= one <= self.high and abs(one) < math.inf):
+                expected = f"a number from {self.low:g} to {self.high:g}"
+                raise InputError(f"option {self.name}", f"is {one!r}, expected {expected}")
 
     def load(self, value: object, where: str) -> Any:
         """Its value from what JSON holds.
@@ -237,16 +234,14 @@ class Field:
 def fields_of(options: Any) -> tuple[Field, ...]:
     """The fields of an option dataclass or an action."""
     hints = typing.get_type_hints(options)
-    return tuple(_field(one, hints[one.name]) for one in dataclasses.fields(options))
-
-
-def _field(one: dataclasses.Field[Any], hint: Any) -> Field:
-    kinds, metadata = _flat(hint), dict(one.metadata)
-    default = one.default if one.default_factory is MISSING else one.default_factory()
-    metadata["choices"] = metadata.get("choices") or next(
-        (typing.get_args(kind) for kind in kinds if _is_literal(kind)), ()
-    )
-    return Field(name=one.name, kinds=kinds, default=default, **metadata)
+    fields = []
+    for one in dataclasses.fields(options):
+        kinds, metadata = _flat(hints[one.name]), dict(one.metadata)
+        default = one.default if one.default_factory is MISSING else one.default_factory()
+        named = (typing.get_args(kind) for kind in kinds if _is_literal(kind))
+        metadata["choices"] = metadata.get("choices") or next(named, ())
+        fields.append(Field(name=one.name, kinds=kinds, default=default, **metadata))
+    return tuple(fields)
 
 
 def _flat(hint: Any) -> tuple[Any, ...]:
@@ -323,26 +318,25 @@ def schema_of(kind: type[DataclassInstance]) -> dict[str, Any]:
 
     Files are strings of the format "path".
     """
-    fields = fields_of(kind)
+    fields, properties = fields_of(kind), {}
+    for one in fields:
+        limits: dict[str, Any] = {}
+        if one.low is not None and one.high is not None:
+            limits = {"minimum": one.low, "maximum": one.high}
+        if one.choices:
+            limits["enum"] = [*one.choices, *([None] if one.default is None else [])]
+        kinds = [{} if one.value else _kind_schema(inner, limits) for inner in one.kinds]
+        schema = dict(kinds[0]) if len(kinds) == 1 else {} if {} in kinds else {"anyOf": kinds}
+        schema |= {"description": one.help_text} if one.help_text else {}
+        schema |= {} if one.several else limits
+        properties[one.name] = schema if one.needed else {**schema, "default": one.dump(one.default)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "type": "object",
-        "properties": {one.name: _field_schema(one) for one in fields},
+        "properties": properties,
         "required": [one.name for one in fields if one.needed],
         "additionalProperties": False,
     }
-
-
-def _field_schema(field: Field) -> dict[str, Any]:
-    limits: dict[str, Any] = (
-        {} if field.low is None or field.high is None else {"minimum": field.low, "maximum": field.high}
-    )
-    limits |= {"enum": [*field.choices, *([None] if field.default is None else [])]} if field.choices else {}
-    kinds = [{} if field.value else _kind_schema(kind, limits) for kind in field.kinds]
-    schema = dict(kinds[0]) if len(kinds) == 1 else {} if {} in kinds else {"anyOf": kinds}
-    schema |= {"description": field.help_text} if field.help_text else {}
-    schema |= {} if field.several else limits
-    return schema if field.needed else {**schema, "default": field.dump(field.default)}
 
 
 def _kind_schema(kind: Any, limits: dict[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from facepipe.registry import exporter, neural_rigs, outputs
 from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
-    from facepipe.importers.rename_table import Rename, Renamed
+    from facepipe.importers.rename_table import Renamed
     from facepipe.parts import HasParts
     from facepipe.rig.neural_rig import NeuralEncoder
     from facepipe.stage import Face
@@ -79,6 +79,8 @@ def export(
     :raises FacepipeError: a face or option that the format can't hold, or a file that can't be read or written
     """
     from facepipe.rig import implausible
+    from facepipe.stage.face import open_face
+    from facepipe.stage.files import SUFFIXES
     from facepipe.stage.outputs import check_output
 
     target, rig = Path(out), None if neural is None else Path(neural)
@@ -87,30 +89,46 @@ def export(
     for one in outputs(target):
         check_output(one, [one for one in (source, rig) if one is not None], overwrite=overwrite)
     form, attach, learned = _options(module.Options, options, neural=rig is not None, distil=distil, lod=lod)
-    naming = None if rename is None else _naming(rename)
+    naming = None
+    if rename is not None:
+        from facepipe.importers.rename_table import rename_of
+
+        naming = rename_of(rename)
     with watch("export", 3 if distil else 2) as bar:
-        whole: Any = face if source is None else _opened(source)
+        whole: Any = face
+        if source is not None and source.suffix.lower() in SUFFIXES:
+            whole = open_face(source)
+        elif source is not None:
+            from facepipe.importers import read_face
+
+            whole = read_face(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
         made = _made(whole, form, rig, attach, learned)
-        made = made if naming is None else _renamed(made, whole, form, naming)
+        if naming is not None:
+            renamed = naming(made.face.parts())
+            if getattr(form, "lods", False):
+                lower = tuple(naming(lower_level).parts for lower_level in whole.lower_levels())
+                held: Any = HeldLevels(renamed.parts, lower)
+            else:
+                held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
+                held = replace(held, held=renamed.parts)
+            made = replace(made, face=held, renamed=renamed)
         if distil:
             bar.update()
         report = module.export(made.face, target, form)
         bar.update()
-    return _reported(report, made, implausible(whole.parts()))
-
-
-def _opened(path: Path) -> Face:
-    """The face of a file; what imports others is loaded for those alone."""
-    from facepipe.stage.face import open_face
-    from facepipe.stage.files import SUFFIXES
-
-    if path.suffix.lower() in SUFFIXES:
-        return open_face(path)
-    from facepipe.importers import read_face
-
-    return read_face(path)
+    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
+    plausible = implausible(whole.parts())
+    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
+    if made.attached is not None:
+        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
+    if made.distilled is None:
+        return report
+    points, packed = made.distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
+    learned_report = replace(report, error_mm=None if points is None else points.max + packed)
+    return DistilledExportReport(**vars(learned_report), distilled=made.distilled)
 
 
 def _options(
@@ -145,12 +163,6 @@ def _options(
     return form, attached, DistilOptions(**distilled) if distil else None
 
 
-def _naming(given: str) -> Rename:
-    from facepipe.importers.rename_table import rename_of
-
-    return rename_of(given)
-
-
 def _made(face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None) -> _Made:
     """The face with learned sliders, or the neural rig, if asked for.
 
@@ -172,27 +184,3 @@ def _made(face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilO
         return _Made(face=_EncodedFace(face.parts(), encoder))
     attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
     return _Made(face=HeldFace(attached.parts), attached=attached)
-
-
-def _renamed(made: _Made, face: Face, form: Any, naming: Rename) -> _Made:
-    """:raises InputError: names that collide"""
-    renamed = naming(made.face.parts())
-    if getattr(form, "lods", False):
-        lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
-        return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
-    held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
-    return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
-
-
-def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
-    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
-    if made.attached is not None:
-        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
-    if made.distilled is None:
-        return report
-    points = made.distilled.points_mm
-    packed = report.error_mm or 0.0  # of weights in fewer bytes
-    learned = replace(report, error_mm=None if points is None else points.max + packed)
-    return DistilledExportReport(**vars(learned), distilled=made.distilled)

@@ -74,12 +74,17 @@ def _staged(
 ) -> Performed:
     job = job_of(action, out, watch)
     base, standalone = files.enter_context(_opened(action))
-    stage, exported = files.enter_context(_stage_of(out))
+    stage, exported = out, out.suffix.lower() not in SUFFIXES
     if exported:
+        stage = Path(files.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))) / f"{out.stem}.usdc"
         files.enter_context(apart())  # the stage is exported before the rest takes its place
     with base.deriving(stage, flatten=flatten or standalone or exported) as face:
-        with _under(action.base):
+        try:
             report = action.author(face, job)
+        except FacepipeError as error:  # of the layer that is being made, which has no file yet: its source is named
+            first = error.where.partition(" -> ")[0]
+            is_prim = first.startswith("<") or (first.startswith("/") and not Path(first).suffix)
+            raise error.under(action.base) if is_prim and first != str(action.base) else error from None
         results = _written(action, (Face(face.stage, face.prim), report), temporary)
     warnings = (*base.warnings, *report.warnings)
     if exported:
@@ -95,8 +100,10 @@ def _written(action: Action[Any], made: tuple[Any, ...], temporary: Temporary) -
     """Write what is asked for beside a result; its entries in the JSON."""
     results: dict[str, Any] = {}
     for field, (path, place) in temporary.items():
-        with _called(path, place):
+        try:
             written = getattr(action, field.write)(*made, place)
+        except InputError as error:  # about the temporary file: about the one that it is for
+            raise (InputError(path, error.what) if str(place) in error.where else error) from None
         results[field.name] = str(path) if written is None else {**written, "path": str(path)}
     return results
 
@@ -109,7 +116,17 @@ def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, over
     if isinstance(action, FolderAction):
         known = re.compile(action.holds)
         check_report_folder(out, overwrite=overwrite, taken=inputs, known=known, command=action.verb)
-    for one in _with_it(type(action), out):
+    suffix = out.suffix.lower()
+    if isinstance(action, FileAction):
+        if suffix not in action.suffixes and not isinstance(action, FolderAction):
+            raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(action.suffixes)}")
+        written = action.with_it(out)
+    else:
+        exported = [f".{one}" for one in suffixes()]
+        if suffix not in (*SUFFIXES, *exported):
+            raise InputError(out, f"suffix '{suffix}', expected one of {' '.join((*SUFFIXES, *exported))}")
+        written = outputs(out) if suffix in exported else ()
+    for one in written:
         if one != out:
             check_output(one, inputs, overwrite=overwrite)
     for field, path in _beside(action):
@@ -122,32 +139,6 @@ def check_result(action: Action[Any], out: Path, inputs: Sequence[Path], *, over
             raise InputError(path, f"suffix '{path.suffix}', expected {field.suffix}")
         if path.absolute() == out.absolute():
             raise InputError(path, "is the output too, expected another file")
-
-
-def _with_it(kind: type[Action[Any]], out: Path) -> Sequence[Path]:
-    """The files that an exporter or the action writes for a result.
-
-    :raises InputError: a suffix that it can't have
-    """
-    suffix = out.suffix.lower()
-    if issubclass(kind, FileAction):
-        if suffix not in kind.suffixes and not issubclass(kind, FolderAction):
-            raise InputError(out, f"suffix '{out.suffix}', expected {' '.join(kind.suffixes)}")
-        return kind.with_it(out)
-    exported = [f".{one}" for one in suffixes()]
-    if suffix not in (*SUFFIXES, *exported):
-        raise InputError(out, f"suffix '{suffix}', expected one of {' '.join((*SUFFIXES, *exported))}")
-    return outputs(out) if suffix in exported else ()
-
-
-@contextmanager
-def _stage_of(out: Path) -> Iterator[tuple[Path, bool]]:
-    """The stage to write for a result, and whether it is one in between, for an exporter."""
-    if out.suffix.lower() in SUFFIXES:
-        yield out, False
-        return
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        yield Path(folder) / f"{out.stem}.usdc", True
 
 
 @contextmanager
@@ -184,41 +175,15 @@ def _beside(action: Action[Any]) -> Iterator[tuple[Field, Path]]:
             yield field, Path(getattr(action, field.name))
 
 
-@contextmanager
-def _called(path: Path, place: Path) -> Iterator[None]:
-    """Errors about a temporary file, as those of the file that it is for."""
-    try:
-        yield
-    except InputError as error:
-        raise (InputError(path, error.what) if str(place) in error.where else error) from None
-
-
-@contextmanager
-def _under(path: Path) -> Iterator[None]:
-    """Errors of a layer that is being made name its source: it has no file yet."""
-    try:
-        yield
-    except FacepipeError as error:
-        first = error.where.partition(" -> ")[0]
-        is_prim = first.startswith("<") or (first.startswith("/") and not Path(first).suffix)
-        raise error.under(path) if is_prim and first != str(path) else error from None
-
-
 def files_of(action: Action[Any], *, kept: bool = False) -> tuple[Path, ...]:
     """The files that an action reads, each once, in the order of its fields.
 
     :param kept: those alone that its recipe names
     """
-    sources = [pair for pair in _sources(action) if pair[0].kept or not kept]
-    own = (Path(file) for one, value in sources for file, _ in _named(one, value))
+    sources = [one for one in fields_of(type(action)) if one.role == "source" and (one.kept or not kept)]
+    values = [(one, getattr(action, one.name)) for one in sources]
+    own = (Path(file) for one, value in values if value is not None for file, _ in _named(one, value))
     return tuple(dict.fromkeys((*own, *action.further_files)))
-
-
-def _sources(action: Action[Any]) -> Iterator[tuple[Field, Any]]:
-    for field in fields_of(type(action)):
-        value = getattr(action, field.name)
-        if field.role == "source" and value is not None:
-            yield field, value
 
 
 def _named(one: Field, value: Any) -> Iterator[tuple[str, str]]:
@@ -330,30 +295,28 @@ def _values(options: Mapping[str, Any], fields: Mapping[str, Field], where: str)
         raise InputError(where, "options are damaged, expected an object")
     values = {}
     for name, value in options.items():
-        if name in fields:
-            values[name] = _load(fields[name], value, where)
-        elif name != FOUND:
-            raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
+        if name not in fields:
+            if name != FOUND:
+                raise InputError(where, f"option '{str(name)[:60]}' is unknown, expected some of {', '.join(fields)}")
+            continue
+        field = fields[name]
+        words = value if field.several else [value]
+        if field.role != "source":
+            values[name] = field.load(value, where)
+            try:
+                field.check(values[name])
+            except InputError as error:
+                raise error.under(where) from None
+        elif value is None and field.default is None:
+            values[name] = None
+        elif not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+            raise InputError(f"{where} -> {field.name}", f"{str(value)[:40]}, expected the names of sources")
+        else:
+            values[name] = tuple(words) if field.several else words[0]
     missing = [field.name for field in fields.values() if field.needed and field.name not in values]
     if missing:
         raise InputError(where, f"no '{missing[0]}', expected one")
     return values
-
-
-def _load(field: Field, value: object, where: str) -> Any:
-    if field.role != "source":
-        loaded = field.load(value, where)
-        try:
-            field.check(loaded)
-        except InputError as error:
-            raise error.under(where) from None
-        return loaded
-    words = value if field.several else [value]
-    if value is None and field.default is None:
-        return None
-    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise InputError(f"{where} -> {field.name}", f"{str(value)[:40]}, expected the names of sources")
-    return tuple(words) if field.several else words[0]
 
 
 def _found_at(places: Mapping[str, Path], field: Field, value: Any) -> Any:

@@ -43,7 +43,13 @@ class ArrayWriter:
         """Add an array of float or int numbers; its kind, first byte and shape, or [] for an empty list."""
         if array.shape == (0,):
             return []
-        kind = _kind_of(array)
+        # float64 only where float32 does not hold the numbers
+        if array.dtype == np.int8:
+            kind = "b"
+        elif array.dtype.kind != "f":
+            kind = "i"
+        else:
+            kind = "f" if np.array_equal(array.astype(np.float32).astype(np.float64), array) else "d"
         flat = np.ascontiguousarray(array).astype(_KINDS[kind]).ravel()
         if kind == "i":
             flat = np.diff(flat, prepend=np.int32(0)).astype(_KINDS["i"])
@@ -56,15 +62,6 @@ class ArrayWriter:
     def finish(self) -> bytes:
         """All arrays."""
         return b"".join(self._chunks)
-
-
-def _kind_of(array: AnyArray) -> str:
-    """float64 only where float32 does not hold the numbers."""
-    if array.dtype == np.int8:
-        return "b"
-    if array.dtype.kind != "f":
-        return "i"
-    return "f" if np.array_equal(array.astype(np.float32).astype(np.float64), array) else "d"
 
 
 class ArrayReader:
@@ -132,13 +129,31 @@ def from_json(kind: type[Part], data: object, arrays: ArrayReader, where: str) -
 
 
 def _read(kind: Any, data: Any, arrays: ArrayReader, where: str) -> Any:
-    if dataclasses.is_dataclass(kind):
-        return _dataclass(kind, data, arrays, where)
+    is_part: bool = dataclasses.is_dataclass(kind)
+    if is_part:
+        if not isinstance(data, dict):
+            raise InputError(where, "no object, expected one")
+        hints = _hints(kind)
+        unknown = sorted(set(data) - set(hints))
+        if unknown:
+            raise InputError(where, f"unknown field '{ascii(unknown[0])[1:40]}': made by a newer version?")
+        values = {name: _read(hints[name], inner, arrays, f"{where}.{name}") for name, inner in data.items()}
+        try:
+            return kind(**values)
+        except TypeError:
+            raise InputError(where, "lacks a value") from None
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is np.ndarray:
         return arrays.array(data, where)
     if origin in (Union, types.UnionType):
-        return _union(arguments, data, arrays, where)
+        # the first kind that fits; of several none reads what another is meant to
+        problem = InputError(where, "a value of the wrong kind")
+        for one in arguments:
+            try:
+                return _read(one, data, arrays, where)
+            except InputError as error:
+                problem = error
+        raise problem
     if origin is tuple and isinstance(data, list):
         kinds = arguments[:1] * len(data) if arguments[-1] is ... else arguments
         if len(kinds) == len(data):
@@ -165,31 +180,6 @@ def _is_plain(kind: Any, origin: Any, arguments: tuple[Any, ...], data: object) 
     if kind is str:
         return isinstance(data, str) and not any("\ud800" <= one <= "\udfff" for one in data)
     return kind in (bool, type(None)) and isinstance(data, kind)
-
-
-def _union(kinds: tuple[Any, ...], data: object, arrays: ArrayReader, where: str) -> Any:
-    """The first kind that fits; of several none reads what another is meant to."""
-    problem = InputError(where, "a value of the wrong kind")
-    for kind in kinds:
-        try:
-            return _read(kind, data, arrays, where)
-        except InputError as error:
-            problem = error
-    raise problem
-
-
-def _dataclass(kind: Any, data: object, arrays: ArrayReader, where: str) -> Any:
-    if not isinstance(data, dict):
-        raise InputError(where, "no object, expected one")
-    hints = _hints(kind)
-    unknown = sorted(set(data) - set(hints))
-    if unknown:
-        raise InputError(where, f"unknown field '{ascii(unknown[0])[1:40]}': made by a newer version?")
-    values = {name: _read(hints[name], inner, arrays, f"{where}.{name}") for name, inner in data.items()}
-    try:
-        return kind(**values)
-    except TypeError:
-        raise InputError(where, "lacks a value") from None
 
 
 @cache

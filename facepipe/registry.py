@@ -109,7 +109,8 @@ def manifest() -> dict[str, Any]:
     """What is known of the wings and the actions before one is imported; `python schemas/generate.py` makes it.
 
     ``actions``: verb -> the class, that of the report, the summary, whether it has a recipe. ``doors``: name -> module.
-    ``former``: name that a module had -> where it is. ``functions``: public function of a wing -> where it is.
+    ``commands``: command of a wing -> its module and what it does. ``former``: name that a module had -> where it is.
+    ``functions``: public function of a wing -> where it is.
     ``groups``: first word of verbs of two words -> text of --help.
     """
     found: dict[str, Any] = json.loads(_MANIFEST.read_text(encoding="utf-8"))

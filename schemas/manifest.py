@@ -81,7 +81,9 @@ def manifest(kinds: Mapping[str, type[Action[Any]]]) -> str:
     groups = {name: importlib.import_module(package).__doc__ or name for name, package in packages.items()}
     named = {door.NAME: door.__name__ for door in doors()}
     former = {name: places for door in doors() for name, places in getattr(door, "FORMER", {}).items()}
-    found = {"actions": entries, "doors": named, "former": former, "functions": functions(), "groups": groups}
+    commands = {name: one for door in doors() for name, one in getattr(door, "COMMANDS", {}).items()}
+    of_wings = {"commands": commands, "doors": named, "former": former, "functions": functions()}
+    found = {"actions": entries, "groups": groups, **of_wings}
     return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 

@@ -12,13 +12,13 @@ def register() -> None:
 
     if hasattr(bpy.utils, "expose_bundled_modules"):  # from Blender 4.4 on; before, they are on Python's path
         bpy.utils.expose_bundled_modules()  # Blender's own USD, before anything imports pxr
-    from .registration import register_all
+    from .panel import register_all
 
     register_all()
 
 
 def unregister() -> None:
     """Called by Blender when the add-on is disabled."""
-    from .registration import unregister_all
+    from .panel import unregister_all
 
     unregister_all()

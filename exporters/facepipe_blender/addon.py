@@ -148,15 +148,14 @@ def write_own_wheel(folder: Path) -> Path:
         own = [f"{name} = {value}" for name, value in found if re.split(r"[.:]", value)[0] in _PACKAGES]
         lines += [f"[{group}]", *own, ""]
     files[f"{info}/entry_points.txt"] = "\n".join(lines).encode()
-    rows = [f"{name},sha256={_digest(data)},{len(data)}" for name, data in files.items()]
+    rows = []
+    for name, data in files.items():
+        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
+        rows.append(f"{name},sha256={digest},{len(data)}")
     files[f"{info}/RECORD"] = "\n".join([*rows, f"{info}/RECORD,,", ""]).encode()
     path = folder / f"facepipe-{__version__}-py3-none-any.whl"
     _write_zip(path, files)
     return path
-
-
-def _digest(data: bytes) -> str:
-    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
 
 
 def _write_zip(path: Path, files: Mapping[str, bytes]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import bpy
@@ -15,22 +14,15 @@ from facepipe.parts import Skeleton
 
 def joint_paths(armature: Any) -> dict[str, str]:
     """Bone name -> joint path, parents first."""
-    bones = _bones_in_tree_order(list(armature.data.bones)) if armature is not None else []
+    bones: list[Any] = []
+    left = [bone for bone in reversed(armature.data.bones) if bone.parent is None] if armature is not None else []
+    while left:
+        bones.append(left.pop())
+        left += reversed(list(bones[-1].children))
     paths: dict[str, str] = {}
     for bone, name in zip(bones, unique_identifiers(bone.name for bone in bones), strict=True):
         paths[bone.name] = f"{paths[bone.parent.name]}/{name}" if bone.parent else name
     return paths
-
-
-def _bones_in_tree_order(bones: list[Any]) -> list[Any]:
-    """Bones, each after its parent and followed by its children."""
-    result: list[Any] = []
-    stack = [bone for bone in reversed(bones) if bone.parent is None]
-    while stack:
-        bone = stack.pop()
-        result.append(bone)
-        stack += reversed(list(bone.children))
-    return result
 
 
 def bone_matrices(armature: Any) -> dict[str, FloatArray]:
@@ -74,11 +66,9 @@ def move_bones(armature: Any, old: Skeleton, new: Skeleton) -> None:
         for joint, before, after in zip(old.joints, old.bind_transforms, new.bind_transforms, strict=True)
         if not np.array_equal(before, after)
     }
-    if moves:
-        _edit(armature, {name: moves[path] for name, path in joint_paths(armature).items() if path in moves})
-
-
-def _edit(armature: Any, moves: Mapping[str, FloatArray]) -> None:
+    if not moves:
+        return
+    of_bones = {name: moves[path] for name, path in joint_paths(armature).items() if path in moves}
     layer = bpy.context.view_layer
     active = layer.objects.active
     if active is not None and active.mode != "OBJECT":
@@ -87,11 +77,11 @@ def _edit(armature: Any, moves: Mapping[str, FloatArray]) -> None:
     bpy.ops.object.mode_set(mode="EDIT")
     try:
         bones = armature.data.edit_bones
-        placed = {name: move @ np.array(bones[name].matrix, np.float64) for name, move in moves.items()}
+        placed = {name: move @ np.array(bones[name].matrix, np.float64) for name, move in of_bones.items()}
         for name, matrix in placed.items():
             bones[name].use_connect = False  # else it drags the tail of its parent along
             turn, _, other = np.linalg.svd(matrix[:3, :3])
-            matrix[:3, :3] = turn @ other
+            matrix[:3, :3] = turn @ other  # the nearest rotation: bones hold no scale
             bones[name].matrix = matrix.tolist()
     finally:
         bpy.ops.object.mode_set(mode="OBJECT")

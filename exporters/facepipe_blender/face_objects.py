@@ -1,15 +1,97 @@
-"""Which objects of a scene make a face."""
+"""Which objects of a scene make a face, and the record of an imported one.
+
+Blender has no place for all of a face: a text block of the .blend file holds it as imported, with only the names of
+materials; readable lines, and as a property the whole face. The objects of the face point to it.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from facepipe.core.errors import InputError
-from facepipe.core.names import identifier
+import numpy as np
 
-from .record import kept_in, record_of
+from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import FacepipeError, InputError, SchemaError
+from facepipe.core.names import identifier
+from facepipe.hosting.host_face import Field, arrays_from_bytes, face_from_bytes, face_to_bytes
+from facepipe.parts import FaceParts
+
+RECORD = "facepipe_record"  # property of objects: the text block
+MESH = "facepipe_mesh"  # property of mesh objects: the name of their mesh in the face
+_CONTENT = "facepipe_content"  # property of the text block
+_ARRAYS = {
+    "face": Field("int", ("face bytes",)),
+    "header": Field("int", ("header bytes",)),
+    "bones": Field("float", ("joints", 4, 4)),
+    "places": Field("float", ("meshes", 4, 4)),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """The face as it was imported, and how Blender showed it then."""
+
+    parts: FaceParts
+    bones: dict[str, FloatArray]  # joint -> (4, 4) in armature space
+    places: dict[str, FloatArray]  # mesh -> (4, 4) mesh object relative to the armature, or to the first mesh
+    file: str = ""  # that it came from
+    neural_rig: tuple[str, ...] = ()  # its link: file, digest, topology
+
+
+def record_of(obj: Any) -> Any:
+    """The text block that an object points to; None where there is none."""
+    text = obj.get(RECORD)
+    return text if getattr(text, "id_type", "") == "TEXT" else None
+
+
+def keep(kept: Kept, text: Any) -> None:
+    """Write a record into a text block."""
+    buffer = io.BytesIO()
+    header = {"file": kept.file, "neural_rig": kept.neural_rig, "bones": [*kept.bones], "places": [*kept.places]}
+    np.savez_compressed(
+        buffer,
+        face=np.frombuffer(face_to_bytes(kept.parts), dtype=np.uint8),
+        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        bones=np.array([*kept.bones.values()]).reshape(-1, 4, 4),
+        places=np.array([*kept.places.values()]).reshape(-1, 4, 4),
+    )
+    text.pop(_CONTENT, None)  # Blender writes bytes over others of another length wrongly
+    text[_CONTENT] = buffer.getvalue()
+    text.use_fake_user = True
+    parts = kept.parts
+    lines = [
+        f"facepipe: what is kept of the face {parts.name}. Without this block an export holds only what Blender shows.",
+        f"file: {kept.file}",
+        f"{len(parts.meshes)} meshes, {len(parts.shapes)} shapes, {len(parts.skeleton.joints)} joints, "
+        f"{len(parts.sliders)} sliders, {len(parts.animations)} animations",
+    ]
+    text.from_string("\n".join(lines))
+
+
+def kept_in(text: Any) -> Kept:
+    """The record in a text block.
+
+    :raises SchemaError: a text block that holds none, or a damaged one
+    """
+    try:
+        arrays = arrays_from_bytes(memoryview(text[_CONTENT]).tobytes(), _ARRAYS)
+        header = json.loads(arrays["header"].tobytes())
+        names = [*header["bones"], *header["places"], header["file"], *header["neural_rig"]]
+        if not all(isinstance(name, str) for name in names):
+            raise TypeError
+        return Kept(
+            parts=face_from_bytes(arrays["face"].tobytes()),
+            bones=dict(zip(header["bones"], arrays["bones"], strict=True)),
+            places=dict(zip(header["places"], arrays["places"], strict=True)),
+            file=header["file"],
+            neural_rig=tuple(header["neural_rig"]),
+        )
+    except (KeyError, ValueError, TypeError, RecursionError, FacepipeError):  # the .blend may be of others
+        raise SchemaError(text.name, "holds no face, expected the text block of an imported face") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +123,9 @@ class FaceObjects:
     @property
     def is_face(self) -> bool:
         """Whether it was a face when imported, or has shape keys."""
-        return self.record is not None or any(_has_shapes(mesh) for mesh in self.meshes)
+        return self.record is not None or any(
+            keys is not None and len(keys.key_blocks) > 1 for keys in (mesh.data.shape_keys for mesh in self.meshes)
+        )
 
 
 def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
@@ -52,7 +136,10 @@ def faces_among(objects: Iterable[Any]) -> tuple[FaceObjects, ...]:
     for obj in objects:
         if obj.type == "MESH":
             record = record_of(obj)
-            armature = armature_of(obj) or kept.get(record)  # meshes without skin belong to their face too
+            moving = (one.object for one in obj.modifiers if one.type == "ARMATURE")
+            parent = obj.parent if obj.parent is not None and obj.parent.type == "ARMATURE" else None
+            # meshes without skin belong to their face too
+            armature = next((one for one in moving if one is not None), parent) or kept.get(record)
             groups.setdefault((armature, record if armature is None else None), []).append(obj)
     faces = []
     for (armature, record), meshes in groups.items():
@@ -74,31 +161,14 @@ def face_of(obj: Any, objects: Iterable[Any]) -> FaceObjects:
     for face in faces:
         if obj in (face.armature, *face.meshes):
             return face
-    below = [face for face in faces if obj in _ancestors(face.first)]
+    below = []
+    for face in faces:
+        above = face.first.parent
+        while above is not None and above != obj:
+            above = above.parent
+        below += [face] if above is not None else []
     if len(below) == 1:
         return below[0]
     if obj.type == "MESH":
         raise InputError(obj.name, "a mesh without armature and shape keys, expected a face with shape keys")
     raise InputError(obj.name, "is of no face, expected an armature with a mesh that has shape keys, or such a mesh")
-
-
-def armature_of(obj: Any) -> Any:
-    """The armature that moves a mesh object; None where there is none."""
-    for modifier in obj.modifiers:
-        if modifier.type == "ARMATURE" and modifier.object is not None:
-            return modifier.object
-    parent = obj.parent
-    return parent if parent is not None and parent.type == "ARMATURE" else None
-
-
-def _has_shapes(obj: Any) -> bool:
-    keys = obj.data.shape_keys
-    return keys is not None and len(keys.key_blocks) > 1
-
-
-def _ancestors(obj: Any) -> list[Any]:
-    above = []
-    while obj.parent is not None:
-        obj = obj.parent
-        above.append(obj)
-    return above

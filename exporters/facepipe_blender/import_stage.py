@@ -11,12 +11,10 @@ import bpy
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.core.arrays import FloatArray
 from facepipe.hosting.host_face import Face, faces_on, neural_rig_of
-from facepipe.parts import Mesh
 
 from .armature import bone_matrices
-from .record import MESH, RECORD, Kept, keep, record_of
+from .face_objects import MESH, RECORD, Kept, keep, record_of
 from .write_mesh import write_mesh
 
 
@@ -45,21 +43,33 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
         if missing:
             warnings.append(f"{face.where}: meshes {', '.join(missing[:3])} were not imported")
         for mesh in parts.meshes:
-            if mesh.name in objects.meshes:
-                warnings += _write(objects.meshes[mesh.name], mesh)
+            obj = objects.meshes.get(mesh.name)
+            if obj is not None and len(obj.data.vertices) == len(mesh.points):
+                write_mesh(obj, mesh)
+            elif obj is not None:
+                what = f"{len(obj.data.vertices)} points in Blender, {len(mesh.points)} in the file"
+                warnings.append(f"{obj.name}: {what}: shapes and regions left out")
         file = Path(stage.GetRootLayer().realPath).as_posix() if stage.GetRootLayer().realPath else ""
+        bpy.context.view_layer.update()
+        names = [mesh.name for mesh in parts.meshes if mesh.name in objects.meshes]
+        first = objects.armature or min(objects.meshes.values(), key=lambda obj: str(obj.name))
+        back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
         text = bpy.data.texts.new(f"facepipe {parts.name}")
         keep(
             Kept(
                 parts=parts,
                 bones=bone_matrices(objects.armature),
-                places=_places(parts.meshes, objects),
+                places={name: back @ np.array(objects.meshes[name].matrix_world, np.float64) for name in names},
                 file=file,
                 neural_rig=neural_rig_of(face),
             ),
             text,
         )
-        mark(objects, text)
+        for obj in (objects.armature, *objects.meshes.values()):
+            if obj is not None:
+                obj[RECORD] = text
+        for name, obj in objects.meshes.items():
+            obj[MESH] = name
     return tuple(warnings)
 
 
@@ -78,23 +88,6 @@ def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
             named.remove(candidates[0])
             made[str(prim.GetPath())] = candidates[:1]
     return made
-
-
-def mark(objects: ImportedObjects, text: Any) -> None:
-    """Let the objects of a face point to its record."""
-    for obj in (objects.armature, *objects.meshes.values()):
-        if obj is not None:
-            obj[RECORD] = text
-    for name, obj in objects.meshes.items():
-        obj[MESH] = name
-
-
-def _write(obj: Any, mesh: Mesh) -> list[str]:
-    if len(obj.data.vertices) != len(mesh.points):
-        count = len(obj.data.vertices)
-        return [f"{obj.name}: {count} points in Blender, {len(mesh.points)} in the file: shapes and regions left out"]
-    write_mesh(obj, mesh)
-    return []
 
 
 def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> ImportedObjects:
@@ -121,12 +114,3 @@ def _object(ids: Sequence[Any], kind: str) -> Any:
             if obj.data is not None and obj.data == made and obj.type == kind:
                 return obj
     return None
-
-
-def _places(meshes: Sequence[Mesh], objects: ImportedObjects) -> dict[str, FloatArray]:
-    """Mesh -> (4, 4) its object relative to the armature, or to the first mesh."""
-    bpy.context.view_layer.update()
-    names = [mesh.name for mesh in meshes if mesh.name in objects.meshes]
-    first = objects.armature or min(objects.meshes.values(), key=lambda obj: str(obj.name))
-    back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
-    return {name: back @ np.array(objects.meshes[name].matrix_world, dtype=np.float64) for name in names}

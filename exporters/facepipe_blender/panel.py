@@ -1,7 +1,8 @@
-"""The panel in the sidebar of the 3D view, and what its buttons do."""
+"""The panel in the sidebar of the 3D view, what its buttons do, and all that the add-on registers."""
 
 from __future__ import annotations
 
+import atexit
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -11,15 +12,13 @@ import bpy
 
 from facepipe.core.errors import FacepipeError, InputError, TopologyError
 from facepipe.hosting.deliver import DeliveryReport, deliver, outputs
+from facepipe.hosting.host_face import register_schemas
 from facepipe.hosting.live_blend import reblended
 
 from .armature import bone_matrices, joint_paths, move_bones
-from .face_objects import FaceObjects, face_of
-from .groups import write_skin
-from .hook import FaceHook
-from .inbetween_keys import read_key_name
-from .record import MESH, keep, kept_in
-from .write_mesh import write_mesh
+from .face_objects import MESH, FaceObjects, face_of, keep, kept_in
+from .hook import FaceHook, FACEPIPE_OT_message
+from .write_mesh import read_key_name, write_mesh, write_skin
 
 
 class FACEPIPE_OT_export(bpy.types.Operator):  # noqa: N801  (Blender's way to name operators)
@@ -192,7 +191,8 @@ class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name p
             for line in (error.where, *error.what.split(", ")):
                 layout.label(text=line)
             return
-        names = [read_key_name(key.name) for obj in face.meshes if obj.data.shape_keys for key in _keys(obj)]
+        of_meshes = [mesh.data.shape_keys for mesh in face.meshes if mesh.data.shape_keys]
+        names = [read_key_name(key.name) for one in of_meshes for key in one.key_blocks if key != one.reference_key]
         shapes = {name.shape for name in names if name.weight is None}
         bones = len(face.armature.data.bones) if face.armature else 0
         column = layout.column(align=True)
@@ -205,6 +205,25 @@ class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name p
         row.operator(FACEPIPE_OT_blend.bl_idname, icon="FILE_REFRESH")
 
 
-def _keys(obj: Any) -> list[Any]:
-    keys = obj.data.shape_keys
-    return [key for key in keys.key_blocks if key != keys.reference_key]
+CLASSES = (FACEPIPE_OT_message, FACEPIPE_OT_export, FACEPIPE_OT_blend, FACEPIPE_PT_face, FaceHook)
+
+
+def register_all() -> None:
+    """Register classes and the scene's property."""
+    register_schemas()  # for Blender's USD, where it has opened no stage yet
+    bpy.types.Scene.facepipe_usd = bpy.props.BoolProperty(
+        name="Faces in USD files",
+        description="Armatures and meshes with shape keys are exported to USD as faces of facepipe",
+        default=True,
+    )
+    for one in CLASSES:
+        bpy.utils.register_class(one)
+    atexit.register(unregister_all)  # Blender 4.5 as a module never ends with a hook in it
+
+
+def unregister_all() -> None:
+    """Take back what `register_all` added."""
+    atexit.unregister(unregister_all)
+    for one in reversed(CLASSES):
+        bpy.utils.unregister_class(one)
+    del bpy.types.Scene.facepipe_usd

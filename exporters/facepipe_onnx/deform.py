@@ -208,29 +208,19 @@ def morph_nodes(
     # the 1 multiplies the neutral points
     one = nodes.constant("one", np.ones((batch, 1)))
     activations = nodes.concat([activations or activation_nodes(nodes, rig), one], 1)
-    pieces = [_group(nodes, activations, rig.deltas, neutral, parts, group, batch) for group in parts.groups]
+    pieces = []
+    for group in parts.groups:  # the few activations of each times its own small dense matrix
+        points = parts.members(group)
+        rest = neutral[points].reshape(1, -1)
+        if not len(group.columns):
+            pieces.append(nodes.constant("still_points", np.tile(rest, (batch, 1))))
+            continue
+        rows = (3 * points[:, None] + np.arange(3)).ravel()
+        dense = rig.deltas[rows][:, group.columns].toarray().T
+        own = nodes.gather(activations, 1, [*group.columns.tolist(), rig.deltas.shape[1]])
+        pieces.append(nodes.add("MatMul", own, nodes.constant("shape_offsets", np.concatenate([dense, rest]))))
     blocks = sum(len(group.blocks) for group in parts.groups)
     return nodes.reshape(nodes.concat(pieces, 1), batch, blocks, 3 * parts.size)
-
-
-def _group(
-    nodes: Nodes,
-    activations: str,
-    deltas: sparse.csr_array,
-    neutral: FloatArray,
-    parts: Partition,
-    group: Group,
-    batch: int,
-) -> str:
-    """[batch, 3 * points] of one group: its few activations times its own small dense matrix."""
-    points = parts.members(group)
-    rest = neutral[points].reshape(1, -1)
-    if not len(group.columns):
-        return nodes.constant("still_points", np.tile(rest, (batch, 1)))
-    rows = (3 * points[:, None] + np.arange(3)).ravel()
-    dense = deltas[rows][:, group.columns].toarray().T
-    own = nodes.gather(activations, 1, [*group.columns.tolist(), deltas.shape[1]])
-    return nodes.add("MatMul", own, nodes.constant("shape_offsets", np.concatenate([dense, rest])))
 
 
 def skinning_nodes(nodes: Nodes, rig: Rig, ends: Ends | None, centre: FloatArray, *, parent: bool, batch: int) -> str:
@@ -262,7 +252,12 @@ def skin_nodes(nodes: Nodes, rig: Rig, matrices: str, points: str, parts: Partit
     :param matrices: [batch, 12, joints + 1] of `skinning_nodes`
     :param points: [batch, 4, points] homogeneous centred points in the same order, or 1 instead of batch
     """
-    blended = nodes.concat([_blend(nodes, matrices, rig, parts, i) for i in range(len(parts.groups))], 2)
+    influences = rig.influences[:, joint_columns(rig)]
+    pieces = []
+    for group in parts.groups:
+        own, weights = nodes.gather(matrices, 2, group.columns), influences[parts.members(group)][:, group.columns]
+        pieces.append(nodes.add("MatMul", own, nodes.constant("skin_weights", weights.toarray().T)))
+    blended = nodes.concat(pieces, 2)
     total = sum(len(group.blocks) for group in parts.groups) * parts.size
     blended = nodes.reshape(blended, batch, 4, 3, total)
     products = nodes.add("Mul", blended, nodes.reshape(points, -1, 4, 1, total))
@@ -274,13 +269,6 @@ def skin_nodes(nodes: Nodes, rig: Rig, matrices: str, points: str, parts: Partit
 def joint_columns(rig: Rig) -> npt.NDArray[np.integer]:
     """(joints + 1,) joints in the column order of `skinning_nodes`."""
     return np.append(tree_order(rig.parents)[0], len(rig.joints))
-
-
-def _blend(nodes: Nodes, matrices: str, rig: Rig, parts: Partition, number: int) -> str:
-    group = parts.groups[number]
-    weights = rig.influences[:, joint_columns(rig)][parts.members(group)][:, group.columns]
-    own = nodes.gather(matrices, 2, group.columns)
-    return nodes.add("MatMul", own, nodes.constant("skin_weights", weights.toarray().T))
 
 
 def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, batch: int) -> str:
@@ -297,7 +285,16 @@ def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, bat
         turned = [[nodes.gather(one, 2, axes) for axes in ((1, 2, 0), (2, 0, 1))] for one in (first, second)]
         ahead, behind = nodes.add("Mul", turned[0][0], turned[1][1]), nodes.add("Mul", turned[0][1], turned[1][0])
         areas = nodes.add("Sub", ahead, behind)
-        vectors = nodes.concat(_sums(nodes, areas, degree, triangles, batch), 1)
+        around = np.argsort(triangles.ravel(), kind="stable") // 3  # triangles, point by point
+        starts = np.cumsum(degree) - degree
+        sums = []
+        for size in np.unique(degree[degree > 0]):  # points of one number of triangles at a time
+            members = np.flatnonzero(degree == size)
+            own = nodes.gather(areas, 1, around[starts[members, None] + np.arange(size)].ravel())
+            grouped = nodes.reshape(own, batch, len(members), int(size), 3)
+            total = nodes.add("MatMul", nodes.constant(f"sum_{size}", np.ones((1, size))), grouped)
+            sums.append(nodes.reshape(total, batch, len(members), 3))
+        vectors = nodes.concat(sums, 1)
         squares = nodes.add(
             "MatMul", nodes.add("Mul", vectors, vectors), nodes.constant("sum_of_axes", np.ones((3, 1)))
         )
@@ -309,20 +306,3 @@ def normal_nodes(nodes: Nodes, points: str, count: int, triangles: IntArray, bat
     order = np.argsort(np.where(degree == 0, len(triangles) * 3 + 1, degree), kind="stable")
     position = nodes.indices(np.argsort(order, kind="stable"))
     return nodes.add("Gather", nodes.concat(pieces, 1), position, axis=1, name="normals")
-
-
-def _sums(nodes: Nodes, areas: str, degree: IntArray, triangles: IntArray, batch: int) -> list[str]:
-    """[batch, points, 3] sums over the triangles at each point that has some; points of one number of them at a time.
-
-    :param degree: (n,) triangles at each point
-    """
-    around = np.argsort(triangles.ravel(), kind="stable") // 3  # triangles, point by point
-    first = np.cumsum(degree) - degree
-    pieces = []
-    for size in np.unique(degree[degree > 0]):
-        members = np.flatnonzero(degree == size)
-        own = nodes.gather(areas, 1, around[first[members, None] + np.arange(size)].ravel())
-        grouped = nodes.reshape(own, batch, len(members), int(size), 3)
-        total = nodes.add("MatMul", nodes.constant(f"sum_{size}", np.ones((1, size))), grouped)
-        pieces.append(nodes.reshape(total, batch, len(members), 3))
-    return pieces

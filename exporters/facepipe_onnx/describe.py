@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core import __version__
-from facepipe.core.arrays import FloatArray
-from facepipe.parts import FaceParts, Mesh, Slider, SliderNetwork
+from facepipe.parts import FaceParts, Slider, SliderNetwork
 from facepipe.records import Json
 from facepipe.rig import CHANNELS, Rig
 from facepipe.rig.rig import curves
@@ -69,14 +68,21 @@ def describe(
             "sliders": _slider_records(parts.sliders),
         }
     inputs, outputs = slider_signature(rig, sliders, options)
-    first, *others = inputs.items()
+    (name, shape), *others = inputs.items()
+    first = {  # ``default`` is the neutral, ``values`` what is set on the face
+        "default": [slider.default for slider in sliders],
+        "groups": [slider.group for slider in sliders],
+        "name": name,
+        "names": [slider.name for slider in sliders],
+        "range": [[slider.minimum, slider.maximum] for slider in sliders],
+        "shape": list(shape),
+        "type": "float32",
+        "values": [slider.setting for slider in sliders],
+    }
     return metadata | {
         "conventions": _CONVENTIONS | _SLIDER_CONVENTIONS,
         "format": SLIDERS.format,
-        "inputs": [
-            _slider_input(*first, sliders),
-            *(_input(name, shape, parts, rig) for name, shape in others),
-        ],
+        "inputs": [first, *(_input(name, shape, parts, rig) for name, shape in others)],
         "meshes": _with_targets(metadata["meshes"], parts, rig),
         "outputs": [_output(name, shape, parts, rig) for name, shape in outputs.items()],
         "slider_network": None if network is None else network.summary(),
@@ -97,7 +103,15 @@ def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> Json:
         },
         "further_operators": [name for name in operators if name in FURTHER],
         "generator": f"facepipe {__version__}",
-        "inbetweens": [_sculpt(rig, i) for i, target in enumerate(rig.targets) if not target.curve.is_identity],
+        "inbetweens": [
+            {
+                "activation": _numbers(np.array(target.curve.knots)),
+                "name": target.name,
+                "shape": rig.shapes[target.shape],
+            }
+            for target in rig.targets
+            if not target.curve.is_identity
+        ],
         "joints": [
             {"path": joint, "name": name, "parent": int(parent)}
             for joint, name, parent in zip(rig.joints, parts.skeleton.names, rig.parents, strict=True)
@@ -153,53 +167,29 @@ def _output(name: str, shape: tuple[int, ...], parts: FaceParts, rig: Rig) -> Js
     return value | {"space": "world", "units": "stage units" if name == "points" else "unit vectors, area-weighted"}
 
 
-def _sculpt(rig: Rig, number: int) -> Json:
-    target = rig.targets[number]
-    return {
-        "name": target.name,
-        "shape": rig.shapes[target.shape],
-        "activation": _numbers(np.array(target.curve.knots)),
-    }
-
-
 def _slider_records(sliders: Sequence[Slider]) -> list[Json]:
     """The sliders of the face; very many channels and shapes are in the graph alone."""
     short = sum(len(slider.channels) + len(slider.shapes) for slider in sliders) > _MOST_ENTRIES
-    return [_slider_record(slider) | (dict.fromkeys(_ENTRIES) if short else {}) for slider in sliders]
-
-
-def _slider_record(slider: Slider) -> Json:
-    """A slider of the face."""
-    return {
-        "channel_curves": _curves(slider.channel_curves),
-        "channels": [list(channel) for channel in slider.channels],
-        "default": slider.default,
-        "group": slider.group,
-        "mirror": slider.mirror,
-        "name": slider.name,
-        "range": [slider.minimum, slider.maximum],
-        "shape_curves": _curves(slider.shape_curves),
-        "shapes": [list(shape) for shape in slider.shapes],
-        "value": slider.setting,
-    }
+    return [
+        {
+            "channel_curves": _curves(slider.channel_curves),
+            "channels": [list(channel) for channel in slider.channels],
+            "default": slider.default,
+            "group": slider.group,
+            "mirror": slider.mirror,
+            "name": slider.name,
+            "range": [slider.minimum, slider.maximum],
+            "shape_curves": _curves(slider.shape_curves),
+            "shapes": [list(shape) for shape in slider.shapes],
+            "value": slider.setting,
+            **(dict.fromkeys(_ENTRIES) if short else {}),
+        }
+        for slider in sliders
+    ]
 
 
 def _curves(found: Sequence[Any]) -> list[Any]:
     return [None if curve is None else [list(knot) for knot in curve] for curve in found]
-
-
-def _slider_input(name: str, shape: tuple[int, ...], sliders: Sequence[Slider]) -> Json:
-    """The input of slider values: ``default`` is the neutral, ``values`` what is set on the face."""
-    return {
-        "default": [slider.default for slider in sliders],
-        "groups": [slider.group for slider in sliders],
-        "name": name,
-        "names": [slider.name for slider in sliders],
-        "range": [[slider.minimum, slider.maximum] for slider in sliders],
-        "shape": list(shape),
-        "type": "float32",
-        "values": [slider.setting for slider in sliders],
-    }
 
 
 def _units() -> list[str]:
@@ -210,28 +200,21 @@ def _units() -> list[str]:
 def _with_targets(meshes: Sequence[Json], parts: FaceParts, rig: Rig) -> list[Json]:
     """The `meshes` with the numbers of their morph targets, and with marks of their neutral."""
     neutral = rig.evaluate() @ parts.gltf_axes[:3, :3].T
-    return [
-        entry | {"marks": _marks(neutral[entry["first"] :][: entry["count"]]), "targets": _targets(mesh, rig)}
-        for entry, mesh in zip(meshes, parts.meshes, strict=True)
-    ]
-
-
-def _marks(points: FloatArray) -> Json:
-    """Some points (n, 3) of a mesh with their numbers, evenly among them: by these, faces of one topology differ."""
-    chosen = np.unique(np.linspace(0, len(points) - 1, min(_MARKS, len(points))).astype(int))
-    rounded = [[float(f"{value:.6g}") + 0.0 for value in points[number]] for number in chosen]
-    return {"points": chosen.tolist(), "positions": rounded}
-
-
-def _targets(mesh: Mesh, rig: Rig) -> list[int]:
-    """Numbers in `Rig.targets` of a mesh's shapes, each followed by its inbetweens."""
     numbered = {(rig.shapes[target.shape], target.name, target.curve): i for i, target in enumerate(rig.targets)}
-    targets = []
-    for shape in mesh.blendshapes:
-        by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
-        keys = [(shape.name, name, by_weight[weight]) for name, weight, _ in shape.sculpts]
-        targets += [numbered[key] for key in keys if key in numbered]
-    return targets
+    described = []
+    for entry, mesh in zip(meshes, parts.meshes, strict=True):
+        points = neutral[entry["first"] :][: entry["count"]]
+        # some points, evenly among all: by these, faces of one topology differ
+        chosen = np.unique(np.linspace(0, len(points) - 1, min(_MARKS, len(points))).astype(int))
+        rounded = [[float(f"{value:.6g}") + 0.0 for value in points[number]] for number in chosen]
+        targets = []  # numbers in `Rig.targets` of its shapes, each followed by its inbetweens
+        for shape in mesh.blendshapes:
+            by_weight = curves(tuple(inbetween.weight for inbetween in shape.inbetweens))
+            keys = [(shape.name, name, by_weight[weight]) for name, weight, _ in shape.sculpts]
+            targets += [numbered[key] for key in keys if key in numbered]
+        marks = {"points": chosen.tolist(), "positions": rounded}
+        described.append(entry | {"marks": marks, "targets": targets})
+    return described
 
 
 def _numbers(values: Any) -> Any:

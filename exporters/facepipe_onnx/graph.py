@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.onnx_graph import Nodes
@@ -117,35 +117,23 @@ def skinned(nodes: Nodes, rig: Rig, ends: Ends | None, options: Options, activat
     influences = sparse.csr_array(rig.influences[:, joint_columns(rig)])
     size = block_size([(moved, OFFSET_BYTES), (influences, WEIGHT_BYTES)], len(rig.points))
     parts = partition(influences, size, WEIGHT_BYTES)
-    homogeneous = _homogeneous(nodes, rig, rig.points - centre, moved, parts, batch, activations)
+    # [batch, 4, points] morphed points with a 1 each, in the order of the skin's groups
+    order, neutral = np.concatenate([parts.members(group) for group in parts.groups]), rig.points - centre
+    ones = np.ones((1, 1, len(order)))
+    if rig.targets:
+        morphs = partition(moved, size, OFFSET_BYTES)
+        morphed = morph_nodes(nodes, rig, neutral, morphs, batch, activations)
+        # morphs are blocked by which shapes move points, the skin by which joints: their orders differ
+        morphed = _reorder(nodes, morphed, morphs.position[parts.order])
+        turned = nodes.add("Transpose", nodes.reshape(morphed, batch, len(order), 3), perm=[0, 2, 1])
+        homogeneous = nodes.concat([turned, nodes.constant("ones", np.tile(ones, (batch, 1, 1)))], 1)
+    else:
+        homogeneous = nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
     matrices = skinning_nodes(nodes, rig, ends, centre, parent=options.parent, batch=batch)
     planes = skin_nodes(nodes, rig, matrices, homogeneous, parts, batch)
     rows = nodes.add("Transpose", planes, perm=[0, 2, 1])
     blocks = nodes.reshape(rows, batch, len(parts.order), 3 * size)
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
-
-
-def _homogeneous(
-    nodes: Nodes,
-    rig: Rig,
-    neutral: FloatArray,
-    moved: sparse.csr_array,
-    parts: Partition,
-    batch: int,
-    activations: str | None,
-) -> str:
-    """[batch, 4, points] morphed points with a 1 each, in the order of the skin's groups `parts`."""
-    order = np.concatenate([parts.members(group) for group in parts.groups])
-    ones = np.ones((1, 1, len(order)))
-    if not rig.targets:
-        return nodes.constant("neutral", np.concatenate([neutral[order].T[None], ones], axis=1))
-    morphs = partition(moved, parts.size, OFFSET_BYTES)
-    blocks = morph_nodes(nodes, rig, neutral, morphs, batch, activations)
-    # morphs are blocked by which shapes move points, the skin by which joints: their orders differ
-    blocks = _reorder(nodes, blocks, morphs.position[parts.order])
-    rows = nodes.reshape(blocks, batch, len(order), 3)
-    planes = nodes.add("Transpose", rows, perm=[0, 2, 1])
-    return nodes.concat([planes, nodes.constant("ones", np.tile(ones, (batch, 1, 1)))], 1)
 
 
 def _reorder(nodes: Nodes, blocks: str, indices: IntArray) -> str:

@@ -27,12 +27,16 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
     rows = nodes.reshape(coefficients, batch * count, 9)
     angles = nodes.slice(rows, 1, 3, 6)
     waves = nodes.concat([nodes.add("Sin", angles), nodes.add("Cos", angles)], 1)
+    products = _products()
     # (9, p + 3): the scale in every product, then the translations, out of the coefficients
-    columns = [6 + j for *_, j in _products()] + [0, 1, 2]
-    scale, entries = np.eye(9)[:, columns], np.eye(16)[[4 * i + j for i, *_, j in _products()] + [3, 7, 11]]
+    columns = [6 + j for *_, j in products] + [0, 1, 2]
+    scale, entries = np.eye(9)[:, columns], np.eye(16)[[4 * i + j for i, *_, j in products] + [3, 7, 11]]
     product = nodes.add("MatMul", rows, nodes.constant("scales", scale))
     for place, axis in enumerate(_ORDER):
-        linear, fixed = _factor_columns(place, axis)
+        # the factor of one axis in every product, and a 1 for each translation
+        turn, still = _axis_rotation(axis)
+        i, j = np.array([product[place : place + 2] for product in products]).T
+        linear, fixed = np.hstack([turn[:, i, j], np.zeros((6, 3))]), np.append(still[i, j], np.ones(3))
         factor = nodes.add("Gemm", waves, nodes.constant(f"turns_{axis}", linear), nodes.constant("fixed_turns", fixed))
         product = nodes.add("Mul", product, factor)
     # the 1 at the end of a matrix depends on nothing: it is the bias of the product
@@ -57,13 +61,6 @@ def _products() -> list[tuple[int, int, int, int]]:
     first, second, third = (np.abs(linear).sum(axis=0) + fixed != 0 for linear, fixed in turns)
     indices = itertools.product(range(3), repeat=4)
     return [(i, k, m, j) for i, k, m, j in indices if first[i, k] and second[k, m] and third[m, j]]
-
-
-def _factor_columns(place: int, axis: int) -> tuple[FloatArray, FloatArray]:
-    """(6, p + 3) and (p + 3,): the factor of one axis in every product, and a 1 for each translation."""
-    linear, fixed = _axis_rotation(axis)
-    rows, columns = np.array([product[place : place + 2] for product in _products()]).T
-    return np.hstack([linear[:, rows, columns], np.zeros((6, 3))]), np.append(fixed[rows, columns], np.ones(3))
 
 
 def tree_order(parents: IntArray) -> tuple[IntArray, IntArray]:

@@ -158,17 +158,11 @@ def _described(
         return
     for value in described:
         for key in ("names", "joints"):
-            names = value.get(key)
-            if names is not None and not _is_names(names, value["shape"]):
-                yield (
-                    f"{where} -> {value['name']} -> {key}",
-                    f"expected distinct names, one for each of {value['shape']}",
-                )
-
-
-def _is_names(names: Any, shape: list[int]) -> bool:
-    texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return texts and len(set(names)) == len(names) and len(shape) > 1 and len(names) == shape[1]
+            names, shape = value.get(key), value["shape"]
+            texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
+            fits = texts and len(set(names)) == len(names) and len(shape) > 1 and len(names) == shape[1]
+            if names is not None and not fits:
+                yield f"{where} -> {value['name']} -> {key}", f"expected distinct names, one for each of {shape}"
 
 
 def shape_of(value: Any) -> tuple[int, ...] | None:

@@ -18,7 +18,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.onnx_graph import Nodes
-from facepipe.parts import Curve, Slider
+from facepipe.parts import Slider
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.sliders import channel_entries, response, shape_entries
 
@@ -58,8 +58,18 @@ def ramps_of(rig: Rig, sliders: Sequence[Slider], whole: Collection[str] = ()) -
             )
         if slider.name in whole and slider.minimum < slider.maximum:
             rows[number, slider.minimum, slider.maximum] = np.zeros(len(base))
-        for column, gain, curve in _entries(rig, slider):
-            values = _values(slider, curve)
+        # column, gain and curve of everything that it adds to
+        entries = [
+            (9 * rig.joints.index(joint) + CHANNELS.index(channel), gain, curve)
+            for (joint, channel, gain), curve in channel_entries(slider)
+        ]
+        for (shape, gain), curve in shape_entries(slider):
+            if shape not in rig.shapes:
+                raise ExportError(f"{rig.name} -> slider {slider.name}", f"no shape '{shape}'")
+            entries.append((joint_columns + rig.shapes.index(shape), gain, curve))
+        for column, gain, curve in entries:
+            inner = {value for value, _ in curve or () if slider.minimum < value < slider.maximum}
+            values = sorted({slider.minimum, slider.maximum, *inner})
             amounts = [gain * response(curve, value, slider.default) for value in values]
             # curve(x) = its first value + sum of rises * clip((x - start) / (end - start), 0, 1)
             base[column] += amounts[0]
@@ -80,22 +90,6 @@ def ramps_of(rig: Rig, sliders: Sequence[Slider], whole: Collection[str] = ()) -
         shape_base=base[joint_columns:],
         shape_gains=gains[:, joint_columns:],
     )
-
-
-def _entries(rig: Rig, slider: Slider) -> Iterator[tuple[int, float, Curve | None]]:
-    """Column, gain and curve of everything that a slider adds to."""
-    for (joint, channel, gain), curve in channel_entries(slider):
-        yield 9 * rig.joints.index(joint) + CHANNELS.index(channel), gain, curve
-    for (shape, gain), curve in shape_entries(slider):
-        if shape not in rig.shapes:
-            raise ExportError(f"{rig.name} -> slider {slider.name}", f"no shape '{shape}'")
-        yield 9 * len(rig.joints) + rig.shapes.index(shape), gain, curve
-
-
-def _values(slider: Slider, curve: Curve | None) -> list[float]:
-    """Slider values between which an entry is straight, from minimum to maximum."""
-    inner = {value for value, _ in curve or () if slider.minimum < value < slider.maximum}
-    return sorted({slider.minimum, slider.maximum, *inner})
 
 
 def ramp_nodes(nodes: Nodes, ramps: Ramps, sliders: int) -> str:
@@ -179,24 +173,17 @@ def _stored(nodes: PackedNodes, name: str, matrix: FloatArray, samples: FloatArr
     if nodes.weights == "float16":
         half = rounded(matrix, samples, lambda row: row.astype(np.float16))
         return nodes.add("Cast", nodes.constant(name, half, np.float16), to=_FLOAT), half
-    rows, columns = (scale.astype(np.float32).astype(np.float64) for scale in _scales(matrix))
+    # scales of rows and columns that bring the matrix to -127..127, made like by turns: the root of the largest of each
+    rows, columns = np.ones((len(matrix), 1)), np.ones((1, matrix.shape[1]))
+    for _ in range(_ROUNDS):
+        for axis, own in ((1, rows), (0, columns)):
+            own *= np.sqrt(_largest(matrix / (rows * columns), axis))
+    columns *= _largest(matrix / (rows * columns), 0) / _LEVELS
+    rows, columns = (scale.astype(np.float32).astype(np.float64) for scale in (rows, columns))
     whole = rounded(matrix / (rows * columns), samples * rows.T, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
     cast = nodes.add("Cast", nodes.constant(name, whole, np.int8), to=_FLOAT)
     factors = [nodes.constant(f"{name}_{side}", one) for side, one in (("rows", rows), ("columns", columns))]
     return nodes.add("Mul", nodes.add("Mul", cast, factors[0]), factors[1]), whole * rows * columns
-
-
-def _scales(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Scales of rows (r, 1) and columns (1, c) that bring a matrix to -127..127.
-
-    Rows and columns are brought to like sizes by turns: the root of the largest number of each.
-    """
-    rows, columns = np.ones((len(values), 1)), np.ones((1, values.shape[1]))
-    for _ in range(_ROUNDS):
-        for axis, own in ((1, rows), (0, columns)):
-            own *= np.sqrt(_largest(values / (rows * columns), axis))
-    columns *= _largest(values / (rows * columns), 0) / _LEVELS
-    return rows, columns
 
 
 def _largest(values: FloatArray, axis: int) -> FloatArray:

@@ -37,8 +37,31 @@ class Deformer:
         names = {one["path"]: str(one.get("name", one["path"])) for one in self.metadata.get("joints", ())}
         self.joint_names = tuple(names.get(joint, joint) for joint in self.joints)
         self.outputs: tuple[str, ...] = tuple(given)
-        self._defaults = {name: self._default(name) for name, one in self._inputs.items() if not one.get("required")}
-        self._session = self._start(model.SerializeToString(), threads)
+        # unless given: the values set on the face, or the default, which may be of the last axes alone
+        self._defaults: dict[str, Array] = {}
+        for name, entry in self._inputs.items():
+            if entry.get("required"):
+                continue
+            try:
+                values = np.asarray(entry["values"] if "values" in entry else entry["default"], dtype=np.float64)
+                if not np.isfinite(values).all():
+                    raise ValueError("not finite")
+                whole = np.broadcast_to(values, tuple(entry["shape"]))
+                self._defaults[name] = np.ascontiguousarray(whole, dtype=np.float32)
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
+                where = f"{self.path} -> metadata {PREFIX}inputs -> {name}"
+                raise InputError(where, f"no default that fits shape {entry['shape']}") from error
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4  # what fails is raised, and said once
+        providers, data = ["CPUExecutionProvider"], model.SerializeToString()
+        try:
+            self._session: Any = onnxruntime.InferenceSession(data, options, providers=providers)
+        except Exception as error:  # onnxruntime's errors share no other base
+            raise InputError(self.path, f"onnxruntime can't load it ({_line(error)})") from error
 
     def evaluate(
         self,
@@ -82,7 +105,20 @@ class Deformer:
         """
         full = dict(self._defaults)
         for name, values in feeds.items():
-            full[name] = self._fed(name, values)
+            where = f"{self.path} -> {name}"
+            if name not in self._inputs:
+                raise InputError(where, f"no such input, expected one of {', '.join(self._inputs) or 'none'}")
+            shape = tuple(self._inputs[name]["shape"])
+            try:
+                with np.errstate(over="ignore"):
+                    array = np.asarray(values, dtype=np.float64).astype(np.float32)
+            except (TypeError, ValueError) as error:
+                raise InputError(where, f"expected numbers of shape {shape[1:]}") from error
+            if array.shape not in (shape, shape[1:]):
+                raise InputError(where, f"shape {array.shape}, expected {shape[1:]}")
+            if not np.isfinite(array).all():
+                raise InputError(where, "NaN, infinity or beyond float32, expected finite numbers")
+            full[name] = np.ascontiguousarray(np.broadcast_to(array, shape))
         for name in sorted(self._inputs.keys() - full.keys()):
             shape = tuple(self._inputs[name]["shape"][1:])
             raise InputError(f"{self.path} -> {name}", f"not given, expected numbers of shape {shape}")
@@ -90,26 +126,11 @@ class Deformer:
             results = self._session.run(list(self.outputs), full)
         except Exception as error:  # onnxruntime's errors share no other base
             raise InputError(self.path, f"can't be evaluated ({_line(error)})") from error
-        for name, values in zip(self.outputs, results, strict=True):
+        found = dict(zip(self.outputs, results, strict=True))
+        for name, values in found.items():
             if not np.isfinite(values).all():
                 raise InputError(f"{self.path} -> {name}", "NaN or infinity came out; are the inputs too large?")
-        return dict(zip(self.outputs, results, strict=True))
-
-    def _fed(self, name: str, values: npt.ArrayLike) -> Array:
-        where = f"{self.path} -> {name}"
-        if name not in self._inputs:
-            raise InputError(where, f"no such input, expected one of {', '.join(self._inputs) or 'none'}")
-        shape = tuple(self._inputs[name]["shape"])
-        try:
-            with np.errstate(over="ignore"):
-                array = np.asarray(values, dtype=np.float64).astype(np.float32)
-        except (TypeError, ValueError) as error:
-            raise InputError(where, f"expected numbers of shape {shape[1:]}") from error
-        if array.shape not in (shape, shape[1:]):
-            raise InputError(where, f"shape {array.shape}, expected {shape[1:]}")
-        if not np.isfinite(array).all():
-            raise InputError(where, "NaN, infinity or beyond float32, expected finite numbers")
-        return np.ascontiguousarray(np.broadcast_to(array, shape))
+        return found
 
     def _by_name(self, name: str, values: Mapping[str, Any], names: tuple[str, ...]) -> Array:
         """(names, ...) defaults of an input with `values` put in by name."""
@@ -127,31 +148,6 @@ class Deformer:
                 size = full[number[key]].size
                 raise InputError(f"{where} -> {key}", f"expected {size} number{'s' if size > 1 else ''}") from error
         return full
-
-    def _default(self, name: str) -> Array:
-        """What an input is unless given: the values set on the face, or its default; of its last axes, or all."""
-        entry = self._inputs[name]
-        try:
-            values = np.asarray(entry["values"] if "values" in entry else entry["default"], dtype=np.float64)
-            if not np.isfinite(values).all():
-                raise ValueError("not finite")
-            default: Array = np.ascontiguousarray(np.broadcast_to(values, tuple(entry["shape"])), dtype=np.float32)
-            return default
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            where = f"{self.path} -> metadata {PREFIX}inputs -> {name}"
-            raise InputError(where, f"no default that fits shape {entry['shape']}") from error
-
-    def _start(self, data: bytes, threads: int) -> Any:
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # what fails is raised, and said once
-        try:
-            return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's errors share no other base
-            raise InputError(self.path, f"onnxruntime can't load it ({_line(error)})") from error
 
 
 def _line(error: Exception) -> str:

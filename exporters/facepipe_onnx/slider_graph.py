@@ -25,7 +25,7 @@ from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
 from facepipe_onnx.deform import Ends, activation_nodes, normal_nodes
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
-from facepipe_onnx.joints import Chains, chain_nodes, chains_of, end_nodes, tree_order
+from facepipe_onnx.joints import chain_nodes, chains_of, end_nodes, tree_order
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_weights import (
     PackedNodes,
@@ -91,7 +91,12 @@ def build(
     ends = _joints(nodes, rig, ramps, risen, options) if rig.joints else None
     activations = None
     if rig.targets:
-        activations = activation_nodes(nodes, rig, _weights(nodes, ramps, risen), name="morph_weights")
+        weights = "weights"  # of the input, and those that the sliders drive
+        if ramps.shape_gains.any() or ramps.shape_base.any():
+            names_of = ("shape_gains", "shape_base")
+            driven = product_nodes(nodes, risen, names_of, ramps.shape_gains, ramps.shape_base)
+            weights = nodes.add("Add", driven, weights)
+        activations = activation_nodes(nodes, rig, weights, name="morph_weights")
     if options.points and (rig.joints or options.parent):
         skinned(nodes, rig, ends, options, activations)
     elif options.points:
@@ -107,22 +112,17 @@ def _joints(nodes: PackedNodes, rig: Rig, ramps: Ramps, risen: str, options: Opt
     chains = chains_of(
         rig, np.asarray(own.reshape(-1, 9).any(axis=1)), np.eye(4) if options.parent else rig.parent_world
     )
-    coefficients = _coefficients(nodes, ramps, chains, risen, options.batch)
-    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
-    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
-    order = tree_order(rig.parents)[0]
-    return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
-
-
-def _coefficients(nodes: PackedNodes, ramps: Ramps, chains: Chains, risen: str, batch: int) -> str:
-    """[batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output."""
+    # [batch, n, 9] bone coefficients of the rows of `chains`; those of all joints become an output
     rows, count = len(chains.joints), len(ramps.gains)
     joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
     joint_base = np.concatenate([ramps.base.reshape(-1, 9), rest_coefficients(1)])
     gains, base = joint_gains[:, chains.joints].reshape(count, -1), joint_base[chains.joints].ravel()
-    coefficients = nodes.reshape(_product(nodes, risen, gains, base, batch), batch, rows, 9)
+    coefficients = nodes.reshape(_product(nodes, risen, gains, base, options.batch), options.batch, rows, 9)
     nodes.add("Gather", coefficients, nodes.indices(chains.rows), axis=1, name="coefficients")
-    return coefficients
+    worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
+    end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
+    order = tree_order(rig.parents)[0]
+    return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
 
 
 def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:
@@ -136,14 +136,6 @@ def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray
     own = product_nodes(nodes, risen, ("gains", "base"), gains[:, columns], base[columns])
     both = nodes.concat([own, nodes.constant("still", np.tile(still, (batch, 1)))], 1)
     return nodes.gather(both, 1, place)
-
-
-def _weights(nodes: PackedNodes, ramps: Ramps, risen: str) -> str:
-    """[batch, shapes] weights: the input's and those that the sliders drive."""
-    if not ramps.shape_gains.any() and not ramps.shape_base.any():
-        return "weights"
-    driven = product_nodes(nodes, risen, ("shape_gains", "shape_base"), ramps.shape_gains, ramps.shape_base)
-    return nodes.add("Add", driven, "weights")
 
 
 def signature(
@@ -196,7 +188,24 @@ def _network_nodes(
         )
     both = nodes.concat([risen, units], 1)
     follow(nodes, both, lambda *values: np.concatenate(values, axis=1), risen, units)
-    return _with_rows(rig, network, ramps, *layers[-1]), both
+    for shape in network.shapes:
+        if shape not in rig.shapes:
+            raise ExportError(f"{rig.name} -> slider network", f"no shape '{shape}'")
+    bones = 9 * len(rig.joints)
+    columns = [9 * rig.joints.index(joint) + CHANNELS.index(channel) for joint, channel in network.channels]
+    columns += [bones + rig.shapes.index(shape) for shape in network.shapes]
+    last, last_bias = layers[-1]
+    rows = np.zeros((last.shape[1], bones + len(rig.shapes)))
+    rows[:, columns] = last.T
+    base = np.concatenate([ramps.base, ramps.shape_base])
+    base[columns] += last_bias
+    longer = ramps._replace(
+        base=base[:bones],
+        gains=np.concatenate([ramps.gains, rows[:, :bones]]),
+        shape_base=base[bones:],
+        shape_gains=np.concatenate([ramps.shape_gains, rows[:, bones:]]),
+    )
+    return longer, both
 
 
 def _first_layer(
@@ -218,23 +227,3 @@ def _first_layer(
         keys.index((number, one.minimum, one.maximum)) for number, one in inputs_of_network if one.minimum < one.maximum
     ]
     return np.array(inputs), (weight * reach)[:, reach > 0], bias + weight @ lower
-
-
-def _with_rows(rig: Rig, network: SliderNetwork, ramps: Ramps, weight: FloatArray, bias: FloatArray) -> Ramps:
-    """The ramps with what a last layer (outputs, units) adds."""
-    for shape in network.shapes:
-        if shape not in rig.shapes:
-            raise ExportError(f"{rig.name} -> slider network", f"no shape '{shape}'")
-    bones = 9 * len(rig.joints)
-    columns = [9 * rig.joints.index(joint) + CHANNELS.index(channel) for joint, channel in network.channels]
-    columns += [bones + rig.shapes.index(shape) for shape in network.shapes]
-    rows = np.zeros((weight.shape[1], bones + len(rig.shapes)))
-    rows[:, columns] = weight.T
-    base = np.concatenate([ramps.base, ramps.shape_base])
-    base[columns] += bias
-    return ramps._replace(
-        base=base[:bones],
-        gains=np.concatenate([ramps.gains, rows[:, :bones]]),
-        shape_base=base[bones:],
-        shape_gains=np.concatenate([ramps.shape_gains, rows[:, bones:]]),
-    )

@@ -55,8 +55,13 @@ def write_assets(
             for name in regions
         ]
         path.write_bytes(np.rint(255 * np.clip(rows, 0, 1)).astype(np.uint8).tobytes())
+    joints = None
+    if parts.skeleton.joints:  # the axes of their coefficients: the stage's times the skeleton's scale
+        axes = parts.gltf_axes
+        axes[:3, :3] *= np.cbrt(abs(np.linalg.det(np.asarray(parts.skeleton.transform)[:3, :3])))
+        joints = {"paths": list(parts.skeleton.joints), "axes": axes.tolist()}
     details: Json = {
-        "joints": _joints(parts),
+        "joints": joints,
         "meshes": [{"name": mesh.name, "points": len(mesh.points)} for mesh in parts.meshes],
         "notes": list(dict.fromkeys(notes)),
         "regions": {"names": regions, "masks": f"{url}/regions.bin"} if regions else None,
@@ -78,17 +83,6 @@ def _export(parts: FaceParts, path: Path, **settings: bool | str) -> list[str]:
     exporter = registry.exporter(path)
     report = exporter.export(HeldFace(parts), path, exporter.Options(**settings))
     return [*([] if report.pose == "rest" else [f"at rest: {report.pose}"]), *report.warnings]
-
-
-def _joints(parts: FaceParts) -> Json | None:
-    """Paths of the joints, and the axes of their coefficients: the stage's times the skeleton's scale."""
-    import numpy as np
-
-    if not parts.skeleton.joints:
-        return None
-    axes = parts.gltf_axes
-    axes[:3, :3] *= np.cbrt(abs(np.linalg.det(np.asarray(parts.skeleton.transform)[:3, :3])))
-    return {"paths": list(parts.skeleton.joints), "axes": axes.tolist()}
 
 
 class Blending:
@@ -122,22 +116,19 @@ class Blending:
             return "application/octet-stream", self._live.points(rows, self._live.base.gltf_axes)
         if wanted == "face":
             with self._lock:
-                return "application/json", json.dumps(self._version(rows)).encode()
+                face = self._live.face(rows)
+                self._number += 1
+                name = f"blend{self._number}"
+                entry, files = write_assets(face, self._path.name, self._folder / name, f"faces/{name}")
+                self._server.files |= files
+                self._versions.append(files)
+                for old in self._versions[:-_KEPT]:
+                    for url, file in old.items():
+                        self._server.files.pop(url, None)
+                        shutil.rmtree(file.parent, ignore_errors=True)
+                del self._versions[:-_KEPT]
+                return "application/json", json.dumps(entry).encode()
         raise InputError("blend", "expected points or face as wanted")
-
-    def _version(self, rows: Json) -> Json:
-        parts = self._live.face(rows)
-        self._number += 1
-        name = f"blend{self._number}"
-        entry, files = write_assets(parts, self._path.name, self._folder / name, f"faces/{name}")
-        self._server.files |= files
-        self._versions.append(files)
-        for old in self._versions[:-_KEPT]:
-            for url, file in old.items():
-                self._server.files.pop(url, None)
-                shutil.rmtree(file.parent, ignore_errors=True)
-        del self._versions[:-_KEPT]
-        return entry
 
 
 def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:

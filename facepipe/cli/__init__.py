@@ -24,13 +24,15 @@ from facepipe.core import __version__
 from facepipe.core.errors import FacepipeError
 from facepipe.core.policy.paths import PROJECT, Trust, roots_in, trust, trusting
 from facepipe.core.reading import check_input
+from facepipe.registry import manifest
 
 if TYPE_CHECKING:
     from facepipe.core.project import Project
 
 _log = logging.getLogger(__name__)
 
-# command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code
+# command -> what it does; its module is facepipe.cli.<command>, with configure(parser) and run(arguments) -> exit code;
+# the manifest has those of the wings
 COMMANDS = {
     "demo": "a sample face from USD to validated GLB, ONNX and pictures",
     "import": "make a face stage from a file of another program",
@@ -40,7 +42,6 @@ COMMANDS = {
     "view": "look at a face in the browser",
     "regions": "list regions, or author them from a painted map",
     "sliders": "list, author or set sliders",
-    "batch": "run the same steps over many faces, here or on a cluster",
     "cook": "make results anew whose sources have changed",
     "blender-addon": "build the add-on for Blender",
     "schema-path": "print the folder of the USD schemas",
@@ -164,6 +165,8 @@ def command_module(command: str) -> Any:
     """The module or action that configures and runs a command; None for no command."""
     if command in COMMANDS:
         return importlib.import_module(f"facepipe.cli.{command.replace('-', '_')}_command")
+    if command in manifest()["commands"]:
+        return importlib.import_module(manifest()["commands"][command]["module"])
     from facepipe.actions import find_action, groups
     from facepipe.cli.action_line import ActionGroup, ActionLine
 
@@ -197,6 +200,7 @@ def commands_of() -> dict[str, str]:
     from facepipe.actions import groups, summaries
 
     found = {verb: text for verb, text in summaries().items() if " " not in verb}
+    found |= {name: one["summary"] for name, one in manifest()["commands"].items()}
     found |= {name: f"{text[0].lower()}{text[1:].splitlines()[0].rstrip('.')}" for name, text in groups().items()}
     return COMMANDS | {verb: found[verb] for verb in sorted(found) if verb not in COMMANDS}
 

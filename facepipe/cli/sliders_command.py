@@ -59,22 +59,24 @@ def _rows(group: str, sliders: list[Slider]) -> list[tuple[str, ...]]:
     for slider in sliders:
         value = "" if slider.value is None or slider.value == slider.default else f"= {slider.value:g}"
         span = f"{slider.minimum:g} to {slider.maximum:g}, {slider.default:g}"
+        from facepipe.rig.sliders import channel_entries, shape_entries
+
+        texts = [
+            f"{joint.rpartition('/')[2]}:{channel} {gain:g}{_bent(curve)}"
+            for (joint, channel, gain), curve in channel_entries(slider)
+        ]
+        texts += [f"{shape} {gain:g}{_bent(curve)}" for (shape, gain), curve in shape_entries(slider)]
+        more = f" ... ({len(texts)} in all)" if len(texts) > _SHOWN else ""
         rows.append(
-            (f"  {slider.name}", span, value, _driven(slider), f"mirror {slider.mirror}" if slider.mirror else "")
+            (
+                f"  {slider.name}",
+                span,
+                value,
+                (", ".join(texts[:_SHOWN]) + more),
+                f"mirror {slider.mirror}" if slider.mirror else "",
+            )
         )
     return rows
-
-
-def _driven(slider: Slider) -> str:
-    from facepipe.rig.sliders import channel_entries, shape_entries
-
-    texts = [
-        f"{joint.rpartition('/')[2]}:{channel} {gain:g}{_bent(curve)}"
-        for (joint, channel, gain), curve in channel_entries(slider)
-    ]
-    texts += [f"{shape} {gain:g}{_bent(curve)}" for (shape, gain), curve in shape_entries(slider)]
-    more = f" ... ({len(texts)} in all)" if len(texts) > _SHOWN else ""
-    return ", ".join(texts[:_SHOWN]) + more
 
 
 def _bent(curve: Curve | None) -> str:

@@ -268,7 +268,19 @@ def settle(folder: HiddenFolder) -> None:
 
 
 def _finish(folder: HiddenFolder) -> None:
-    moves = _journal(folder.path)
+    # the moves that a journal names; none where there is no journal, or none that `write_journal` wrote
+    try:
+        content = json.loads(_text(folder.path / JOURNAL) or "")
+        folders = [_beside(folder.path, one) for one in content["folders"]]
+        moves = [_move(folders, *one) for one in content["moves"]]
+    except (ValueError, TypeError, LookupError, RecursionError):
+        moves = []
+    moves = [
+        move
+        for move in moves
+        if stat.S_ISDIR(_mode(move.hidden))
+        and not any(stat.S_ISLNK(_mode(one)) for one in (move.source, move.aside.parent))
+    ]
     others = {move.hidden for move in moves} - {folder.path}
     try:
         if any(move.disturbed for move in moves) and not _decided(moves):
@@ -283,22 +295,6 @@ def _finish(folder: HiddenFolder) -> None:
     for held in filter(None, map(claim, others)):
         remove(held)
     remove(folder)
-
-
-def _journal(first: Path) -> list[Move]:
-    """The moves that a journal names; none where there is no journal, or none that `write_journal` wrote."""
-    try:
-        content = json.loads(_text(first / JOURNAL) or "")
-        folders = [_beside(first, one) for one in content["folders"]]
-        moves = [_move(folders, *one) for one in content["moves"]]
-    except (ValueError, TypeError, LookupError, RecursionError):
-        return []
-    return [
-        move
-        for move in moves
-        if stat.S_ISDIR(_mode(move.hidden))
-        and not any(stat.S_ISLNK(_mode(one)) for one in (move.source, move.aside.parent))
-    ]
 
 
 def _move(folders: Sequence[Path], number: Any, name: Any, former: Any, role: Any) -> Move:

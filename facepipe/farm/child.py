@@ -22,7 +22,7 @@ from facepipe.core.policy.children import remote_python
 from facepipe.core.threads import THREADS
 from facepipe.farm.ledger import FAILED, Record
 
-PROGRAM = "facepipe.cli.batch_child"  # a module that answers requests, a line of JSON each, from its standard input
+PROGRAM = "facepipe.farm.program"  # a module that answers requests, a line of JSON each, from its standard input
 _PAUSE = 0.2  # seconds between two looks at its memory
 _ONE_THREAD = dict.fromkeys(
     (

@@ -52,18 +52,14 @@ class Contents:
         """:raises InputError: it can't be read, or changes while it is read"""
         known = self._known.get(path)
         if known is None or not unchanged(dict(known.states)):
-            known = self._known[path] = _read(path)
+            files = sorted(_stands_on(path))
+            before = {str(file): state_of(file) for file in files}
+            content = digest(files)
+            states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
+            if len(states) != len(files):
+                raise ChangedError(path, "changes while it is read, expected a file that nobody writes")
+            known = self._known[path] = Content(content, states)
         return known
-
-
-def _read(path: Path) -> Content:
-    files = sorted(_stands_on(path))
-    before = {str(file): state_of(file) for file in files}
-    content = digest(files)
-    states = {one: state for one, state in before.items() if state is not None and state == state_of(one)}
-    if len(states) != len(files):
-        raise ChangedError(path, "changes while it is read, expected a file that nobody writes")
-    return Content(content, states)
 
 
 def _stands_on(path: Path) -> set[Path]:

@@ -64,38 +64,31 @@ def deliver(path: Path, folder: Path, name: str, *, sliders: bool = False, overw
             exports.append(module.export(face, inner / f"{name}.{suffix}", module.Options(**settings)))
             findings += validate(inner / f"{name}.{suffix}")
         names = sorted(one.name for one in inner.iterdir())
-        report = _in_folder(folder, [*names, f"{name}.report.json"], exports, findings)
-        (inner / f"{name}.report.json").write_text(_text(report), encoding="utf-8")
+        moved = [  # to where they go
+            dataclasses.replace(
+                export, path=folder / export.path.name, files=tuple(folder / file.name for file in export.files)
+            )
+            for export in exports
+        ]
+        report = DeliveryReport(
+            files=tuple(folder / one for one in (*names, f"{name}.report.json")),
+            exports=tuple(moved),
+            findings=tuple(findings),
+            facts=tuple(dict.fromkeys(line for export in exports for line in export.dropped)),
+            warnings=tuple(dict.fromkeys(line for export in exports for line in export.warnings)),
+        )
+        # the report as JSON with file names alone and without times: the same face gives the same bytes
+        content = report.to_dict()
+        content["files"] = [Path(one).name for one in content["files"]]
+        for export in content["exports"]:
+            del export["seconds"]
+            export["path"] = Path(export["path"]).name
+            export["files"] = [Path(file).name for file in export["files"]]
+        (inner / f"{name}.report.json").write_text(
+            json.dumps(content, indent=2, sort_keys=True) + "\n", encoding="utf-8"
+        )
         with together(folder / f"{name}.glb"):
             for one in sorted(inner.iterdir()):
                 with replacing(folder / one.name) as temporary:
                     one.replace(temporary)
     return report
-
-
-def _in_folder(folder: Path, names: list[str], exports: list[ExportReport], findings: list[Finding]) -> DeliveryReport:
-    """The report with files where they go to."""
-    moved = [
-        dataclasses.replace(
-            export, path=folder / export.path.name, files=tuple(folder / file.name for file in export.files)
-        )
-        for export in exports
-    ]
-    return DeliveryReport(
-        files=tuple(folder / name for name in names),
-        exports=tuple(moved),
-        findings=tuple(findings),
-        facts=tuple(dict.fromkeys(line for export in exports for line in export.dropped)),
-        warnings=tuple(dict.fromkeys(line for export in exports for line in export.warnings)),
-    )
-
-
-def _text(report: DeliveryReport) -> str:
-    """The report as JSON with file names alone and without times: the same face gives the same bytes."""
-    content = report.to_dict()
-    content["files"] = [Path(one).name for one in content["files"]]
-    for export in content["exports"]:
-        del export["seconds"]
-        export["path"] = Path(export["path"]).name
-        export["files"] = [Path(file).name for file in export["files"]]
-    return json.dumps(content, indent=2, sort_keys=True) + "\n"

@@ -6,13 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
 from facepipe.parts import (
     Blendshape,
-    BoneLimits,
     FaceParts,
     Inbetween,
     Mesh,
@@ -58,6 +56,15 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
     def corners(uv: UvSet, mesh: Mesh) -> FloatArray:
         return np.asarray(uv.values[mesh.face_vertex_indices if uv.indices is None else uv.indices])
 
+    same_regions = kept.regions.keys() == made.regions.keys() and all(
+        _near(kept.regions[name], made.regions[name]) for name in kept.regions
+    )
+    # hosts store the material of each face: where that was one of the whole mesh, it stays so
+    whole = made.material is None and kept.material in {faces.material for faces in made.material_faces}
+    subsets = dict(made.point_subsets)
+    for name in subsets.keys() & kept.point_subsets.keys():
+        if np.array_equal(np.unique(kept.point_subsets[name]), np.unique(subsets[name])):
+            subsets[name] = kept.point_subsets[name]
     result = replace(
         kept,
         points=made.points if moved else kept.points,
@@ -73,10 +80,10 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
             _edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
             for blendshape in made.blendshapes
         ),
-        regions=kept.regions if _same_regions(kept.regions, made.regions) else summed_to_one(made.regions),
-        point_subsets=_subsets(kept.point_subsets, made.point_subsets),
+        regions=kept.regions if same_regions else summed_to_one(made.regions),
+        point_subsets=subsets,
         skin=_skin(kept.skin, made.skin, len(kept.points)),
-        material=_material(kept, made),
+        material=kept.material if whole else made.material,
         material_faces=made.material_faces,
     )
     again = {
@@ -151,11 +158,6 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
     )
 
 
-def _same_regions(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> bool:
-    """Whether two sets of masks agree in names and, nearly, in values."""
-    return one.keys() == other.keys() and all(_near(one[name], other[name]) for name in one)
-
-
 def summed_to_one(regions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """The masks with sum 1 at every point that is in some."""
     if not regions:
@@ -180,19 +182,6 @@ def _skin(kept: Skin | None, made: Skin | None, points: int) -> Skin | None:
     if all(_near(old.get(joint, none), new.get(joint, none)) for joint in {*old, *new}):
         return kept
     return replace(made, geom_bind_transform=kept.geom_bind_transform)
-
-
-def _material(kept: Mesh, made: Mesh) -> str | None:
-    """The material of the whole mesh; where each face has its own, as hosts store them, the one from before."""
-    there = kept.material in {material_face.material for material_face in made.material_faces}
-    return kept.material if made.material is None and there else made.material
-
-
-def _subsets(kept: Mapping[str, IntArray], made: Mapping[str, IntArray]) -> dict[str, npt.NDArray[np.integer]]:
-    def same(name: str) -> bool:
-        return name in kept and np.array_equal(np.unique(kept[name]), np.unique(made[name]))
-
-    return {name: kept[name] if same(name) else made[name] for name in made}
 
 
 def _sculpts(shape: Blendshape, count: int) -> dict[str, FloatArray]:
@@ -244,21 +233,35 @@ def edited_face(
         else:
             result.append(rest)
     sliders = with_mutual_mirrors(result)
+    network = _network(before.slider_network, sliders, joints, shapes, warnings)
+    same_joints = before.skeleton.joints == skeleton.joints
+    if before.bone_limits is not None and not same_joints:
+        warnings.append("bone limits left out: the joints have changed")
     parts = replace(
         before,
         meshes=meshes,
         skeleton=skeleton,
         sliders=sliders,
-        slider_network=_network(before.slider_network, sliders, joints, shapes, warnings),
-        bone_limits=_limits(before, skeleton, warnings),
+        slider_network=network,
+        bone_limits=before.bone_limits if same_joints else None,
         animations=tuple(animation for animation in before.animations if joints.issuperset(animation.joints)),
         materials=made.materials,
     )
     if len(parts.animations) < len(before.animations):
         warnings.append("animations of joints that are gone: left out")
-    if before.recipe is not None and not _unchanged(before, parts):
-        warnings.append(f"recipe of '{before.recipe.verb}' left out: the face was edited")
-        parts = replace(parts, recipe=None)
+    if before.recipe is not None:
+        # materials are the host's: a recipe makes all else
+        bare = [
+            replace(
+                one,
+                meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in one.meshes),
+                materials=(),
+            )
+            for one in (before, parts)
+        ]
+        if not same(*bare):
+            warnings.append(f"recipe of '{before.recipe.verb}' left out: the face was edited")
+            parts = replace(parts, recipe=None)
     return parts, tuple(warnings)
 
 
@@ -293,7 +296,25 @@ def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray],
     """The skeleton before, moved by what its bones moved; joints that are new stand as the host says."""
     if {*before.joints} != {*made.joints}:
         warnings.append(f"{len(made.joints)} joints, {len(before.joints)} before: the skeleton is made anew")
-        return _other_joints(before, made, bones)
+        # the skeleton with the joints of `made`, each where it stands from itself or the next above it that was there
+        known = dict(zip(before.joints, before.names, strict=True))
+        names = [known.get(joint, name) for joint, name in zip(made.joints, made.names, strict=True)]
+        fresh = replace(made, name=before.name, transform=before.transform).called(names)
+        old = {joint: i for i, joint in enumerate(before.joints)}
+        shared = [joint for joint in made.joints if joint in old]
+        if not shared:
+            return fresh
+        parents = made.parents
+        anchors: list[str] = []
+        for joint, parent in zip(made.joints, parents, strict=True):
+            anchors.append(joint if joint in old else anchors[parent] if parent >= 0 else shared[0])
+        at = [old[anchor] for anchor in anchors]
+        was = np.array([bones[anchor] for anchor in anchors]).reshape(-1, 4, 4)
+        return replace(
+            fresh,
+            bind_transforms=_moved(before.bind_transforms[at], was, made.bind_transforms),
+            rest_transforms=_local(parents, _moved(rest_worlds(before)[at], was, made.bind_transforms)),
+        )
     if not before.joints:
         return before
     place = {joint: i for i, joint in enumerate(made.joints)}
@@ -308,28 +329,6 @@ def _skeleton(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray],
         before,
         bind_transforms=_moved(before.bind_transforms, then, now),
         rest_transforms=_local(before.parents, _moved(rest_worlds(before), then, now)),
-    )
-
-
-def _other_joints(before: Skeleton, made: Skeleton, bones: Mapping[str, FloatArray]) -> Skeleton:
-    """The skeleton with the joints of `made`, each where it stands from itself or the next above it that was there."""
-    known = dict(zip(before.joints, before.names, strict=True))
-    names = [known.get(joint, name) for joint, name in zip(made.joints, made.names, strict=True)]
-    fresh = replace(made, name=before.name, transform=before.transform).called(names)
-    old = {joint: i for i, joint in enumerate(before.joints)}
-    shared = [joint for joint in made.joints if joint in old]
-    if not shared:
-        return fresh
-    parents = made.parents
-    anchors: list[str] = []
-    for joint, parent in zip(made.joints, parents, strict=True):
-        anchors.append(joint if joint in old else anchors[parent] if parent >= 0 else shared[0])
-    at = [old[anchor] for anchor in anchors]
-    then = np.array([bones[anchor] for anchor in anchors]).reshape(-1, 4, 4)
-    return replace(
-        fresh,
-        bind_transforms=_moved(before.bind_transforms[at], then, made.bind_transforms),
-        rest_transforms=_local(parents, _moved(rest_worlds(before)[at], then, made.bind_transforms)),
     )
 
 
@@ -373,20 +372,3 @@ def _network(
         warnings.append("slider network: left out, its sliders or all that it adds to are gone")
         return None
     return rest
-
-
-def _limits(before: FaceParts, skeleton: Skeleton, warnings: list[str]) -> BoneLimits | None:
-    if before.bone_limits is None or before.skeleton.joints == skeleton.joints:
-        return before.bone_limits
-    warnings.append("bone limits left out: the joints have changed")
-    return None
-
-
-def _unchanged(before: FaceParts, after: FaceParts) -> bool:
-    """Whether all that a recipe makes is as it was; materials are the host's."""
-
-    def bare(parts: FaceParts) -> FaceParts:
-        meshes = tuple(replace(mesh, material=None, material_faces=()) for mesh in parts.meshes)
-        return replace(parts, meshes=meshes, materials=())
-
-    return same(bare(before), bare(after))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from blender_texts import TextBlock
-from facepipe_blender.record import Kept, keep, kept_in
+from facepipe_blender.face_objects import Kept, keep, kept_in
 from faces import tiny_face
 
 from facepipe.core.errors import SchemaError

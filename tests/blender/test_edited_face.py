@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from facepipe_blender.inbetween_keys import expressions, key_name, read_key_name
+from facepipe_blender.write_mesh import expressions, key_name, read_key_name
 from faces import replace_mesh, tiny_face
 
 from facepipe.hosting.edited_face import edited_face

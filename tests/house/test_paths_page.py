@@ -187,7 +187,7 @@ def test_what_a_file_says_passes_the_check_that_the_page_has(field: Any) -> None
 # the rest of what opens, lists or looks at files, and by what right
 OPENED = {
     "it comes with facepipe, or is the machine's": """
-        facepipe.registry:manifest facepipe.cli:main facepipe.cli.batch_child:_at_rest_mb facepipe.cli.show:_own_stderr
+        facepipe.registry:manifest facepipe.cli:main facepipe.cli.show:_own_stderr
         facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.assembly:bone_sliders
         facepipe.heads.assembly:identity_sliders facepipe.heads.surfaces:picture_of
         facepipe.networks.masks:own_network facepipe.rig.conventions:_tables
@@ -196,7 +196,7 @@ OPENED = {
         facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:view
         """,
     "it was typed, and is checked by the command line or its reader": """
-        facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
+        facepipe.checks:validate facepipe.cli:_project
         facepipe.importers.npz:read_arrays
         facepipe.verbs.blend.blend_action:BlendFaces.check
         facepipe.scanning.database.info_action:DatabaseInfo.look

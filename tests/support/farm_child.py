@@ -14,15 +14,15 @@ from facepipe import core
 
 core.__version__ = os.environ.get("FARM_VERSION", core.__version__)  # before others take it
 
-from facepipe.cli import batch_child  # noqa: E402
-from facepipe.cli.batch_child import main  # noqa: E402
-from facepipe.cli.batch_child import read_line as read_command  # noqa: E402
+from facepipe.farm import program  # noqa: E402
+from facepipe.farm.program import main  # noqa: E402
+from facepipe.farm.program import read_line as read_command  # noqa: E402
 from facepipe.farm.work import Line, Outcome  # noqa: E402
 
 _kept: list[bytes] = []
 
 if "FARM_MARK" in os.environ:  # touched when a task is refused: until it is done by others, no run can end
-    refusing = batch_child._refusing
+    refusing = program._refusing
 
     def _marking(why: object) -> Callable[[Mapping[str, Any]], dict[str, Any]]:
         def refuse(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,7 +31,7 @@ if "FARM_MARK" in os.environ:  # touched when a task is refused: until it is don
 
         return refuse
 
-    batch_child._refusing = _marking
+    program._refusing = _marking
 
 
 def read_line(words: list[str]) -> Line:

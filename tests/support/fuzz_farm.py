@@ -1,7 +1,7 @@
 """Plans, their ledgers, caches of results and project files, damaged, and the commands that work with them.
 
 A batch does its tasks in this process instead of others, which take half a second to start: the engine below does what
-`facepipe.cli.batch_child` does there.
+`facepipe.farm.program` does there.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from fuzzing import Format, Line
 from small_sources import made
 
 from facepipe.cli import main
-from facepipe.cli.batch_child import read_line
 from facepipe.core.policy.paths import Trust, trusting
 from facepipe.farm import batch
 from facepipe.farm.contents import Contents
 from facepipe.farm.mirror import mirror
+from facepipe.farm.program import read_line
 from facepipe.farm.work import work
 from facepipe.stage import save_parts
 from facepipe.stage.files import naming

@@ -590,7 +590,7 @@ def put_ict() -> None:
 
 
 def put_record() -> None:
-    from facepipe_blender.record import Kept, keep
+    from facepipe_blender.face_objects import Kept, keep
 
     text, parts = TextBlock(), tiny_face()
     places = {mesh.name: np.eye(4) for mesh in parts.meshes}
@@ -600,7 +600,7 @@ def put_record() -> None:
 
 
 def read_record() -> None:
-    from facepipe_blender.record import kept_in
+    from facepipe_blender.face_objects import kept_in
 
     kept_in(TextBlock(facepipe_content=Path("record.npz").read_bytes()))
 
