@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.parts import Animation, Skeleton, exact
 from facepipe.records import Json
 from facepipe.rig.animation import TICK, local_transforms
@@ -50,11 +49,18 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     unholdable = _unholdable(skeleton, space, local, person)
     above = np.tile(np.eye(4), (len(local), 1, 1))
     for joint, matrix in unholdable.items():
-        above[joint] = _parent(matrix)
+        # T U S of ``matrix = T U S V``: what is left of it is the rotation V, so both are TRS
+        U, scale, Vt = np.linalg.svd(matrix[:3, :3])
+        above[joint, :3, :3] = (-U if np.linalg.det(Vt) < 0 else U) * scale
+        above[joint, :3, 3] = matrix[:3, 3]
     offsets = np.linalg.inv(above)
     # an animated node is TRS and holds no shear: a node above takes that, and offsets take it out again
     rest = decompose(offsets @ local)
-    names = _node_names(skeleton)
+    names = list(skeleton.joint_names)
+    if not names:  # the last part of each path, or the whole path where that is ambiguous
+        times = Counter(skeleton.names)
+        pairs = zip(skeleton.names, skeleton.joints, strict=True)
+        names = [leaf if times[leaf] == 1 else joint.replace("/", "_") for leaf, joint in pairs]
     nodes = [_node(name, rest, i) for i, name in enumerate(names)]
     top = list(range(first, first + len(nodes)))  # node that stands for each joint among its siblings
     for joint in unholdable:
@@ -69,11 +75,10 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
         nodes.append({"name": skeleton.name, "children": roots})
         roots = [first + len(nodes) - 1]
     helped = [] if person else list(unholdable)
-    worlds = accumulate(local, parents)
     warnings = [f"{skeleton.joints[joint]}: sheared at rest, held by an extra node above" for joint in helped]
     mirrored = np.flatnonzero((rest.scale < 0).any(axis=-1))
     warnings += [f"{skeleton.joints[joint]}: negative scale at rest; not every engine keeps it" for joint in mirrored]
-    inherited = np.flatnonzero(has_shear(worlds))
+    inherited = np.flatnonzero(_has_shear(accumulate(local, parents)))
     if len(inherited):
         example = skeleton.joints[inherited[0]]
         warnings.append(
@@ -82,16 +87,7 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     return JointNodes(nodes, roots, list(range(first, first + len(local))), offsets, rest, warnings)
 
 
-def _node_names(skeleton: Skeleton) -> list[str]:
-    """The joints' names in the source; else the last part of each path, or the whole path where that is ambiguous."""
-    if skeleton.joint_names:
-        return list(skeleton.joint_names)
-    times = Counter(skeleton.names)
-    pairs = zip(skeleton.names, skeleton.joints, strict=True)
-    return [leaf if times[leaf] == 1 else joint.replace("/", "_") for leaf, joint in pairs]
-
-
-def has_shear(worlds: FloatArray) -> FloatArray:
+def _has_shear(worlds: FloatArray) -> FloatArray:
     """(...,) whether the axes of (..., 4, 4) matrices are not at right angles."""
     linear = worlds[..., :3, :3]
     length = np.linalg.norm(linear, axis=-2, keepdims=True)
@@ -115,17 +111,6 @@ def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray, person: boo
         elif parent < 0 and not rigid:
             result[joint] = space.placement
     return result
-
-
-def _parent(matrix: FloatArray) -> FloatArray:
-    """T U S of ``matrix = T U S V``: what is left of it is the rotation V, so both are TRS."""
-    U, scale, Vt = np.linalg.svd(matrix[:3, :3])
-    if np.linalg.det(Vt) < 0:
-        U, Vt = -U, -Vt
-    parent = np.eye(4)
-    parent[:3, :3] = U * scale
-    parent[:3, 3] = matrix[:3, 3]
-    return parent
 
 
 def _node(name: str, trs: Trs, i: int) -> Json:
@@ -177,7 +162,21 @@ class AnimationWriter:
         local = local_transforms(self.skeleton, animation, np.array(rows))
         nodes = joints.offsets[used] @ self.space.local(local, self.skeleton.parents[used] < 0)
         trs = decompose(nodes)
-        self._report_shear(animation, used, nodes, trs, joints)
+        for joint in used[np.flatnonzero(trs.sheared.any(axis=0))]:
+            self.warnings.append(
+                f"{animation.name} -> {self.skeleton.joints[joint]}: sheared local transform, nearest TRS kept"
+            )
+        at_rest = self.space.local(
+            np.asarray(self.skeleton.rest_transforms, dtype=np.float64), self.skeleton.parents < 0
+        )
+        every = np.repeat((joints.offsets @ at_rest)[None], len(nodes), axis=0)
+        every[:, used] = nodes
+        inherited = _has_shear(accumulate(np.linalg.inv(joints.offsets) @ every, self.skeleton.parents)).any(axis=0)
+        if inherited.any():
+            example = self.skeleton.joints[int(np.argmax(inherited))]
+            self.warnings.append(
+                f"{animation.name} -> {example}: shear inherited from scaled parents; not every engine keeps it"
+            )
         keyed = self.buffers.add(times.astype(np.float32), "keys", bounds=True)
         rest = joints.rest
         # (j, 3) which of translation, rotation and scale leave rest at any key
@@ -201,25 +200,6 @@ class AnimationWriter:
                 if changed[i, path]:
                     _channel(result, self.buffers, times, keyed, values[path][:, i], joints.of_joint[joint], name)
 
-    def _report_shear(
-        self, animation: Animation, used: IntArray, local: FloatArray, trs: Trs, joints: JointNodes
-    ) -> None:
-        for i in np.flatnonzero(trs.sheared.any(axis=0)):
-            self.warnings.append(
-                f"{animation.name} -> {self.skeleton.joints[used[i]]}: sheared local transform, nearest TRS kept"
-            )
-        rest = joints.offsets @ self.space.local(
-            np.asarray(self.skeleton.rest_transforms, dtype=np.float64), self.skeleton.parents < 0
-        )
-        every = np.repeat(rest[None], len(local), axis=0)
-        every[:, used] = local
-        inherited = has_shear(accumulate(np.linalg.inv(joints.offsets) @ every, self.skeleton.parents)).any(axis=0)
-        if inherited.any():
-            example = self.skeleton.joints[int(np.argmax(inherited))]
-            self.warnings.append(
-                f"{animation.name} -> {example}: shear inherited from scaled parents; not every engine keeps it"
-            )
-
     def _weight_channel(
         self, result: Json, animation: Animation, times: FloatArray, node: int, sculpts: Sequence[Sculpt]
     ) -> None:
@@ -227,57 +207,42 @@ class AnimationWriter:
         if animation.shape_weights is None or not any(one.shape in column for one in sculpts):
             return
         weights = np.asarray(animation.shape_weights, dtype=np.float64)
-        keys = _key_times(times, weights, column, sculpts)
+        # between the keys activations bend where a shape passes an inbetween: keys there too
+        all_keys = [times]
+        for sculpt in sculpts:
+            if sculpt.is_inbetween and sculpt.shape in column:
+                track = weights[:, column[sculpt.shape]]
+                before, after = track[:-1], track[1:]
+                for knot, _ in sculpt.knots[1:-1]:
+                    crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
+                    part = (knot - before[crossed]) / (after[crossed] - before[crossed])
+                    all_keys.append(times[crossed] + part * np.diff(times)[crossed])
+        keys = np.concatenate(all_keys)
+        keys = keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
         values = np.zeros((len(keys), len(sculpts)))
         for i, sculpt in enumerate(sculpts):
             if sculpt.shape in column:
-                values[:, i] = _activation(sculpt, np.interp(keys, times, weights[:, column[sculpt.shape]]))
+                # the target's activation at its shape's weights: piecewise linear, the ends extended
+                at_keys = np.interp(keys, times, weights[:, column[sculpt.shape]])
+                x, y = np.array(sculpt.knots, dtype=np.float64).T
+                piece = np.clip(np.searchsorted(x, at_keys, side="right") - 1, 0, len(x) - 2)
+                slope = (y[piece + 1] - y[piece]) / (x[piece + 1] - x[piece])
+                values[:, i] = y[piece] + slope * (at_keys - x[piece])
         keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
         _channel(result, self.buffers, keys, keyed, values, node, "weights")
-
-
-def _activation(sculpt: Sculpt, weights: FloatArray) -> FloatArray:
-    """Activation of a morph target at its shape's `weights`: piecewise linear, the ends extended."""
-    x, y = np.array(sculpt.knots, dtype=np.float64).T
-    piece = np.clip(np.searchsorted(x, weights, side="right") - 1, 0, len(x) - 2)
-    slope = (y[piece + 1] - y[piece]) / (x[piece + 1] - x[piece])
-    return np.asarray(y[piece] + slope * (weights - x[piece]))
-
-
-def _key_times(
-    times: FloatArray, weights: FloatArray, column: Mapping[str, int], sculpts: Sequence[Sculpt]
-) -> FloatArray:
-    """`times`, and those between them where a shape passes an inbetween: activations bend there."""
-    extra = [times]
-    for sculpt in sculpts:
-        if sculpt.is_inbetween and sculpt.shape in column:
-            track = weights[:, column[sculpt.shape]]
-            before, after = track[:-1], track[1:]
-            for knot, _ in sculpt.knots[1:-1]:
-                crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
-                part = (knot - before[crossed]) / (after[crossed] - before[crossed])
-                extra.append(times[crossed] + part * np.diff(times)[crossed])
-    keys = np.concatenate(extra)
-    return keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
 
 
 def _channel(
     result: Json, buffers: Buffers, times: FloatArray, keyed: int, values: FloatArray, node: int, path: str
 ) -> None:
     """Add a channel: (t, width) values at `times`, which are the accessor `keyed`."""
-    kept = _held(times, values)
-    if kept is not None:
+    # a track that changes only within ticks, as imports write STEP, is STEP again: of its keys, those that hold
+    changes = (np.diff(values, axis=0) != 0).any(axis=1)
+    ticks = np.abs(np.diff(times) - TICK) < _NEAR
+    held = changes.any() and not (changes & ~ticks).any() and not (changes[1:] & changes[:-1]).any()
+    if held:
+        kept = np.concatenate([[True], ~changes[1:], [True]])
         keyed, values = buffers.add(times[kept].astype(np.float32), "keys", bounds=True), values[kept]
     output = buffers.add((values.ravel() if path == "weights" else values).astype(np.float32), "keys")
     result["channels"].append({"sampler": len(result["samplers"]), "target": {"node": node, "path": path}})
-    mode = "LINEAR" if kept is None else "STEP"
-    result["samplers"].append({"input": keyed, "output": output, "interpolation": mode})
-
-
-def _held(times: FloatArray, values: FloatArray) -> npt.NDArray[np.bool_] | None:
-    """The keys kept of a track that changes only within ticks, as imports write STEP; None for any other track."""
-    changes = (np.diff(values, axis=0) != 0).any(axis=1)
-    ticks = np.abs(np.diff(times) - TICK) < _NEAR
-    if not changes.any() or (changes & ~ticks).any() or (changes[1:] & changes[:-1]).any():
-        return None
-    return np.concatenate([[True], ~changes[1:], [True]])
+    result["samplers"].append({"input": keyed, "output": output, "interpolation": "STEP" if held else "LINEAR"})

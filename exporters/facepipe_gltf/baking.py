@@ -26,26 +26,28 @@ def _with_normals(sculpts: Sequence[Sculpt], points: FloatArray, triangles: IntA
     """
     neutral = np.asarray(points, dtype=np.float64)
     normals = point_normals(neutral, triangles)
-    return [
-        sculpt if sculpt.normal_offsets is not None else _computed(sculpt, neutral, normals, triangles)
-        for sculpt in sculpts
-    ]
-
-
-def _computed(sculpt: Sculpt, neutral: FloatArray, normals: FloatArray, triangles: IntArray) -> Sculpt:
-    offsets = np.zeros_like(neutral)
-    offsets[sculpt.point_indices] = sculpt.offsets
-    moved = np.zeros(len(neutral), np.bool_)
-    moved[sculpt.point_indices] = True
-    turned = moved.copy()  # the neighbours of moved points turn too
-    turned[triangles[_touching(triangles, moved)]] = True
-    rows = np.flatnonzero(turned)
-    change = (point_normals(neutral + offsets, triangles[_touching(triangles, turned)]) - normals)[rows]
-    x, y, z = np.abs(change).T
-    same = (x < _SAME) & (y < _SAME) & (z < _SAME)
-    change[same] = 0.0
-    kept = ~same | moved[rows]
-    return replace(sculpt, point_indices=rows[kept], offsets=offsets[rows[kept]], normal_offsets=change[kept])
+    result = []
+    for sculpt in sculpts:
+        if sculpt.normal_offsets is not None:
+            result.append(sculpt)
+            continue
+        offsets = np.zeros_like(neutral)
+        offsets[sculpt.point_indices] = sculpt.offsets
+        moved = np.zeros(len(neutral), np.bool_)
+        moved[sculpt.point_indices] = True
+        turned = moved.copy()  # the neighbours of moved points turn too
+        turned[triangles[_touching(triangles, moved)]] = True
+        rows = np.flatnonzero(turned)
+        change = (point_normals(neutral + offsets, triangles[_touching(triangles, turned)]) - normals)[rows]
+        x, y, z = np.abs(change).T
+        same = (x < _SAME) & (y < _SAME) & (z < _SAME)
+        change[same] = 0.0
+        kept = ~same | moved[rows]
+        points_kept = rows[kept]
+        result.append(
+            replace(sculpt, point_indices=points_kept, offsets=offsets[points_kept], normal_offsets=change[kept])
+        )
+    return result
 
 
 def _touching(triangles: IntArray, points: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -81,24 +83,30 @@ def bake(parts: FaceParts, mesh: Mesh, shapes: Sequence[str], space: Space, opti
     placement = place(mesh, parts.skeleton, space, skinned)
     corners = corners_of(mesh, placement.mirrored)
     points = placement.points(mesh.points)
-    normals, corner_normals = _normals(mesh, corners, points, placement)
+    corner_normals = None
+    # smooth normals of the surface stand in for those that are missing or have no length: glTF asks for unit ones
+    if mesh.normals is not None and corners.normals is None:
+        normals = placement.normals(mesh.normals)
+        empty = ~normals.any(axis=1)
+        if empty.any():
+            normals[empty] = point_normals(points, corners.points)[empty]
+    else:
+        normals = point_normals(points, corners.points)
+    if corners.normals is not None:
+        at_corner = np.zeros(len(corners.normals), np.int64)
+        at_corner[np.asarray(corners.normal_indices)] = corners.points
+        corner_normals = placement.normals(corners.normals, at_corner)
+        empty = ~corner_normals.any(axis=1)
+        corner_normals[empty] = normals[at_corner[empty]]
     sculpts = sculpts_of(mesh, shapes)
     if options.with_target_normals and sculpts:
         # sculpts are still in mesh space: corners reversed for a mirrored placement would turn their normals inwards
         authored = corners.points[:, ::-1] if placement.mirrored else corners.points
         sculpts = _with_normals(sculpts, mesh.points, authored)
-    return Baked(
-        mesh=mesh,
-        corners=corners,
-        points=points,
-        point_normals=normals,
-        corner_normals=corner_normals,
-        sculpts=sculpts,
-        placement=placement,
-        influences=limit(mesh.skin, options.most_influences, f"{parts.name} -> {mesh.name}")
-        if mesh.skin is not None and skinned
-        else None,
-    )
+    influences = None
+    if mesh.skin is not None and skinned:
+        influences = limit(mesh.skin, options.most_influences, f"{parts.name} -> {mesh.name}")
+    return Baked(mesh, corners, points, normals, corner_normals, sculpts, placement, influences)
 
 
 def storage_error(baked: Baked, encoding: Encoding, smallest: float) -> float:
@@ -121,28 +129,3 @@ def weight_error(baked: Baked, encoding: Encoding) -> float:
         return 0.0
     weights = baked.influences.weights
     return float(np.abs(decode(encoding.weights(weights)) - weights).sum(axis=1).max(initial=0.0))
-
-
-def _normals(
-    mesh: Mesh, corners: Corners, points: FloatArray, placement: Placement
-) -> tuple[FloatArray, FloatArray | None]:
-    """Unit normals (n, 3) of the points, and (m, 3) of the corners where the mesh has its own there.
-
-    Smooth normals of the surface stand in for those that are missing or have no length.
-    """
-    if mesh.normals is not None and corners.normals is None:
-        authored = placement.normals(mesh.normals)
-        # glTF asks for unit normals: a zero one is an error to the validator
-        empty = ~authored.any(axis=1)
-        if empty.any():
-            authored[empty] = point_normals(points, corners.points)[empty]
-        return authored, None
-    smooth = point_normals(points, corners.points)
-    if corners.normals is None:
-        return smooth, None
-    at_corner = np.zeros(len(corners.normals), np.int64)
-    at_corner[np.asarray(corners.normal_indices)] = corners.points
-    normals = placement.normals(corners.normals, at_corner)
-    empty = ~normals.any(axis=1)
-    normals[empty] = smooth[at_corner[empty]]
-    return smooth, normals

@@ -87,7 +87,10 @@ class Buffers:
         :raises ExportError: numbers that left the range of float32 on their way to metres
         """
         require_finite(array)
-        extent = _extent(array) if bounds else None
+        extent = None
+        if bounds:
+            columns = array.reshape(len(array), -1).T  # one pass a column: numpy is slow along a short last axis
+            extent = Extent([column.min().item() for column in columns], [column.max().item() for column in columns])
         return self._add_dense(array, use, normalized, extent)
 
     def add_morph(self, rows: Rows, count: int, *, bounds: bool) -> int:
@@ -107,7 +110,7 @@ class Buffers:
                     else self._add_sparse(np.zeros(1, np.uint8), zeros, count, rows.normalized, extent)
                 )
             return self._zeros[key]
-        indices = rows.vertices.astype(_index_type(int(rows.vertices[-1])))
+        indices = rows.vertices.astype(np.min_scalar_type(int(rows.vertices[-1])))
         if not self._dense and indices.nbytes + rows.values.nbytes < count * _padded_row(rows.values):
             return self._add_sparse(indices, rows.values, count, rows.normalized, extent)
         dense = np.zeros((count, *rows.values.shape[1:]), dtype=rows.values.dtype)
@@ -138,7 +141,12 @@ class Buffers:
         accessor = self._accessor(array, len(array), normalized, extent)
         stride = _padded_row(array) if use == "vertex" else 0
         label = str(len(self.accessors)) if self._apart and use == "index" else ""
-        accessor["bufferView"], offset = self._append(_Key(use, stride, label), _rows(array, stride))
+        size = array.dtype.itemsize * math.prod(array.shape[1:])
+        rows = array
+        if stride > size:
+            rows = np.zeros((len(array), stride), dtype=np.uint8)
+            rows[:, :size] = _little(array).reshape(len(array), -1).view(np.uint8)
+        accessor["bufferView"], offset = self._append(_Key(use, stride, label), _bytes(rows))
         if offset:
             accessor["byteOffset"] = offset
         return self._push(accessor)
@@ -182,24 +190,10 @@ def require_finite(array: Array) -> None:
         raise ExportError("glTF buffer", "numbers beyond float32 in metres, expected smaller ones")
 
 
-def _extent(array: Array) -> Extent:
-    columns = array.reshape(len(array), -1).T  # one pass a column: numpy is slow along a short last axis
-    return Extent([column.min().item() for column in columns], [column.max().item() for column in columns])
-
-
 def _padded_row(array: Array) -> int:
     """Bytes of one element, rounded up to the alignment that vertex attributes need."""
     size = array.dtype.itemsize * math.prod(array.shape[1:])
     return size + -size % _ALIGNMENT
-
-
-def _rows(array: Array, stride: int) -> Chunk:
-    size = array.dtype.itemsize * math.prod(array.shape[1:])
-    if size == stride or not stride:
-        return _bytes(array)
-    padded = np.zeros((len(array), stride), dtype=np.uint8)
-    padded[:, :size] = _little(array).reshape(len(array), -1).view(np.uint8)
-    return _bytes(padded)
 
 
 def _bytes(array: Array) -> Chunk:
@@ -213,7 +207,3 @@ def _little(array: Array) -> Array:
     if sys.byteorder == "big":
         array = array.astype(array.dtype.newbyteorder("<"))
     return np.ascontiguousarray(array)
-
-
-def _index_type(largest: int) -> type[np.unsignedinteger[Any]]:
-    return np.uint8 if largest < 1 << 8 else np.uint16 if largest < 1 << 16 else np.uint32

@@ -19,7 +19,7 @@ from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, HasLevels, HasParts, exact
 from facepipe.records import Json
 from facepipe.rig.linear_skinning import linear_skinning_notes
-from facepipe_gltf.animations import JointNodes, joint_nodes
+from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
 from facepipe_gltf.encoding import Encoding
@@ -201,21 +201,32 @@ class _Writer:
     meshes: list[Json] = field(default_factory=list)
     targets: dict[int, Sequence[Sculpt]] = field(default_factory=dict)  # by mesh node
     warnings: list[str] = field(default_factory=list)
-    uncolored: dict[str, None] = field(default_factory=dict)  # meshes whose display colours are left out
+    uncolored: list[str] = field(default_factory=list)  # meshes whose display colours are left out
     colored: set[str] = field(default_factory=set)  # meshes whose display colours are in the file
     played: set[str] = field(default_factory=set)  # animations that are in the file
     record: Record | None = None
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0))
 
     def document(self) -> Document:
-        parts = self.parts = self._at_frames(self.parts)
-        options = self.options
+        parts, options = self.parts, self.options
+        if options.fps is not None and options.animations:
+            from facepipe.rig.animation import resampled
+
+            resampled_clips = []
+            for animation in parts.animations:
+                at_frames, off = resampled(parts.skeleton, animation, options.fps, parts.meters_per_unit * 1000)
+                resampled_clips.append(at_frames)
+                if off:
+                    what = f"sampled at {options.fps:g} frames per second: off by at most {off}"
+                    self.warnings.append(f"{animation.name}: {what}")
+            parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
         self.materials = MaterialWriter(parts.materials)
         shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
+        # lower levels are in no scene: readers without MSFT_lod would show them all at once
         for number, level in enumerate(self.levels, 1):
             nodes = self.nodes
             lower = self._meshes(level, shapes)
@@ -230,48 +241,61 @@ class _Writer:
         joints, skins = self._skin(meshes)
         if joints is not None:
             scene += joints.roots
-        animations = self._animations(joints) if options.animations else []
+        animations = []
+        if options.animations:
+            writer = AnimationWriter(parts.skeleton, self.space, joints, self.targets, self.buffers, self.warnings)
+            written_clips = [writer.write(animation) for animation in parts.animations]
+            for animation, clip in zip(parts.animations, written_clips, strict=True):
+                if clip is None:
+                    self.warnings.append(f"{animation.name}: left out, nothing that it moves is in the file")
+                else:
+                    self.played.add(animation.name)
+                    animations.append(clip)
         self.record = record_of(parts, meshes, self.space, options, self.played, self.colored)
         return self._assemble(scene, skins, animations, meshes, shapes)
 
     def _meshes(self, parts: FaceParts, shapes: Sequence[str]) -> list[Baked]:
-        """The meshes of the face or a level that have faces, with a node for each."""
+        """The meshes of the face or a level that have faces, with a node for each that shows it."""
         meshes = [bake(parts, mesh, shapes, self.space, self.options) for mesh in parts.meshes]
         meshes = [baked for baked in meshes if len(baked.corners.faces)]
         for baked in meshes:
-            self._mesh(baked)
+            mesh, sculpts = baked.mesh, baked.sculpts
+            writer = PrimitiveWriter(baked, self.options, self.buffers, len(self.parts.skeleton.joints))
+            chosen = []
+            for material, triangles in by_material(baked):
+                surface = self.materials.surface(material, mesh)
+                if mesh.colors is not None and not surface.colored and mesh.name not in self.uncolored:
+                    self.uncolored.append(mesh.name)
+                tangent_uv = surface.tangent_uv if self.tangents else None
+                chosen.append(Chosen(triangles, surface.index, tangent_uv, surface.colored))
+            # all primitives or none: where one has no colours, those of its points are lost, and the record keeps all
+            if all(one.colored for one in chosen):
+                self.colored.add(mesh.name)
+            primitives = writer.write(chosen)
+            ours: Json = {"pointCount": len(mesh.points)} | extras(sculpts)
+            if mesh.landmarks:
+                ours["landmarks"] = {
+                    scheme: {"points": np.asarray(landmarks.indices).tolist(), "names": list(landmarks.names)}
+                    for scheme, landmarks in mesh.landmarks.items()
+                }
+            if mesh.anchor is not None:
+                ours["anchor"] = int(mesh.anchor)
+            name = exact(mesh)
+            data_name = name if mesh.data_label is None else mesh.data_label
+            entry: Json = {"name": data_name, "primitives": primitives, "extras": {"facepipe": ours}}
+            if sculpts:
+                entry["extras"]["targetNames"] = [sculpt.label for sculpt in sculpts]
+                entry["weights"] = [0.0] * len(sculpts)
+                self.targets[len(self.nodes)] = sculpts
+            node: Json = {"name": name, "mesh": len(self.meshes)}
+            if baked.influences is not None:
+                node["skin"] = 0
+            self.meshes.append(entry)
+            self.nodes.append(node)
+            counts = (writer.vertex_count, writer.triangle_count, len(primitives), len(sculpts))
+            for kind, count in zip(_COUNTED, counts, strict=True):
+                self.counts[kind] += count
         return meshes
-
-    def _mesh(self, baked: Baked) -> None:
-        """One mesh and the node that shows it, at the scene root."""
-        mesh = baked.mesh
-        writer = PrimitiveWriter(baked, self.options, self.buffers, len(self.parts.skeleton.joints))
-        chosen = []
-        for name, triangles in by_material(baked):
-            surface = self.materials.surface(name, mesh)
-            if mesh.colors is not None and not surface.colored:
-                self.uncolored[mesh.name] = None
-            tangent_uv = surface.tangent_uv if self.tangents else None
-            chosen.append(Chosen(triangles, surface.index, tangent_uv, surface.colored))
-        # by all primitives or none: where one has no colours, those of its points are lost, and the record keeps all
-        if all(one.colored for one in chosen):
-            self.colored.add(mesh.name)
-        primitives = writer.write(chosen)
-        name = exact(mesh)
-        data_name = name if mesh.data_label is None else mesh.data_label
-        entry: Json = {"name": data_name, "primitives": primitives, "extras": _mesh_extras(baked)}
-        if baked.sculpts:
-            entry["weights"] = [0.0] * len(baked.sculpts)
-            self.targets[len(self.nodes)] = baked.sculpts
-        node: Json = {"name": name, "mesh": len(self.meshes)}
-        if baked.influences is not None:
-            node["skin"] = 0
-        self.meshes.append(entry)
-        self.nodes.append(node)
-        self.counts["vertices"] += writer.vertex_count
-        self.counts["triangles"] += writer.triangle_count
-        self.counts["primitives"] += len(primitives)
-        self.counts["targets"] += len(baked.sculpts)
 
     def _skin(self, meshes: Sequence[Baked]) -> tuple[JointNodes | None, list[Json]]:
         """The one skin that all skinned meshes share, and its nodes."""
@@ -289,33 +313,6 @@ class _Writer:
         accessor = self.buffers.add(inverse_binds.astype(np.float32), "matrices")
         return joints, [{"name": skeleton.name, "joints": joints.of_joint, "inverseBindMatrices": accessor}]
 
-    def _at_frames(self, parts: FaceParts) -> FaceParts:
-        """The face with its clips sampled at the frames that are asked for."""
-        fps = self.options.fps
-        if fps is None or not self.options.animations:
-            return parts
-        from facepipe.rig.animation import resampled
-
-        clips = []
-        for animation in parts.animations:
-            clip, off = resampled(parts.skeleton, animation, fps, parts.meters_per_unit * 1000)
-            clips.append(clip)
-            if off:
-                self.warnings.append(f"{animation.name}: sampled at {fps:g} frames per second: off by at most {off}")
-        return replace(parts, animations=tuple(clips), frames_per_second=fps)
-
-    def _animations(self, joints: JointNodes | None) -> list[Json]:
-        from facepipe_gltf.animations import AnimationWriter
-
-        writer = AnimationWriter(self.parts.skeleton, self.space, joints, self.targets, self.buffers, self.warnings)
-        written = [writer.write(animation) for animation in self.parts.animations]
-        for animation, result in zip(self.parts.animations, written, strict=True):
-            if result is None:
-                self.warnings.append(f"{animation.name}: left out, nothing that it moves is in the file")
-            else:
-                self.played.add(animation.name)
-        return [result for result in written if result is not None]
-
     def _assemble(
         self,
         scene: list[int],
@@ -325,6 +322,7 @@ class _Writer:
         shapes: Sequence[str],
     ) -> Document:
         textures = self.materials.textures
+        uncolored = f"display colours of {listed_meshes(self.uncolored)}: the materials' colours are shown"
         # before the buffers are finished: the record puts a view of its own into them
         extras = None if self.record is None else {"facepipe": written(self.record, self.buffers)}
         views, binary = self.buffers.finish()
@@ -344,7 +342,7 @@ class _Writer:
             "accessors": self.buffers.accessors,
             "bufferViews": views,
             "buffers": [{"byteLength": sum(map(len, binary))}] if binary else [],
-            "extensionsUsed": sorted([*self.materials.extensions, *required, *(["MSFT_lod"] if self.levels else [])]),
+            "extensionsUsed": sorted([*self.materials.extensions, *required, *([_LODS] if self.levels else [])]),
             "extensionsRequired": required,
         }
         scene_entry: Json = {"name": self.parts.name} | ({"nodes": scene} if scene else {})
@@ -367,14 +365,10 @@ class _Writer:
             ),
             dropped=(
                 *dropped(self.parts, meshes, self.options, self.record.face if self.record else None),
-                *self._uncolored(),
+                *([uncolored] if self.uncolored else []),
             ),
             error_mm=self._error_mm(meshes),
         )
-
-    def _uncolored(self) -> list[str]:
-        names = [*self.uncolored]
-        return [f"display colours of {listed_meshes(names)}: the materials' colours are shown"] if names else []
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:
         """The sum of the errors of `ExportReport.error_mm`, in mm; None for an exact file."""
@@ -403,19 +397,3 @@ class _Writer:
             "sparse accessors": self.buffers.sparse_count,
             **({"levels": 1 + len(self.levels)} if self.levels else {}),
         }
-
-
-def _mesh_extras(baked: Baked) -> Json:
-    mesh = baked.mesh
-    facepipe_extras: Json = {"pointCount": len(mesh.points)} | extras(baked.sculpts)
-    if mesh.landmarks:
-        facepipe_extras["landmarks"] = {
-            scheme: {"points": np.asarray(landmarks.indices).tolist(), "names": list(landmarks.names)}
-            for scheme, landmarks in mesh.landmarks.items()
-        }
-    if mesh.anchor is not None:
-        facepipe_extras["anchor"] = int(mesh.anchor)
-    result: Json = {"facepipe": facepipe_extras}
-    if baked.sculpts:
-        result["targetNames"] = [sculpt.label for sculpt in baked.sculpts]
-    return result

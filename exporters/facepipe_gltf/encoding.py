@@ -67,21 +67,6 @@ def merge(skin: Skin, points: IntArray | slice = _EVERY) -> tuple[IntArray, Floa
     return joints, weights
 
 
-def float_weights(weights: FloatArray) -> FloatArray:
-    """float32 weights whose exact sum is 1 to one rounding: the largest takes up the rounding of the others."""
-    rounded = weights.astype(np.float32)
-    rest = 1.0 - rounded[:, 1:].sum(axis=1, dtype=np.float64)
-    rounded[:, 0] = rest
-    return rounded
-
-
-def integer_weights(weights: FloatArray) -> IntArray:
-    """16 bit weights that sum to 65535 exactly."""
-    steps = np.rint(weights * 65535).astype(np.int64)
-    steps[:, 0] += 65535 - steps.sum(axis=1)
-    return steps.astype(np.uint16)
-
-
 class Encoded(NamedTuple):
     """An array as stored, and whether its integers stand for fractions of their range."""
 
@@ -126,8 +111,14 @@ class Encoding:
         return Encoded(np.rint(np.asarray(clipped, np.float64) * _USHORT).astype(np.uint16), True)
 
     def weights(self, weights: FloatArray) -> Encoded:
-        """(n, k) skin weights."""
-        return Encoded(integer_weights(weights), True) if self.quantize else Encoded(float_weights(weights), False)
+        """(n, k) skin weights, largest first: it takes up the rounding of the others, so that the exact sum is 1."""
+        if self.quantize:
+            steps = np.rint(weights * _USHORT).astype(np.int64)
+            steps[:, 0] += _USHORT - steps.sum(axis=1)
+            return Encoded(steps.astype(np.uint16), True)
+        rounded = weights.astype(np.float32)
+        rounded[:, 0] = 1.0 - rounded[:, 1:].sum(axis=1, dtype=np.float64)
+        return Encoded(rounded, False)
 
 
 def decode(encoded: Encoded) -> FloatArray:

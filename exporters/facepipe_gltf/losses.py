@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,6 @@ from facepipe.parts import (
     Blendshape,
     FaceParts,
     Inbetween,
-    Material,
     Mesh,
     PhotoView,
     Skeleton,
@@ -43,17 +42,7 @@ def check(parts: FaceParts) -> None:
     _finite(f"{parts.name} -> metersPerUnit", parts.meters_per_unit)
     if not parts.meters_per_unit > 0:
         raise ExportError(f"{parts.name} -> metersPerUnit", f"{parts.meters_per_unit:g}, expected above 0")
-    _skeleton(f"{parts.name} -> {parts.skeleton.name}", parts.skeleton)
-    for mesh in parts.meshes:
-        _mesh(f"{parts.name} -> {mesh.name}", mesh, len(parts.skeleton.joints))
-    for animation in parts.animations:
-        _animation(f"{parts.name} -> {animation.name}", animation)
-    for material in parts.materials:
-        for name, value in _constants(material):
-            _finite(f"{parts.name} -> {material.name} -> {name}", value)
-
-
-def _skeleton(where: str, skeleton: Skeleton) -> None:
+    skeleton, where = parts.skeleton, f"{parts.name} -> {parts.skeleton.name}"
     _invertible(f"{where} -> transform", skeleton.transform)
     for name in ("bind_transforms", "rest_transforms"):
         _array(f"{where} -> {name}", getattr(skeleton, name), (len(skeleton.joints), 4, 4))
@@ -64,6 +53,15 @@ def _skeleton(where: str, skeleton: Skeleton) -> None:
         )
     if (skeleton.parents >= np.arange(len(skeleton.joints))).any():
         raise ExportError(where, "a joint comes before its parent, expected parents first")
+    for mesh in parts.meshes:
+        _mesh(f"{parts.name} -> {mesh.name}", mesh, len(parts.skeleton.joints))
+    for animation in parts.animations:
+        _animation(f"{parts.name} -> {animation.name}", animation)
+    for material in parts.materials:
+        for name, value in vars(material).items():
+            numbers = (*value.scale, *value.bias) if isinstance(value, TextureInput) else value
+            if isinstance(numbers, float | int | tuple):
+                _finite(f"{parts.name} -> {material.name} -> {name}", numbers)
 
 
 def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
@@ -99,19 +97,15 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
         _invertible(f"{where} -> geomBindTransform", skin.geom_bind_transform)
         _indices(f"{where} -> jointIndices", skin.joint_indices, joint_count)
     for shape in mesh.blendshapes:
-        _blendshape(f"{where} -> {shape.name}", shape, count)
-
-
-def _blendshape(where: str, shape: Blendshape, count: int) -> None:
-    indices = np.asarray(shape.point_indices)
-    if not (indices[1:] > indices[:-1]).all():
-        raise ExportError(f"{where} -> pointIndices", "not ascending, expected each point once, in order")
-    if len(indices) and (indices[0] < 0 or indices[-1] >= count):
-        raise ExportError(f"{where} -> pointIndices", f"index outside 0..{count - 1}")
-    _offsets(where, shape, (len(indices), 3))
-    for one in shape.inbetweens:
-        _offsets(f"{where} -> {one.name}", one, (len(indices), 3))
-        _finite(f"{where} -> {one.name} -> weight", one.weight)
+        at, indices = f"{where} -> {shape.name}", np.asarray(shape.point_indices)
+        # a sparse accessor needs ascending numbers, and a dense one would keep the last offset of a point alone
+        if not (indices[1:] > indices[:-1]).all():
+            raise ExportError(f"{at} -> pointIndices", "not ascending, expected each point once, in order")
+        _indices(f"{at} -> pointIndices", indices, count)
+        _offsets(at, shape, (len(indices), 3))
+        for between in shape.inbetweens:
+            _offsets(f"{at} -> {between.name}", between, (len(indices), 3))
+            _finite(f"{at} -> {between.name} -> weight", between.weight)
 
 
 def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ...]) -> None:
@@ -134,23 +128,11 @@ def _animation(where: str, animation: Animation) -> None:
             raise ExportError(f"{where} -> times", "not ascending in float32, expected at least one time, each later")
 
 
-def _constants(material: Material) -> Iterator[tuple[str, Any]]:
-    for name, value in vars(material).items():
-        if isinstance(value, TextureInput):
-            yield name, (*value.scale, *value.bias)
-        elif isinstance(value, float | int | tuple):
-            yield name, value
-
-
 def _finite(where: str, values: Any) -> None:
-    if not _are_finite(np.asarray(values)):
+    array = np.asarray(values)
+    finite = np.isfinite(array) if array.dtype == np.float32 else np.abs(array.astype(np.float64)) <= _LARGEST
+    if not finite.all():
         raise ExportError(where, "NaN, infinity or beyond float32, expected finite numbers")
-
-
-def _are_finite(values: npt.NDArray[Any]) -> bool:
-    if values.dtype == np.float32:
-        return bool(np.isfinite(values).all())
-    return bool((np.abs(values.astype(np.float64)) <= _LARGEST).all())
 
 
 def _invertible(where: str, matrix: Any) -> None:
@@ -191,7 +173,14 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     written = {baked.mesh.name for baked in meshes}
     faceless = [mesh.name for mesh in parts.meshes if mesh.name not in written]
     lines = _counted("mesh without faces", "meshes without faces", faceless)
-    lines += _loose(parts, written, recorded)
+    shown = [mesh for mesh in parts.meshes if mesh.name in written]
+    uses = {one.name: np.bincount(one.face_vertex_indices, minlength=len(one.points)) for one in shown}
+    loose = {name: int(np.count_nonzero(counts == 0)) for name, counts in uses.items()}
+    if total := sum(loose.values()):
+        owners = listed_meshes([name for name, count in loose.items() if count])
+        line = f"{total} point{'s' * (total > 1)} that no face uses, on {owners}"
+        # the record has the places of such points, and no vertex of the file what else they had
+        lines.append(line if recorded is None else f"skin weights and shapes of {line}")
     kept = recorded or FaceParts()
     there = {mesh.name: mesh for mesh in kept.meshes}
     none = Mesh(name="", points=NONE, face_vertex_counts=NONE, face_vertex_indices=NONE)
@@ -223,15 +212,6 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     if parts.skeleton.joints and options.mode != "morph" and not any(mesh.skin for mesh in parts.meshes):
         lines.append(f"{parts.skeleton.name}: {len(parts.skeleton.joints)} joints, no mesh is skinned to them")
     return tuple(lines)
-
-
-def _loose(parts: FaceParts, written: Collection[str], recorded: FaceParts | None) -> list[str]:
-    loose = {mesh.name: _loose_points(mesh) for mesh in parts.meshes if mesh.name in written}
-    total, owners = sum(loose.values()), [name for name, count in loose.items() if count]
-    if not total:
-        return []
-    line = f"{total} point{'s' * (total > 1)} that no face uses, on {listed_meshes(owners)}"
-    return [line if recorded is None else f"skin weights and shapes of {line}"]
 
 
 def _missing(own: Sequence[Slider] | Sequence[PhotoView], kept: Sequence[Slider] | Sequence[PhotoView]) -> list[str]:
@@ -266,12 +246,6 @@ def _materials(mesh: Mesh) -> set[str | None]:
     return own | {one.material for one in by_face}
 
 
-def _loose_points(mesh: Mesh) -> int:
-    used = np.zeros(len(mesh.points), np.bool_)
-    used[mesh.face_vertex_indices] = True
-    return int((~used).sum())
-
-
 def _per_mesh(kind: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     """One line for all meshes that have some."""
     owners = [mesh for mesh, own in names.items() if any(True for _ in own)]
@@ -295,47 +269,52 @@ def listed_meshes(names: Sequence[str]) -> str:
 def influence_error(parts: FaceParts, meshes: Sequence[Baked], space: Space) -> float | None:
     """Largest distance in metres that left-out influences move a point by, over the face's poses and animations.
 
-    None where no influence is left out or there is no pose to measure at.
+    None where there is no pose to measure at.
     """
-    changes = [_change(mesh, len(parts.skeleton.joints)) for mesh in meshes if mesh.influences is not None]
-    changes = [change for change in changes if len(change.points)]
-    if not changes:
-        return None
     skeleton = parts.skeleton
     poses = _poses(parts.animations, skeleton)
     if poses is None:
         return None
     worlds = accumulate(space.local(poses, skeleton.parents < 0), skeleton.parents)
     matrices = worlds @ space.inverse_binds(np.asarray(skeleton.bind_transforms, dtype=np.float64))
-    return max(_longest_shift(change, matrices) for change in changes)
-
-
-class _Change(NamedTuple):
-    """What happens to the weights of those points of a mesh that lose influences."""
-
-    points: FloatArray  # (n, 3) metres
-    weights: FloatArray  # (j, n), summing to 0 for each point
-
-
-def _change(baked: Baked, joint_count: int) -> _Change:
-    if baked.influences is None or baked.mesh.skin is None:
-        return _Change(np.zeros((0, 3)), np.zeros((joint_count, 0)))
-    points = np.flatnonzero(baked.influences.lost > LOST)
-    change = np.zeros((joint_count, len(points)))
-    columns = np.arange(len(points))[:, None]
-    joints, weights = merge(baked.mesh.skin, points)
-    np.add.at(change, (joints, columns), -weights / weights.sum(axis=1, keepdims=True))
-    np.add.at(change, (baked.influences.joints[points], columns), baked.influences.weights[points])
-    return _Change(baked.points[points], change)
+    worst = 0.0
+    for baked in meshes:
+        if baked.influences is None or baked.mesh.skin is None or not baked.influences.any_lost:
+            continue
+        # (j, n) changes of the weights of points that lose influences
+        points = np.flatnonzero(baked.influences.lost > LOST)
+        changes = np.zeros((len(skeleton.joints), len(points)))
+        columns = np.arange(len(points))[:, None]
+        joints, weights = merge(baked.mesh.skin, points)
+        np.add.at(changes, (joints, columns), -weights / weights.sum(axis=1, keepdims=True))
+        np.add.at(changes, (baked.influences.joints[points], columns), baked.influences.weights[points])
+        # a point's changes sum to 0, so only a joint's difference from the identity counts
+        followed = np.flatnonzero(changes.any(axis=1))
+        moves = np.swapaxes(matrices[:, followed, :3] - np.eye(3, 4), -1, -2)
+        moving = np.abs(moves).max(axis=(2, 3)) > _STILL
+        corners = np.concatenate([baked.points[points].T, np.ones((1, len(points)))])
+        weighted = changes[followed, None] * corners
+        for move, moved in zip(moves, moving, strict=True):
+            # few joints move in a pose: these products stay too small for BLAS to wake its threads
+            shifts = move[moved].reshape(-1, 3).T @ weighted[moved].reshape(-1, len(points))
+            worst = max(worst, float(np.einsum("in,in->n", shifts, shifts).max(initial=0.0)))
+    return float(np.sqrt(worst))
 
 
 def _poses(animations: Sequence[Animation], skeleton: Skeleton) -> FloatArray | None:
     """(T, j, 4, 4) local matrices of every key of every animation that moves a joint; None: no animation does."""
     from facepipe.rig.animation import local_transforms
 
+    # animations of bone coefficients for the same joints are taken as one: faces have a pose for every shape
+    groups: dict[tuple[str, ...], list[FloatArray]] = {}
+    for animation in animations:
+        if animation.coefficients is not None:
+            groups.setdefault(animation.joints, []).append(np.asarray(animation.coefficients))
+    joined = [one for one in animations if one.coefficients is None]
+    joined += [Animation(name="", joints=one, coefficients=np.concatenate(all_)) for one, all_ in groups.items()]
     number = {joint: i for i, joint in enumerate(skeleton.joints)}
     poses = []
-    for animation in _joined(animations):
+    for animation in joined:
         rows = [i for i, joint in enumerate(animation.joints) if joint in number]
         if rows:
             used = np.array([number[animation.joints[i]] for i in rows])
@@ -345,35 +324,3 @@ def _poses(animations: Sequence[Animation], skeleton: Skeleton) -> FloatArray | 
             every[:, used] = keys
             poses.append(every)
     return np.concatenate(poses) if poses else None
-
-
-def _joined(animations: Sequence[Animation]) -> list[Animation]:
-    """Animations of bone coefficients for the same joints as one: faces have a pose for every shape."""
-    groups: dict[tuple[str, ...], list[FloatArray]] = {}
-    others = []
-    for animation in animations:
-        if animation.coefficients is None:
-            others.append(animation)
-        else:
-            groups.setdefault(animation.joints, []).append(np.asarray(animation.coefficients))
-    return others + [
-        Animation(name="", joints=joints, coefficients=np.concatenate(keys)) for joints, keys in groups.items()
-    ]
-
-
-def _longest_shift(change: _Change, matrices: FloatArray) -> float:
-    """Largest distance that the change of weights moves points by, under (T, j, 4, 4) matrices of vertices.
-
-    The changes of a point's weights sum to 0, so only a joint's difference from the identity counts.
-    """
-    followed = np.flatnonzero(change.weights.any(axis=1))
-    moves = np.swapaxes(matrices[:, followed, :3] - np.eye(3, 4), -1, -2)
-    moving = np.abs(moves).max(axis=(2, 3)) > _STILL
-    corners = np.concatenate([change.points.T, np.ones((1, len(change.points)))])
-    weighted = change.weights[followed, None] * corners
-    worst = 0.0
-    for move, moved in zip(moves, moving, strict=True):
-        # few joints move in a pose: these products stay too small for BLAS to wake its threads
-        shifts = move[moved].reshape(-1, 3).T @ weighted[moved].reshape(-1, len(change.points))
-        worst = max(worst, float(np.einsum("in,in->n", shifts, shifts).max(initial=0.0)))
-    return float(np.sqrt(worst))

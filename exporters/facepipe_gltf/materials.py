@@ -140,14 +140,12 @@ def _without_ignored_chunks(data: bytes) -> bytes:
     while position + 8 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, position)
         end = position + 12 + length
-        if not _is_ignored(kind, data[position + 8 : end]):
+        body = data[position + 8 : end]
+        uneven = kind == b"pHYs" and body[:4] != body[4:8]
+        if kind not in (b"cHRM", b"iCCP") and not uneven:
             kept.append(data[position:end])
         position = end
     return b"".join(kept)
-
-
-def _is_ignored(kind: bytes, body: bytes) -> bool:
-    return kind in (b"cHRM", b"iCCP") or (kind == b"pHYs" and body[:4] != body[4:8])
 
 
 class Channel(NamedTuple):
@@ -156,34 +154,6 @@ class Channel(NamedTuple):
     source: TextureInput | None = None
     channel: int = 0
     inverted: bool = False
-
-
-def merged(channels: Sequence[Channel], textures: Textures) -> Pixels | None:
-    """(h, w, channels) pixels, as large as the largest texture; None where a texture can't be read."""
-    loaded = [None if one.source is None else _plane(textures, one.source, one.channel) for one in channels]
-    present = [plane for plane in loaded if plane is not None]
-    if len(present) < sum(one.source is not None for one in channels):
-        return None
-    height, width = max((plane.shape for plane in present), key=lambda size: size[0] * size[1])
-    planes = []
-    for channel, loaded_plane in zip(channels, loaded, strict=True):
-        white = np.full((height, width), 255, np.uint8)
-        plane = white if loaded_plane is None else _resized(loaded_plane, height, width)
-        planes.append(255 - plane if channel.inverted else plane)
-    return np.stack(planes, axis=-1)
-
-
-def _plane(textures: Textures, source: TextureInput, channel: int) -> Pixels | None:
-    pixels = textures.pixels(source.texture)
-    return None if pixels is None else pixels[..., channel].copy()  # the others are let go
-
-
-def _resized(plane: Pixels, height: int, width: int) -> Pixels:
-    if plane.shape == (height, width):
-        return plane
-    from PIL import Image as Pillow
-
-    return np.asarray(Pillow.fromarray(plane).resize((width, height), Pillow.Resampling.BILINEAR))
 
 
 @dataclass(frozen=True)
@@ -215,8 +185,13 @@ class MaterialWriter:
         uv_names = tuple(uv_set.name for uv_set in mesh.uv_sets)
         key = (name, uv_names, mesh.double_sided, name is None and mesh.colors is not None)
         if key not in self._surfaces:
-            material = self._source(name, mesh)
-            source = material if uv_names else self._untextured(material)
+            plain = Material(name="default", diffuse_color=(0.18,) * 3 if mesh.colors is None else (1.0, 1.0, 1.0))
+            source = material = plain if name is None else self._by_name[name]
+            if material.textured and not uv_names:
+                self.textures.warn(f"{material.name}: textures left out on a mesh without UVs")
+                constants = vars(Material(name=material.name))
+                source = replace(material, **{one: constants[one] for one in material.textured})
+            # numbers of UV sets and sidedness are the mesh's in USD and the material's in glTF: one for each of these
             result: Json = {"name": exact(material), "pbrMetallicRoughness": {}}
             self._base_color(result, source, uv_names)
             self._metallic_roughness(result["pbrMetallicRoughness"], source, uv_names)
@@ -235,11 +210,6 @@ class MaterialWriter:
                 colored=source.diffuse_color == (1.0, 1.0, 1.0),
             )
         return self._surfaces[key]
-
-    def _source(self, name: str | None, mesh: Mesh) -> Material:
-        if name is not None:
-            return self._by_name[name]
-        return Material(name="default", diffuse_color=(0.18,) * 3 if mesh.colors is None else (1.0, 1.0, 1.0))
 
     def _base_color(self, result: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         pbr = result["pbrMetallicRoughness"]
@@ -377,8 +347,24 @@ class MaterialWriter:
         self._extend(result, "KHR_materials_clearcoat", coat)
 
     def _merge(self, material: Material, role: str, channels: Sequence[Channel]) -> int | None:
-        pixels = merged(channels, self.textures)
-        return None if pixels is None else self.textures.made(f"{material.name}_{role}", pixels)
+        """An image of these channels, as large as the largest texture; None where a texture can't be read."""
+        planes: list[Pixels | None] = []
+        for one in channels:
+            pixels = None if one.source is None else self.textures.pixels(one.source.texture)
+            planes.append(None if pixels is None else pixels[..., one.channel].copy())  # the others are let go
+        present = [plane for plane in planes if plane is not None]
+        if len(present) < sum(one.source is not None for one in channels):
+            return None
+        height, width = max((plane.shape for plane in present), key=lambda size: size[0] * size[1])
+        from PIL import Image as Pillow
+
+        merged = []
+        for one, found in zip(channels, planes, strict=True):
+            plane = np.full((height, width), 255, np.uint8) if found is None else found
+            if plane.shape != (height, width):
+                plane = np.asarray(Pillow.fromarray(plane).resize((width, height), Pillow.Resampling.BILINEAR))
+            merged.append(255 - plane if one.inverted else plane)
+        return self.textures.made(f"{material.name}_{role}", np.stack(merged, axis=-1))
 
     def _factor(self, material: Material, name: str, value: float | TextureInput) -> list[float]:
         if isinstance(value, TextureInput):
@@ -397,13 +383,6 @@ class MaterialWriter:
         if clipped != [float(value) for value in values]:
             self.textures.warn(f"{material.name}: {name} {tuple(values)} clamped to 0..1")
         return clipped
-
-    def _untextured(self, material: Material) -> Material:
-        """The material with its constants alone, for meshes without UVs."""
-        plain = vars(Material(name=material.name))
-        if material.textured:
-            self.textures.warn(f"{material.name}: textures left out on a mesh without UVs")
-        return replace(material, **{name: plain[name] for name in material.textured})
 
     def _extend(self, result: Json, extension: str, values: Json) -> None:
         self.extensions.add(extension)

@@ -16,7 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.geometry.polygons import triangulate
-from facepipe.parts import Blendshape, FaceParts, Mesh, exact
+from facepipe.parts import FaceParts, Mesh, exact
 from facepipe.records import Json
 from facepipe_gltf.buffers import Extent, Rows, require_finite
 from facepipe_gltf.encoding import Encoded
@@ -59,7 +59,8 @@ def corners_of(mesh: Mesh, mirrored: bool) -> Corners:
         points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
         for uv_set in mesh.uv_sets
     )
-    uvs = tuple(_v_down(uv_set.values) for uv_set in mesh.uv_sets)
+    values = [np.asarray(uv_set.values, dtype=np.float64).reshape(-1, 2) for uv_set in mesh.uv_sets]
+    uvs = tuple(_plain_zeros((uv * (1.0, -1.0) + (0.0, 1.0)).astype(np.float32)) for uv in values)  # v down
     normals = normal_indices = None
     if mesh.normals is not None and len(mesh.normals) == len(mesh.face_vertex_indices) != len(mesh.points):
         normals, normal_indices = _plain_zeros(np.asarray(mesh.normals, dtype=np.float32)), corners
@@ -144,11 +145,6 @@ def _distinct(points: IntArray, attributes: Sequence[_Attribute]) -> tuple[IntAr
     return numbers, order[changes]
 
 
-def _v_down(values: FloatArray) -> FloatArray:
-    u, v = np.asarray(values, dtype=np.float64).reshape(-1, 2).T
-    return _plain_zeros(np.stack([u, 1.0 - v], axis=1).astype(np.float32))
-
-
 def _plain_zeros(values: FloatArray) -> FloatArray:
     """float32 `values` without negative zeros."""
     return np.asarray(values + np.float32(0))
@@ -178,18 +174,41 @@ def chosen_shapes(parts: FaceParts, globs: str) -> tuple[str, ...]:
 
     :raises InputError: a glob that matches none
     """
-    names = list(parts.shapes)
-    return select(names, globs, "shapes")
+    return select(list(parts.shapes), globs, "shapes")
 
 
 def sculpts_of(mesh: Mesh, shapes: Sequence[str]) -> list[Sculpt]:
     """The morph targets of a mesh: its shapes in stage order, each followed by its inbetweens."""
-    sculpts = [sculpt for shape in mesh.blendshapes if shape.name in shapes for sculpt in _expand(mesh, shape)]
+    sculpts: list[Sculpt] = []
+    for shape in (one for one in mesh.blendshapes if one.name in shapes):
+        weights = [one.weight for one in shape.inbetweens]
+        if weights and len({0.0, 1.0, *weights}) != len(weights) + 2:
+            raise ExportError(
+                f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
+            )
+        knots = _LINEAR
+        if weights:
+            from facepipe.rig.rig import curves
+
+            knots = {weight: curve.knots for weight, curve in curves(tuple(weights)).items()}
+        sculpts += [
+            Sculpt(
+                name=name,
+                label=name if weights else exact(shape),  # inbetweens name their shape
+                shape=shape.name,
+                weight=weight,
+                knots=knots[weight],
+                point_indices=shape.point_indices,
+                offsets=sculpt.offsets,
+                normal_offsets=sculpt.normal_offsets,
+            )
+            for name, weight, sculpt in shape.sculpts
+        ]
     taken: set[str] = set()
-    for sculpt in sculpts:
-        if sculpt.name in taken:
-            raise ExportError(f"{mesh.name} -> {sculpt.name}", "two morph targets of this name, expected one")
-        taken.add(sculpt.name)
+    for one in sculpts:
+        if one.name in taken:
+            raise ExportError(f"{mesh.name} -> {one.name}", "two morph targets of this name, expected one")
+        taken.add(one.name)
     return sculpts
 
 
@@ -200,36 +219,6 @@ def extras(sculpts: Sequence[Sculpt]) -> Json:
     }
     curves = {sculpt.name: [list(knot) for knot in sculpt.knots] for sculpt in sculpts if len(sculpt.knots) > 2}
     return {"inbetweens": inbetweens, "curves": curves} if inbetweens else {}
-
-
-def _expand(mesh: Mesh, shape: Blendshape) -> list[Sculpt]:
-    weights = [one.weight for one in shape.inbetweens]
-    if weights and len({0.0, 1.0, *weights}) != len(weights) + 2:
-        raise ExportError(
-            f"{mesh.name} -> {shape.name}", f"inbetween weights {weights}, expected distinct ones, no 0 or 1"
-        )
-    knots = _knots(weights)
-    return [
-        Sculpt(
-            name=name,
-            label=name if weights else exact(shape),  # inbetweens name their shape
-            shape=shape.name,
-            weight=weight,
-            knots=knots[weight],
-            point_indices=shape.point_indices,
-            offsets=sculpt.offsets,
-            normal_offsets=sculpt.normal_offsets,
-        )
-        for name, weight, sculpt in shape.sculpts
-    ]
-
-
-def _knots(weights: Sequence[float]) -> dict[float, Knots]:
-    if not weights:
-        return _LINEAR
-    from facepipe.rig.rig import curves
-
-    return {weight: curve.knots for weight, curve in curves(tuple(weights)).items()}
 
 
 class Morphs(NamedTuple):
@@ -306,10 +295,28 @@ def table_of(morphs: Morphs, encoded: Encoded) -> Table:
 
 def rows_of(table: Table, vertices: Vertices) -> list[Rows]:
     """The rows of each target for the vertices of one primitive."""
-    source, moved, starts = _spread(table, vertices)
-    values = table.values if source is None else table.values.take(source, axis=0)
-    count = len(vertices.points)
-    # per target, of all its `count` vertices
+    # most points are one vertex; those that the primitive does not have and those at seams are rare, and looked up
+    # by byte-sized masks
+    copies = np.diff(vertices.starts)
+    points, starts, values = table.points, table.starts, table.values
+    source: IntArray | None = None  # the row of the table for each row; None: each once
+    inside = (copies > 0)[points]
+    if not inside.all():
+        source = np.flatnonzero(inside)
+        points, starts = points[source], np.searchsorted(source, starts)
+    moved = vertices.starts[points]
+    seams = np.flatnonzero((copies > 1)[points])
+    if len(seams):
+        extra = copies[points[seams]] - 1
+        after = np.repeat(seams + 1, extra)  # further vertices of a point follow its first
+        steps = np.arange(int(extra.sum())) - np.repeat(np.cumsum(extra) - extra, extra) + 1
+        moved = np.insert(moved, after, moved[after - 1] + steps)
+        source = np.arange(len(points)) if source is None else source
+        source = np.insert(source, after, source[after - 1])
+        starts = starts + np.searchsorted(after, starts, side="right")
+    if source is not None:
+        values = values.take(source, axis=0)
+    # per target, of all vertices of the primitive: those that stay zero count too
     sizes = np.diff(starts)
     filled = np.flatnonzero(sizes)
     low = np.zeros((len(sizes), 3), values.dtype)
@@ -318,36 +325,9 @@ def rows_of(table: Table, vertices: Vertices) -> list[Rows]:
         axes = np.ascontiguousarray(values.T)
         low[filled] = np.minimum.reduceat(axes, starts[filled], axis=1).T
         high[filled] = np.maximum.reduceat(axes, starts[filled], axis=1).T
-    partial = sizes < count
+    partial = sizes < len(vertices.points)
     low[partial] = np.minimum(low[partial], 0)
     high[partial] = np.maximum(high[partial], 0)
     extents = [Extent(*pair) for pair in zip(low.tolist(), high.tolist(), strict=True)]
     bounds = zip(starts[:-1].tolist(), starts[1:].tolist(), extents, strict=True)
     return [Rows(moved[a:b], values[a:b], extent, table.normalized) for a, b, extent in bounds]
-
-
-def _spread(table: Table, vertices: Vertices) -> tuple[IntArray | None, IntArray, IntArray]:
-    """From points to vertices: the row of the table (None: each once) and the vertex of each row, and where targets
-    start.
-
-    Most points are one vertex; those that the primitive does not have and those at seams are rare, and looked up by
-    byte-sized masks.
-    """
-    copies = np.diff(vertices.starts)
-    source: IntArray | None = None
-    points, starts = table.points, table.starts
-    inside = (copies > 0)[points]
-    if not inside.all():
-        source = np.flatnonzero(inside)
-        points, starts = points[source], np.searchsorted(source, starts)
-    moved = vertices.starts[points]
-    seams = np.flatnonzero((copies > 1)[points])
-    if not len(seams):
-        return source, moved, starts
-    extra = copies[points[seams]] - 1
-    after = np.repeat(seams + 1, extra)  # further vertices of a point follow its first
-    moved = np.insert(
-        moved, after, moved[after - 1] + (np.arange(int(extra.sum())) - np.repeat(np.cumsum(extra) - extra, extra)) + 1
-    )
-    rows = np.arange(len(points)) if source is None else source
-    return np.insert(rows, after, rows[after - 1]), moved, starts + np.searchsorted(after, starts, side="right")

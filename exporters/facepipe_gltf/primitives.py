@@ -12,9 +12,11 @@ from facepipe.records import Json
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
-from facepipe_gltf.morphs import Morphs, Table, Vertices, rows_of, table_of, vertices_of, without_small
+from facepipe_gltf.morphs import Vertices, rows_of, table_of, vertices_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.record_format import material_groups
+
+_MOST_SHORT = 65535  # vertices whose numbers fit 16 bits: the largest of these is left out, it restarts primitives
 
 
 def _orientation(uvs: FloatArray) -> IntArray:
@@ -43,11 +45,17 @@ def _tangents(points: FloatArray, normals: FloatArray, uvs: FloatArray, triangle
     # (e1 dv2 - e2 dv1) / det, of which only det's sign counts once normalised: no division by a UV sliver's area
     along_u = (e1 * d2[:, 1:] - e2 * d1[:, 1:]) * sign[:, None]
     flat = np.asarray(triangles.ravel(), dtype=np.int64)
-    per_corner = _project(np.repeat(along_u, 3, axis=0), normals[flat]) * _angles(corners).reshape(-1, 1)
+    following = np.roll(corners, -1, axis=1) - corners
+    preceding = np.roll(corners, 1, axis=1) - corners
+    lengths = np.linalg.norm(following, axis=2) * np.linalg.norm(preceding, axis=2)
+    cosine = np.einsum("tij,tij->ti", following, preceding) / np.where(lengths == 0, 1.0, lengths)
+    angles = np.arccos(np.clip(cosine, -1.0, 1.0))
+    per_corner = _project(np.repeat(along_u, 3, axis=0), normals[flat]) * angles.reshape(-1, 1)
     summed = [np.bincount(flat, per_corner[:, axis], len(points)) for axis in range(3)]
     direction = _project(np.stack(summed, axis=1).astype(np.float64), normals)
     missing = np.linalg.norm(direction, axis=1) < 0.5
-    direction[missing] = _any_tangent(normals[missing])
+    any_axis: FloatArray = np.eye(3)[np.argmin(np.abs(normals[missing]), axis=1)]
+    direction[missing] = _project(any_axis, normals[missing])
     handedness = np.ones(len(points))
     handedness[flat] = np.repeat(sign, 3)
     return np.concatenate([direction, handedness[:, None]], axis=1).astype(np.float32)
@@ -59,20 +67,6 @@ def _project(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     length = np.linalg.norm(flat, axis=1, keepdims=True)
     tiny = length <= 1e-12 * np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(np.where(tiny, 0.0, flat / np.where(tiny, 1.0, length)))
-
-
-def _angles(corners: FloatArray) -> FloatArray:
-    """(t, 3) angles of triangles (t, 3, 3)."""
-    following = np.roll(corners, -1, axis=1) - corners
-    preceding = np.roll(corners, 1, axis=1) - corners
-    lengths = np.linalg.norm(following, axis=2) * np.linalg.norm(preceding, axis=2)
-    cosine = np.einsum("tij,tij->ti", following, preceding) / np.where(lengths == 0, 1.0, lengths)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _any_tangent(normals: FloatArray) -> FloatArray:
-    axis: FloatArray = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-    return _project(axis, normals)
 
 
 class Chosen(NamedTuple):
@@ -98,41 +92,43 @@ class PrimitiveWriter:
 
     def write(self, every: Sequence[Chosen]) -> list[Json]:
         """The primitives of the mesh."""
-        vertices = [self._vertices(chosen) for chosen in every]
-        targets = self._targets(vertices)
-        return [self._primitive(*one) for one in zip(every, vertices, targets, strict=True)]
-
-    def _vertices(self, chosen: Chosen) -> Vertices:
         corners = self._baked.corners
-        extra = None
-        if chosen.tangent_uv is not None:
-            uvs = corners.uvs[chosen.tangent_uv][corners.uv_indices[chosen.tangent_uv][chosen.triangles]]
-            extra = _orientation(uvs.astype(np.float64))
-        return vertices_of(corners, chosen.triangles, extra)
-
-    def _primitive(self, chosen: Chosen, vertices: Vertices, targets: Sequence[dict[str, Rows]]) -> Json:
-        count = len(vertices.points)
-        self.vertex_count += count
-        self.triangle_count += len(vertices.triangles)
-        primitive: Json = {
-            "attributes": self._attributes(vertices, chosen.tangent_uv, chosen.colored),
-            "indices": self._indices(vertices),
-            "material": chosen.material,
-        }
-        if targets:
-            primitive["targets"] = [
-                {
-                    name: self._buffers.add_morph(rows, count, bounds=name == "POSITION")
-                    for name, rows in rows_by_attribute.items()
-                }
-                for rows_by_attribute in targets
-            ]
-        return primitive
+        primitives: list[Json] = []
+        vertices_of_all = []
+        for chosen in every:
+            flipped = None
+            if chosen.tangent_uv is not None:
+                uvs = corners.uvs[chosen.tangent_uv][corners.uv_indices[chosen.tangent_uv][chosen.triangles]]
+                flipped = _orientation(uvs.astype(np.float64))
+            vertices_of_all.append(vertices_of(corners, chosen.triangles, flipped))
+        targets_of_all = self._targets(vertices_of_all)
+        for chosen, vertices, targets in zip(every, vertices_of_all, targets_of_all, strict=True):
+            count = len(vertices.points)
+            self.vertex_count += count
+            self.triangle_count += len(vertices.triangles)
+            kind = np.uint16 if count <= _MOST_SHORT else np.uint32
+            primitive: Json = {
+                "attributes": self._attributes(vertices, chosen.tangent_uv, chosen.colored),
+                "indices": self._buffers.add(vertices.triangles.astype(kind).ravel(), "index"),
+                "material": chosen.material,
+            }
+            if targets:
+                primitive["targets"] = [
+                    {
+                        name: self._buffers.add_morph(rows, count, bounds=name == "POSITION")
+                        for name, rows in one.items()
+                    }
+                    for one in targets
+                ]
+            primitives.append(primitive)
+        return primitives
 
     def _attributes(self, vertices: Vertices, tangent_uv: int | None, colored: bool) -> dict[str, int]:
         baked, encoding = self._baked, self._encoding
         points = baked.points[vertices.points]
-        normals = self._normals(vertices)
+        normals = baked.point_normals[vertices.points]
+        if baked.corner_normals is not None and vertices.normal_indices is not None:
+            normals = baked.corner_normals[vertices.normal_indices]
         uvs = [values[indices] for values, indices in zip(baked.corners.uvs, vertices.uv_indices, strict=True)]
         attributes = {
             "POSITION": self._add(encoding.positions(points), bounds=True),
@@ -145,73 +141,47 @@ class PrimitiveWriter:
             attributes[f"TEXCOORD_{i}"] = self._add(encoding.uvs(values))
         if colored and baked.mesh.colors is not None:
             attributes["COLOR_0"] = self._add(encoding.colors(np.asarray(baked.mesh.colors)[vertices.points]))
-        attributes |= self._skin(vertices.points)
+        if baked.influences is not None:
+            joints, weights, _ = baked.influences
+            sets = 1 if (weights > 0).sum(axis=1).max(initial=1) <= 4 else 2
+            padded = [np.zeros((len(points), 4 * sets)), np.zeros((len(points), 4 * sets))]
+            for target, source in zip(padded, (joints, weights), strict=True):
+                width = min(source.shape[1], 4 * sets)
+                target[:, :width] = source[vertices.points, :width]
+            stored = encoding.weights(padded[1])
+            kept = np.where(stored.array > 0, padded[0], 0).astype(self._joint_type)
+            for i in range(sets):
+                part = slice(4 * i, 4 * i + 4)
+                attributes[f"JOINTS_{i}"] = self._add(Encoded(kept[:, part], False))
+                attributes[f"WEIGHTS_{i}"] = self._add(Encoded(stored.array[:, part], stored.normalized))
         attributes["_FACEPIPE_POINT"] = self._add(Encoded(vertices.points.astype(np.float32), False))
         return attributes
-
-    def _normals(self, vertices: Vertices) -> FloatArray:
-        if self._baked.corner_normals is not None and vertices.normal_indices is not None:
-            return self._baked.corner_normals[vertices.normal_indices]
-        return self._baked.point_normals[vertices.points]
-
-    def _skin(self, points: IntArray) -> dict[str, int]:
-        if self._baked.influences is None:
-            return {}
-        joints, weights, _ = self._baked.influences
-        used = int((weights > 0).sum(axis=1).max(initial=1))
-        sets = 1 if used <= 4 else 2
-        padded = [np.zeros((len(points), 4 * sets)), np.zeros((len(points), 4 * sets))]
-        for target, source in zip(padded, (joints, weights), strict=True):
-            width = min(source.shape[1], 4 * sets)
-            target[:, :width] = source[points, :width]
-        stored = self._encoding.weights(padded[1])
-        kept = np.where(stored.array > 0, padded[0], 0).astype(self._joint_type)
-        attributes = {}
-        for i in range(sets):
-            part = slice(4 * i, 4 * i + 4)
-            attributes[f"JOINTS_{i}"] = self._add(Encoded(kept[:, part], False))
-            attributes[f"WEIGHTS_{i}"] = self._add(Encoded(stored.array[:, part], stored.normalized))
-        return attributes
-
-    def _indices(self, vertices: Vertices) -> int:
-        # 65535 is left out: it restarts primitives
-        kind = np.uint16 if len(vertices.points) <= 65535 else np.uint32
-        return self._buffers.add(vertices.triangles.astype(kind).ravel(), "index")
 
     def _targets(self, primitives: Sequence[Vertices]) -> list[list[dict[str, Rows]]]:
         """The targets of each primitive: one per sculpt, all with the same attributes."""
         targets: list[list[dict[str, Rows]]] = [[] for _ in primitives]
+        # integers can't hold offsets of normals beyond -1..1: those stay float32 in a quantised file too
+        encodings = [Encoding(), self._encoding] if self._encoding.quantize else [Encoding()]
         for block in self._baked.morphs():
             morphs = without_small(block, self._smallest)
             offsets = table_of(morphs, self._encoding.offsets(morphs.offsets))
-            normal_tables = self._normal_tables(morphs)
+            turned = morphs.normal_offsets
+            tables = [] if turned is None else [table_of(morphs, one.directions(turned)) for one in encodings]
             for of_primitive, vertices in zip(targets, primitives, strict=True):
                 positions = rows_of(offsets, vertices)
-                if normal_tables:
-                    pairs = zip(positions, _normal_rows(normal_tables, vertices), strict=True)
-                    of_primitive += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
-                else:
+                if not tables:
                     of_primitive += [{"POSITION": rows} for rows in positions]
+                    continue
+                large, *compact = (rows_of(table, vertices) for table in tables)
+                for small in compact:
+                    fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in large]
+                    large = [low if fit else one for one, low, fit in zip(large, small, fits, strict=True)]
+                pairs = zip(positions, large, strict=True)
+                of_primitive += [{"POSITION": rows, "NORMAL": normals} for rows, normals in pairs]
         return targets
-
-    def _normal_tables(self, morphs: Morphs) -> list[Table]:
-        """Normal offsets as float32 and, in a quantised file, as integers too; empty where there are none."""
-        if morphs.normal_offsets is None:
-            return []
-        encodings = [Encoding()] if not self._encoding.quantize else [Encoding(), self._encoding]
-        return [table_of(morphs, encoding.directions(morphs.normal_offsets)) for encoding in encodings]
 
     def _add(self, encoded: Encoded, bounds: bool = False) -> int:
         return self._buffers.add(encoded.array, "vertex", normalized=encoded.normalized, bounds=bounds)
-
-
-def _normal_rows(tables: Sequence[Table], vertices: Vertices) -> list[Rows]:
-    """Offsets of normals, in the last of the encodings that can hold them: integers can't beyond -1..1."""
-    floats, *integers = (rows_of(table, vertices) for table in tables)
-    for compact in integers:
-        fits = [min(one.extent.low) >= -1 and max(one.extent.high) <= 1 for one in floats]
-        return [small if fit else large for large, small, fit in zip(floats, compact, fits, strict=True)]
-    return floats
 
 
 def by_material(baked: Baked) -> Sequence[tuple[str | None, IntArray]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from facepipe.core.arrays import IntArray
-from facepipe.parts import Animation, Blendshape, FaceParts, Material, Mesh, Recipe, Skeleton, Texture, UvSet
+from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton, UvSet
 from facepipe.records import Json
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
@@ -80,6 +80,16 @@ def _husk(
     # a network can't run without one of its inputs: it goes whole
     if network is not None and not {slider.name for slider in sliders}.issuperset(network.sliders):
         network = None
+    # the materials whose images are in the file, with digests in place of images
+    used = {name for mesh in meshes for name, _ in by_material(mesh)}
+    # how the face was made before it went through glTF: an import of our own file notes it
+    recipe = parts.recipe
+    if recipe is not None and recipe.verb == "import gltf" and "made" in recipe.options:
+        made = recipe.options["made"]
+        if isinstance(made, dict) and set(made) == {field.name for field in fields(Recipe)}:
+            recipe = Recipe(**made | {"sources": tuple(made["sources"]), "digests": tuple(made["digests"])})
+        else:
+            recipe = None
     return replace(
         parts,
         meshes=tuple(_mesh_husk(mesh, mesh.mesh.name in colored) for mesh in meshes),
@@ -93,28 +103,22 @@ def _husk(
         slider_network=network,
         bone_limits=parts.bone_limits if joints else None,
         attach_joint=parts.attach_joint if joints else None,
-        materials=_material_husks(parts.materials, meshes),
-        recipe=_recipe_of_the_face(parts.recipe),
+        materials=tuple(
+            one.with_textures(lambda texture: replace(texture, data=image_digest(texture.data)))
+            for one in parts.materials
+            if one.name in used or not one.textured
+        ),
+        recipe=recipe,
     )
-
-
-def _recipe_of_the_face(recipe: Recipe | None) -> Recipe | None:
-    """How the face was made before it went through glTF: an import of our own file notes it."""
-    if recipe is None or recipe.verb != "import gltf" or "made" not in recipe.options:
-        return recipe
-    made = recipe.options["made"]
-    if not isinstance(made, dict) or set(made) != {field.name for field in fields(Recipe)}:
-        return None
-    return Recipe(**made | {"sources": tuple(made["sources"]), "digests": tuple(made["digests"])})
 
 
 def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
     mesh = baked.mesh
     # a polygon comes back from its n - 2 triangles: where one is left out, they can't be told apart
-    # whether every polygon can be restored: all have 3 or more corners, and no triangle is left out
-    counts = np.asarray(baked.mesh.face_vertex_counts)
+    counts = np.asarray(mesh.face_vertex_counts)
     whole = bool(counts.min(initial=3) >= 3) and len(baked.corners.faces) == int((counts - 2).sum())
     normals = None if mesh.normals is None else PER_POINT if len(mesh.normals) == len(mesh.points) else NONE
+    shapes = {sculpt.shape for sculpt in baked.sculpts}
     return replace(
         mesh,
         points=NONE,
@@ -132,15 +136,13 @@ def _mesh_husk(baked: Baked, colored: bool) -> Mesh:
         skin=None
         if mesh.skin is None or baked.influences is None
         else replace(mesh.skin, joint_indices=NONE, joint_weights=NONE),
-        blendshapes=_shape_husks(baked),
+        blendshapes=tuple(
+            replace(shape, point_indices=NONE).changed(lambda _: NONE, lambda _: NONE)
+            for shape in mesh.blendshapes
+            if shape.name in shapes
+        ),
         material_faces=mesh.material_faces if whole else (),
     )
-
-
-def _shape_husks(baked: Baked) -> tuple[Blendshape, ...]:
-    names = {sculpt.shape for sculpt in baked.sculpts}
-    shapes = [shape for shape in baked.mesh.blendshapes if shape.name in names]
-    return tuple(replace(shape, point_indices=NONE).changed(lambda _: NONE, lambda _: NONE) for shape in shapes)
 
 
 def _animation_husk(animation: Animation, joints: Collection[str], shapes: Collection[str]) -> Animation:
@@ -158,17 +160,6 @@ def _animation_husk(animation: Animation, joints: Collection[str], shapes: Colle
 def _numbers(names: Sequence[str], every: Sequence[str]) -> IntArray:
     place = {name: i for i, name in enumerate(every)}
     return np.array([place[name] for name in names], np.int32)
-
-
-def _material_husks(materials: Sequence[Material], meshes: Sequence[Baked]) -> tuple[Material, ...]:
-    """The materials whose images are in the file, with digests in place of images."""
-    used = {name for mesh in meshes for name, _ in by_material(mesh)}
-
-    def husk(texture: Texture) -> Texture:
-        return replace(texture, data=image_digest(texture.data))
-
-    kept = [material for material in materials if material.name in used or not material.textured]
-    return tuple(material.with_textures(husk) for material in kept)
 
 
 def _mesh_record(baked: Baked, *, exact: bool) -> MeshRecord:

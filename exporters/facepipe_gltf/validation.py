@@ -14,8 +14,7 @@ import numpy as np
 
 from facepipe.core.policy.children import find_program
 from facepipe.core.reports import Finding
-from facepipe_gltf import mesh_validation as mesh
-from facepipe_gltf import mesh_validation as skin
+from facepipe_gltf import mesh_validation as rules
 from facepipe_gltf.node import run_node
 from facepipe_gltf.raw import RawDocument
 
@@ -51,14 +50,11 @@ def _check_khronos(path: Path) -> list[Finding]:
     if report is None:
         message = "gltf-validator for node is not installed: the Khronos validator was not run"
         return [Finding(check="khronos:NotInstalled", severity="info", where=path.name, message=message)]
-    return _findings(path, report["issues"]["messages"])
-
-
-def _findings(path: Path, issues: list[dict[str, Any]]) -> list[Finding]:
-    """A finding per error and warning, and one per kind of note."""
+    issues = report["issues"]["messages"]
     notes = Counter(issue["code"] for issue in issues if issue["severity"] == 2)
     findings = []
     for issue in issues:
+        # one finding for each kind of note: of unused objects and the like a file has hundreds
         times = notes.pop(issue["code"], 0) if issue["severity"] == 2 else 1
         if times and issue["severity"] < len(_SEVERITIES):
             message = " ".join(str(issue["message"]).split())
@@ -90,22 +86,22 @@ def _report(node: str, path: Path) -> Any:
 Check = tuple[str, Callable[[RawDocument], Iterable[tuple[str, str]]], Literal["error", "warning"]]
 
 CHECKS: tuple[Check, ...] = (
-    ("GltfAsset", mesh.asset, "error"),
-    ("GltfReferences", mesh.references, "error"),
-    ("GltfNodeTree", mesh.node_tree, "error"),
-    ("GltfAccessors", mesh.accessors, "error"),
-    ("GltfFinite", mesh.finite, "error"),
-    ("GltfMinMax", mesh.bounds, "error"),
-    ("GltfVertexCounts", mesh.vertex_counts, "error"),
-    ("GltfTargetNames", mesh.target_names, "error"),
-    ("GltfDistinctTargetNames", mesh.distinct_target_names, "warning"),
-    ("GltfJointIndices", skin.joint_indices, "error"),
-    ("GltfWeightsSum", skin.weights_sum, "error"),
-    ("GltfInverseBinds", skin.inverse_binds, "error"),
-    ("GltfJointOrder", skin.joint_order, "error"),
-    ("GltfSkinnedNode", skin.skinned_nodes, "warning"),
+    ("GltfAsset", rules.asset, "error"),
+    ("GltfReferences", rules.references, "error"),
+    ("GltfNodeTree", rules.node_tree, "error"),
+    ("GltfAccessors", rules.accessors, "error"),
+    ("GltfFinite", rules.finite, "error"),
+    ("GltfMinMax", rules.bounds, "error"),
+    ("GltfVertexCounts", rules.vertex_counts, "error"),
+    ("GltfTargetNames", rules.target_names, "error"),
+    ("GltfDistinctTargetNames", rules.distinct_target_names, "warning"),
+    ("GltfJointIndices", rules.joint_indices, "error"),
+    ("GltfWeightsSum", rules.weights_sum, "error"),
+    ("GltfInverseBinds", rules.inverse_binds, "error"),
+    ("GltfJointOrder", rules.joint_order, "error"),
+    ("GltfSkinnedNode", rules.skinned_nodes, "warning"),
 )
-_DATA = (mesh.accessors, mesh.finite, mesh.bounds)
+_DATA = (rules.accessors, rules.finite, rules.bounds)
 
 
 def errors(document: RawDocument, *, data: bool = True) -> Iterator[tuple[str, str]]:

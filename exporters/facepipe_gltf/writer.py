@@ -23,7 +23,7 @@ from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
 from facepipe.rig import SetFace, set_face
 from facepipe_gltf.buffers import Chunk
-from facepipe_gltf.document import Document, write
+from facepipe_gltf.document import Document, lower_levels, write
 from facepipe_gltf.options import Options
 from facepipe_gltf.raw import RawDocument
 from facepipe_gltf.record_format import content_digest
@@ -40,12 +40,14 @@ _MOST_BYTES = 1 << 28  # of the JSON of a document that is replaced
 _BLOCK = 1 << 18  # bytes written at once
 
 
-def changed(document: Json, on_document: OnDocument, target: Path, buffer: bytes) -> Json:
+def _changed(document: Json, on_document: OnDocument | None, target: Path, binary: Sequence[Chunk]) -> Json:
     """The document as `on_document` leaves it.
 
-    :param buffer: what buffer 0 holds, which stays as it is
+    :param binary: what buffer 0 holds, which stays as it is
     :raises ExportError: what it leaves is no JSON, or `validate` would find an error in it
     """
+    if on_document is None:
+        return document
     from pygltflib import GLTF2
 
     whole = _object(GLTF2, json.loads(json.dumps(document)))  # a copy: the caller's changes end here
@@ -55,7 +57,7 @@ def changed(document: Json, on_document: OnDocument, target: Path, buffer: bytes
         result: Json = json.loads(json.dumps(whole, default=_stated, allow_nan=False, ensure_ascii=False).encode())
     except (TypeError, ValueError, RecursionError) as error:  # text that is no UTF-8 too
         raise ExportError(where, f"{str(error)[:120]}, expected what JSON can hold") from None
-    left = RawDocument.from_json(target, result, buffer)
+    left = RawDocument.from_json(target, result, b"".join(binary))
     if whole.binary_blob() is not None or left.items("buffers")[:1] != document.get("buffers", [])[:1]:
         raise ExportError(where, "changes the first buffer, expected it as it is (others can be data: URIs)")
     same_data = all(result.get(key) == document.get(key) for key in ("accessors", "bufferViews", "meshes"))
@@ -144,11 +146,7 @@ def export(
     target = _target(path)
     options = options or Options()
     delivered = set_face(face.parts(), options.pose)
-    levels: tuple[FaceParts, ...] = ()
-    if options.lods:
-        from facepipe_gltf.document import lower_levels
-
-        levels = lower_levels(face)
+    levels: tuple[FaceParts, ...] = lower_levels(face) if options.lods else ()
     document = write(delivered.parts, options, levels=[set_face(level, options.pose).parts for level in levels])
     return report_of(document, save(document, target, on_document=on_document), delivered, start)
 
@@ -190,15 +188,21 @@ def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDoc
     if target.suffix.lower() == ".glb":
         json, binary = embedded(document)
         return write_glb(target, _changed(json, on_document, target, binary), binary)
-    json, sidecars = _separate(document, target)
-    return _write_gltf(target, _changed(json, on_document, target, document.binary), sidecars)
-
-
-def _changed(json: Json, on_document: OnDocument | None, target: Path, binary: Sequence[Chunk]) -> Json:
-    if on_document is None:
-        return json
-
-    return changed(json, on_document, target, b"".join(binary))
+    result = dict(document.json)
+    sidecars: dict[str, bytes] = {}
+    if document.binary:
+        data = b"".join(document.binary)
+        name = _sidecar_name(target, data, "", ".bin")
+        sidecars[name] = data
+        result["buffers"] = [{"byteLength": len(data), "uri": name}, *result["buffers"][1:]]
+    images = []
+    for entry, image in zip(result.get("images", []), document.images, strict=True):
+        name = _sidecar_name(target, image.data, image.name, image.extension)
+        sidecars[name] = image.data
+        images.append({"name": entry["name"], "uri": name})
+    if images:
+        result["images"] = images
+    return _write_gltf(target, _changed(_sealed(result), on_document, target, document.binary), sidecars)
 
 
 def _target(path: str | os.PathLike[str]) -> Path:
@@ -226,25 +230,6 @@ def embedded(document: Document) -> tuple[Json, list[Chunk]]:
     if size:
         result["buffers"] = [{"byteLength": size}, *result.get("buffers", [])[1:]]
     return _sealed(result), binary
-
-
-def _separate(document: Document, target: Path) -> tuple[Json, dict[str, bytes]]:
-    """JSON of a .gltf at `target`, and its sidecar files by name."""
-    result = dict(document.json)
-    sidecars: dict[str, bytes] = {}
-    if document.binary:
-        binary = b"".join(document.binary)
-        name = _sidecar_name(target, binary, "", ".bin")
-        sidecars[name] = binary
-        result["buffers"] = [{"byteLength": len(binary), "uri": name}, *result["buffers"][1:]]
-    images = []
-    for entry, image in zip(result.get("images", []), document.images, strict=True):
-        name = _sidecar_name(target, image.data, image.name, image.extension)
-        sidecars[name] = image.data
-        images.append({"name": entry["name"], "uri": name})
-    if images:
-        result["images"] = images
-    return _sealed(result), sidecars
 
 
 def _json_bytes(document: Json) -> bytes:
@@ -283,7 +268,15 @@ def _sidecar_name(target: Path, data: bytes, label: str, extension: str) -> str:
 def _write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> list[Path]:
     """Write .gltf and sidecars, all or none, then remove the sidecars of the file that was there before."""
     with together(target):
-        stale = _own_sidecars(target) - set(sidecars)
+        # stale are those that this writer has named, and no others: the file may refer to a user's own
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
+        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
+        try:
+            before: Json = read_json_object(target, _MOST_BYTES)
+            uris = [entry.get("uri", "") for entry in [*before.get("buffers", []), *before.get("images", [])]]
+        except (InputError, AttributeError, TypeError):
+            uris = []
+        stale = {uri for uri in uris if isinstance(uri, str) and own.fullmatch(uri)} - set(sidecars)
         for name, data in sidecars.items():
             path = target.with_name(name)
             check_written(path)
@@ -293,19 +286,6 @@ def _write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> 
         for name in sorted(stale):
             discard_stale(target.with_name(name))
     return [target, *(target.with_name(name) for name in sidecars)]
-
-
-def _own_sidecars(target: Path) -> set[str]:
-    """File names that an existing .gltf at `target` refers to and that this writer has named."""
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
-    named = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
-    try:
-        document: Json = read_json_object(target, _MOST_BYTES)
-        entries = [*document.get("buffers", []), *document.get("images", [])]
-        uris = [entry.get("uri", "") for entry in entries]
-    except (InputError, AttributeError, TypeError):
-        return set()
-    return {uri for uri in uris if isinstance(uri, str) and named.fullmatch(uri)}
 
 
 def _sealed(document: Json) -> Json:

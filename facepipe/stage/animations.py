@@ -65,7 +65,17 @@ def author_animation_changes(
             continue
         prim, before = present.pop(number)
         done = _completed(animation, skeleton, prim.GetPath())
-        fields = () if same(before, animation) else _differing(before, done)
+        if same(before, animation):
+            continue
+        pairs = {field: (getattr(before, field), getattr(done, field)) for field in _ATTRIBUTES}
+        if before.scales is not None and done.scales is not None:  # halves on the stage
+            pairs["scales"] = (_halves(before.scales), _halves(done.scales))
+        retimed = not same(before.times, done.times)  # then all samples are written anew
+        fields = [
+            field
+            for field, (present, own) in pairs.items()
+            if not same(present, own) or (retimed and own is not None and len(own))
+        ]
         if fields:
             _write(UsdSkel.Animation(editable(prim)), done, fields)
             lines.append(f"{animation.name}: {', '.join(fields)}")
@@ -76,19 +86,6 @@ def author_animation_changes(
     if not same([animation.times for animation in old], [animation.times for animation in new]):
         author_time_range(face.GetStage(), new)
     return tuple(lines)
-
-
-def _differing(before: Animation, done: Animation) -> tuple[str, ...]:
-    """Fields of a completed animation that differ from the old one; all of them where the times differ."""
-    retimed = not same(before.times, done.times)
-    pairs = {field: (getattr(before, field), getattr(done, field)) for field in _ATTRIBUTES}
-    if pairs["scales"][0] is not None and pairs["scales"][1] is not None:
-        pairs["scales"] = (_halves(before.scales), _halves(done.scales))
-    return tuple(
-        field
-        for field, (one, other) in pairs.items()
-        if not same(one, other) or (retimed and (other is not None and len(other) > 0))
-    )
 
 
 def _halves(scales: FloatArray | None) -> FloatArray:

@@ -100,7 +100,11 @@ def remove_schema(prim: Usd.Prim, schema: str, instance: str = "") -> None:
 def schema_attribute(prim: Usd.Prim, name: str) -> Usd.Attribute:
     """An attribute of the prim to write; created where it is one of our schemas that USD doesn't know."""
     attribute = prim.GetAttribute(name)
-    declared = None if attribute else _attributes().get(_declared_name(name))
+    if attribute:
+        return attribute
+    known, words = _attributes(), name.split(":")
+    # the name of an instance stands between the two words before it and the attribute's own
+    declared = known.get(name) or known.get(":".join([*words[:2], _INSTANCE, words[-1]]))
     return attribute if declared is None else prim.CreateAttribute(name, declared[0], False, declared[1])
 
 
@@ -118,20 +122,6 @@ def put_value(prim: Usd.Prim, name: str, value: Any) -> None:
     """Set the one value of an attribute of our schemas, in place of all time samples; None hides what weaker layers
     say."""
     put(prim.GetAttribute(name) if value is None else schema_attribute(prim, name), value)
-
-
-def _is_reserved(schema: str, instance: str) -> bool:
-    """Whether no instance of a multiple-apply schema can have a name, since an attribute of the schema has it."""
-    last = instance.rpartition(":")[2]
-    return any(
-        attribute.name.rpartition(":")[2] == last for attribute in _layer().GetPrimAtPath(f"/{schema}").attributes
-    )
-
-
-def _declared_name(name: str) -> str:
-    """The name in the schema: that of an instance stands between the two words before it and the attribute's own."""
-    words = name.split(":")
-    return name if name in _attributes() else ":".join([*words[:2], _INSTANCE, words[-1]])
 
 
 @functools.cache
@@ -158,5 +148,7 @@ def check_property_name(where: object, kind: str, name: str, schema: str | None 
     """
     if not Sdf.Path.IsValidNamespacedIdentifier(name) or name.endswith(_RESERVED_SUFFIX):
         raise InputError(where, f"{kind} '{name}', expected letters, digits, underscores and no digit first")
-    if schema and _is_reserved(schema, name):
+    declared = _layer().GetPrimAtPath(f"/{schema}").attributes if schema else ()
+    # USD would take `prefix:indices` of an instance called `indices` for the attribute of the schema
+    if name.rpartition(":")[2] in {attribute.name.rpartition(":")[2] for attribute in declared}:
         raise InputError(where, f"{kind} '{name}' is the name of a property of {schema}, expected another")

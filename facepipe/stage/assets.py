@@ -72,8 +72,12 @@ def _asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCod
     for top in (stage.GetPseudoRoot(), *stage.GetPrototypes()):
         for prim in Usd.PrimRange(top, Usd.PrimAllPrimsPredicate):
             for attribute in prim.GetAuthoredAttributes():
-                if attribute.GetTypeName().scalarType == Sdf.ValueTypeNames.Asset:
-                    yield from _values(attribute)
+                if attribute.GetTypeName().scalarType != Sdf.ValueTypeNames.Asset:
+                    continue
+                for time in (_DEFAULT, *map(Usd.TimeCode, attribute.GetTimeSamples())):
+                    value = attribute.Get(time)
+                    for one in [value] if isinstance(value, Sdf.AssetPath) else value or ():
+                        yield attribute, time, one
 
 
 def file_of(path: str) -> Path:
@@ -84,13 +88,6 @@ def file_of(path: str) -> Path:
 def name_of(path: str) -> str:
     """The file name of a resolved path, that in the package, where it is packed."""
     return Path(Ar.SplitPackageRelativePathInner(path)[1] or path).name
-
-
-def _values(attribute: Usd.Attribute) -> Iterator[tuple[Usd.Attribute, Usd.TimeCode, Sdf.AssetPath]]:
-    for time in (_DEFAULT, *map(Usd.TimeCode, attribute.GetTimeSamples())):
-        value = attribute.Get(time)
-        for one in [value] if isinstance(value, Sdf.AssetPath) else value or ():
-            yield attribute, time, one
 
 
 def _layer(attribute: Usd.Attribute, time: Usd.TimeCode, *, files: bool = False) -> Sdf.Layer | None:

@@ -35,19 +35,15 @@ def save_parts(parts: FaceParts, path: str | os.PathLike[str]) -> None:
     with texture_home(target) as home, together(target):
         folder = TextureFolder(home)
         textures = {name: folder.add(name, texture.image()) for name, texture in textures_of(parts).items()}
-        stage = author(_with_relative_sources(parts, target.parent), textures)  # the stage keeps its layer alive
+        if parts.recipe is not None:  # its sources as seen from the folder of the face, where they are files
+            sources = tuple(
+                relative_path(source, target.parent) if Path(source).exists() else source
+                for source in parts.recipe.sources
+            )
+            parts = replace(parts, recipe=replace(parts.recipe, sources=sources))
+        stage = author(parts, textures)  # the stage keeps its layer alive
         folder.write()
         save_layer(stage.GetRootLayer(), target, beside=home.parent)
-
-
-def _with_relative_sources(parts: FaceParts, folder: Path) -> FaceParts:
-    """The recipe's sources as seen from the folder that the face is saved in, where they are files."""
-    if parts.recipe is None:
-        return parts
-    sources = tuple(
-        relative_path(source, folder) if Path(source).exists() else source for source in parts.recipe.sources
-    )
-    return replace(parts, recipe=replace(parts.recipe, sources=sources))
 
 
 def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stage:
@@ -66,8 +62,8 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     check_counts(parts.name, counts)
     require_finite(parts, parts.name)
     stage = new_stage(parts.meters_per_unit, parts.up_axis, parts.frames_per_second)
-    root = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}")
-    prim = root.GetPrim()
+    path = UsdSkel.Root.Define(stage, f"/{identifier(parts.name)}").GetPath()
+    prim = stage.GetPrimAtPath(path)
     stage.SetDefaultPrim(prim)
     apply_schema(prim, tokens.FACE_API)
     for name, value in (
@@ -79,7 +75,27 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
         if value:
             put_value(prim, name, value)
     check_photos(parts.name, parts.photos)
-    _author_below(stage, root, parts, textures or {})
+    skeleton = author_skeleton(stage, path.AppendChild(identifier(parts.skeleton.name)), parts.skeleton)
+    if parts.bone_limits:
+        author_limits(skeleton.GetPrim(), parts.bone_limits)
+    scope = path.AppendChild(tokens.MATERIALS_SCOPE)
+    materials = author_materials(stage, scope, parts.materials, textures or {}) if parts.materials else {}
+    taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
+    taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
+    # a mesh called like the Skeleton or a scope would be defined as that very prim
+    names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
+    for mesh, name in zip(parts.meshes, names, strict=True):
+        author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
+    if parts.animations:
+        scope = path.AppendChild(tokens.ANIMATIONS_SCOPE)
+        UsdGeom.Scope.Define(stage, scope)
+        names = unique_identifiers(animation.name for animation in parts.animations)
+        for animation, name in zip(parts.animations, names, strict=True):
+            author_animation(stage, scope.AppendChild(name), animation, parts.skeleton)
+            if animation.name == parts.played:
+                author_source(skeleton.GetPrim(), scope.AppendChild(name))
+        author_time_range(stage, parts.animations)
+    author_photo_changes(prim, (), (), parts.photos)
     check_sliders(parts.name, parts.sliders)
     check_face_network(parts.name, parts)
     author_sliders(prim, parts.sliders)
@@ -88,29 +104,3 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
     if parts.recipe:
         author_recipe(prim, parts.recipe)
     return stage
-
-
-def _author_below(stage: Usd.Stage, root: UsdSkel.Root, parts: FaceParts, textures: dict[str, str]) -> None:
-    path = root.GetPath()
-    skeleton = author_skeleton(stage, path.AppendChild(identifier(parts.skeleton.name)), parts.skeleton)
-    if parts.bone_limits:
-        author_limits(skeleton.GetPrim(), parts.bone_limits)
-    scope = path.AppendChild(tokens.MATERIALS_SCOPE)
-    materials = author_materials(stage, scope, parts.materials, textures) if parts.materials else {}
-    taken = [parts.skeleton.name, tokens.MATERIALS_SCOPE, tokens.ANIMATIONS_SCOPE]
-    taken += [tokens.PHOTOS_SCOPE] if parts.photos else []
-    # a mesh called like the Skeleton or a scope would be defined as that very prim
-    names = unique_identifiers([*taken, *(mesh.name for mesh in parts.meshes)])[len(taken) :]
-    for mesh, name in zip(parts.meshes, names, strict=True):
-        author_mesh(stage, path.AppendChild(name), mesh, skeleton, parts.skeleton.joints, materials)
-    if parts.animations:
-        folder = path.AppendChild(tokens.ANIMATIONS_SCOPE)
-        UsdGeom.Scope.Define(stage, folder)
-        for animation, name in zip(
-            parts.animations, unique_identifiers(animation.name for animation in parts.animations), strict=True
-        ):
-            author_animation(stage, folder.AppendChild(name), animation, parts.skeleton)
-            if animation.name == parts.played:
-                author_source(skeleton.GetPrim(), folder.AppendChild(name))
-        author_time_range(stage, parts.animations)
-    author_photo_changes(root.GetPrim(), (), (), parts.photos)

@@ -8,22 +8,29 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pxr import Sdf, Usd, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.parts import BoneLimits, FaceParts, Mesh, Recipe, Skeleton, Slider
+from facepipe.core.names import unique_identifiers
+from facepipe.parts import FaceParts, Mesh, Recipe, Slider
 from facepipe.stage.animations import author_animation_changes
 from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
-from facepipe.stage.author_mesh import author_mesh_changes, author_other_mesh, author_point_values, check_mesh_change
+from facepipe.stage.author_mesh import (
+    author_mesh,
+    author_mesh_changes,
+    author_other_mesh,
+    author_point_values,
+    check_mesh_change,
+)
 from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.skeleton import author_limits, author_recipe
 from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
-from facepipe.stage.values import require_same, same, to_matrices
+from facepipe.stage.values import matrix, require_same, same, to_matrices
 
 
 def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArray] | None = None) -> tuple[str, ...]:
@@ -40,16 +47,9 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     :raises InputError: NaN, a name that USD can't hold, a difference in a field that stays as it is, or a face that was
         authored on since it was read
     """
-    old, values = face.parts(), dict(primvars or {})
+    old = face.parts()
     _check(face, old, parts)
-    for name, array in values.items():
-        check_property_name(face.where, "primvar", name)
-        count = sum(len(mesh.points) for mesh in face.meshes)
-        if np.shape(array) != (count,):
-            raise InputError(f"{face.where} -> {name}", f"values of shape {np.shape(array)}, expected ({count},)")
-        for mesh, own in zip(face.meshes, _per_mesh(face, array), strict=True):
-            if not np.isfinite(own).all() and not np.isnan(own).all():
-                raise InputError(f"{face.where} -> {mesh.name} -> {name}", "NaN or infinity, expected finite numbers")
+    values = {name: _per_mesh(face, name, array) for name, array in (primvars or {}).items()}
     meshes = [face.mesh_prim(mesh.name).GetPath() for mesh in old.meshes]
     (skeleton,) = _paths(face, UsdSkel.Skeleton)
     animations = _paths(face, UsdSkel.Animation)
@@ -62,9 +62,13 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
         lines += author_mesh_changes(at(path), before, after, at(skeleton), parts.skeleton.joints, shared)
     if lines:
         _hide_extents(at(path) for path in (face.prim.GetPath(), skeleton))
-    lines += _author_point_values(face, meshes, values)
-    lines += _author_skeleton_changes(at(skeleton), old.skeleton, parts.skeleton)
-    lines += _author_limit_changes(at(skeleton), old.bone_limits, parts.bone_limits)
+    for name, split in values.items():
+        for path, mesh, numbers in zip(meshes, face.meshes, split, strict=True):
+            present = read_point_values(at(path), name, len(mesh.points))
+            if not np.isnan(numbers).all() and not same(present, numbers):
+                author_point_values(editable(at(path)), name, numbers)
+                lines.append(f"{mesh.name}: {name}")
+    lines += _author_skeleton_changes(at(skeleton), old, parts)
     prims = [at(path) for path in animations]
     lines += author_animation_changes(face.prim, prims, old.animations, parts.animations, parts.skeleton)
     lines += author_photo_changes(face.prim, [at(path) for path in photos], old.photos, parts.photos)
@@ -90,23 +94,81 @@ def author_mesh_in_place(face: Face, mesh: Mesh) -> None:
     _hide_extents(at(path) for path in (face.prim.GetPath(), skeleton))
 
 
+def author_levels(face: Face, levels: Sequence[Sequence[Mesh]]) -> None:
+    """Author the lower levels of a face over an override layer, which stays at the finest level.
+
+    :param levels: of each level, and of each mesh of the face, what takes its place
+    """
+    at, meshes = face.stage.GetPrimAtPath, [face.mesh_prim(mesh.name).GetPath() for mesh in face.meshes]
+    for path in meshes:
+        editable(at(path))
+    levels_of = face.prim.GetVariantSets().AddVariantSet(tokens.LEVELS)
+    names = [f"{tokens.LEVELS}{number}" for number in range(len(levels) + 1)]
+    for name in names:
+        levels_of.AddVariant(name)
+    for name, level in zip(names[1:], levels, strict=True):
+        levels_of.SetVariantSelection(name)
+        with levels_of.GetVariantEditContext():
+            for path in meshes:
+                at(path).SetActive(False)
+            (skeleton,) = (UsdSkel.Skeleton(at(path)) for path in _paths(face, UsdSkel.Skeleton))
+            materials = {label: UsdShade.Material(at(path)) for path, label in face.material_names.items()}
+            taken = [str(child.GetName()) for child in face.prim.GetAllChildren()]
+            children = unique_identifiers([*taken, *(f"{mesh.name}_{name}" for mesh in level)])[len(taken) :]
+            # meshes are in the world, while the prims to be stand below the face
+            place = UsdGeom.Xformable(face.prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+            to_face = np.linalg.inv(matrix(place))
+            for mesh, child in zip(level, children, strict=True):
+                here = replace(mesh, transform=to_face @ mesh.transform)
+                path = face.prim.GetPath().AppendChild(child)
+                author_mesh(face.stage, path, here, skeleton, face.skeleton.joints, materials)
+    levels_of.SetVariantSelection(names[0])
+
+
 def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
+    """Check, before anything is authored, that what differs can be: joints for a face without, with their transforms.
+
+    :raises TopologyError: other meshes, joints, points or faces, or not one bind and rest transform per joint
+    :raises InputError: NaN, a difference in a field that stays as it is, or joint paths that are not parent first
+    """
     require_finite(new, face.where)
     names = [[mesh.name for mesh in parts.meshes] for parts in (old, new)]
     if names[0] != names[1]:
         raise TopologyError(face.where, f"meshes {', '.join(names[1])}, expected {', '.join(names[0])}")
     for before, after in zip(old.meshes, new.meshes, strict=True):
         check_mesh_change(f"{face.where} -> {before.name}", before, after)
-    _check_skeleton_change(face.where, old.skeleton, new.skeleton)
+    where, skeleton, joints = f"{face.where} -> {old.skeleton.name}", new.skeleton, new.skeleton.joints
+    if old.skeleton.joints and old.skeleton.joints != joints:
+        raise TopologyError(where, "other joints, expected those of the face")
+    for name, transforms in (("bind", skeleton.bind_transforms), ("rest", skeleton.rest_transforms)):
+        if np.shape(transforms) != (len(joints), 4, 4):
+            raise TopologyError(where, f"{name} transforms {np.shape(transforms)}, expected one (4, 4) per joint")
+    if joints and not old.skeleton.joints:
+        valid, reason = UsdSkel.Topology(list(joints)).Validate()
+        if not valid or len(set(joints)) != len(joints) or not all(map(Sdf.Path.IsValidPathString, joints)):
+            what = f"joints that no skeleton can have, expected different paths, parents first {reason}"
+            raise InputError(where, what)
+    require_same(where, old.skeleton, skeleton, ("name", "transform"))
     check_sliders(face.where, new.sliders)
     check_photos(face.where, new.photos)
     check_face_network(face.where, new)
     require_same(face.where, old, new, ("name", "meters_per_unit", "up_axis", "materials"))
 
 
-def _per_mesh(face: Face, values: FloatArray) -> list[FloatArray]:
-    ends = np.cumsum([len(mesh.points) for mesh in face.meshes])
-    return np.split(np.asarray(values), ends[:-1])
+def _per_mesh(face: Face, name: str, values: FloatArray) -> list[FloatArray]:
+    """The values of a primvar mesh by mesh.
+
+    :raises InputError: not one for each point, or neither numbers nor NaN throughout a mesh
+    """
+    check_property_name(face.where, "primvar", name)
+    sizes = [len(mesh.points) for mesh in face.meshes]
+    if np.shape(values) != (sum(sizes),):
+        raise InputError(f"{face.where} -> {name}", f"values of shape {np.shape(values)}, expected ({sum(sizes)},)")
+    split = np.split(np.asarray(values), np.cumsum(sizes)[:-1])
+    for mesh, own in zip(face.meshes, split, strict=True):
+        if not np.isfinite(own).all() and not np.isnan(own).all():
+            raise InputError(f"{face.where} -> {mesh.name} -> {name}", "NaN or infinity, expected finite numbers")
+    return split
 
 
 def _paths(face: Face, schema: type) -> list[Sdf.Path]:
@@ -129,73 +191,35 @@ def _hide_extents(prims: Iterable[Usd.Prim]) -> None:
             put(editable(prim).GetAttribute(name), None)
 
 
-def _author_point_values(face: Face, meshes: list[Sdf.Path], primvars: Mapping[str, FloatArray]) -> list[str]:
-    lines = []
-    for name, values in primvars.items():
-        for path, mesh, numbers in zip(meshes, face.meshes, _per_mesh(face, values), strict=True):
-            prim: Usd.Prim = face.stage.GetPrimAtPath(path)
-            if not np.isnan(numbers).all() and not same(read_point_values(prim, name, len(mesh.points)), numbers):
-                author_point_values(editable(prim), name, numbers)
-                lines.append(f"{mesh.name}: {name}")
-    return lines
-
-
-def _check_skeleton_change(where: str, old: Skeleton, new: Skeleton) -> None:
-    """Check that what differs can be authored over a skeleton: joints for one without, with their transforms.
-
-    :raises TopologyError: other joints than it has, or not one bind and rest transform each
-    :raises InputError: joint paths that are not parent first, or another name or place of the skeleton
-    """
-    where = f"{where} -> {old.name}"
-    if old.joints and old.joints != new.joints:
-        raise TopologyError(where, "other joints, expected those of the face")
-    for name, transforms in (("bind", new.bind_transforms), ("rest", new.rest_transforms)):
-        if np.shape(transforms) != (len(new.joints), 4, 4):
-            raise TopologyError(where, f"{name} transforms {np.shape(transforms)}, expected one (4, 4) per joint")
-    if not old.joints and new.joints:
-        joints = new.joints
-        topology = UsdSkel.Topology(list(joints))
-        valid, reason = topology.Validate()
-        if not valid or len(set(joints)) != len(joints) or not all(map(Sdf.Path.IsValidPathString, joints)):
-            raise InputError(
-                where, f"joints that no skeleton can have, expected different paths, parents first {reason}"
-            )
-    require_same(where, old, new, ("name", "transform"))
-
-
-def _author_skeleton_changes(prim: Usd.Prim, old: Skeleton, new: Skeleton) -> tuple[str, ...]:
-    """Author on a Skeleton prim the joints, bind and rest transforms that differ; the names of these."""
-    added: tuple[str, ...] = ()
-    if old.joints != new.joints:
-        put(UsdSkel.Skeleton(editable(prim)).CreateJointsAttr(), list(new.joints))
-        added = (f"{new.name}: {len(new.joints)} joints",)
-    if old.names != new.names:
+def _author_skeleton_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple[str, ...]:
+    """Author on a Skeleton prim the joints, bind and rest transforms and bone limits that differ; a line for each."""
+    before, after = old.skeleton, new.skeleton
+    lines: tuple[str, ...] = ()
+    if before.joints != after.joints:
+        put(UsdSkel.Skeleton(editable(prim)).CreateJointsAttr(), list(after.joints))
+        lines = (f"{after.name}: {len(after.joints)} joints",)
+    if before.names != after.names:
         skeleton = UsdSkel.Skeleton(editable(prim))
-        names = skeleton.CreateJointNamesAttr() if new.joint_names else skeleton.GetJointNamesAttr()
-        put(names, list(new.joint_names) or None)
-        added = added or (f"{new.name}: names of joints",)
-    pairs = {
-        "bindTransforms": (old.bind_transforms, new.bind_transforms),
-        "restTransforms": (old.rest_transforms, new.rest_transforms),
-    }
-    changed = {name: there for name, (before, there) in pairs.items() if not same(before, there)}
-    for name, transforms in changed.items():
-        put(editable(prim).GetAttribute(name), to_matrices(transforms))
-    return (*added, *(f"{new.name}: {name}" for name in changed))
-
-
-def _author_limit_changes(prim: Usd.Prim, old: BoneLimits | None, new: BoneLimits | None) -> tuple[str, ...]:
-    """Author on a Skeleton prim its bone limits where they differ; a line then."""
-    if same(old, new):
-        return ()
+        names = skeleton.CreateJointNamesAttr() if after.joint_names else skeleton.GetJointNamesAttr()
+        put(names, list(after.joint_names) or None)
+        lines = lines or (f"{after.name}: names of joints",)
+    for name, present, transforms in (
+        ("bindTransforms", before.bind_transforms, after.bind_transforms),
+        ("restTransforms", before.rest_transforms, after.rest_transforms),
+    ):
+        if not same(present, transforms):
+            put(editable(prim).GetAttribute(name), to_matrices(transforms))
+            lines += (f"{after.name}: {name}",)
+    if same(old.bone_limits, new.bone_limits):
+        return lines
     prim = editable(prim)
-    if new is not None:
-        author_limits(prim, new)
-    else:
+    if new.bone_limits is not None:
+        author_limits(prim, new.bone_limits)
+    else:  # a layer over another can't take its values away, so they are blocked
         for name in (tokens.LIMITS_LOWER, tokens.LIMITS_UPPER):
             put_value(prim, name, None)
         remove_schema(prim, tokens.BONE_LIMITS_API)
-    return ("bone limits",)
+    return (*lines, "bone limits")
 
 
 def _author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[Slider]) -> tuple[str, ...]:
@@ -230,6 +254,7 @@ def _author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tupl
         if before != after:
             put_value(prim, name, after)
             lines.append(line)
+    # options are compared as the text that the stage holds, in which lists and tuples are one
     if _content(old.recipe) != _content(new.recipe):
         if new.recipe is not None:
             author_recipe(prim, new.recipe)

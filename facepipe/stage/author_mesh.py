@@ -52,12 +52,12 @@ def author_regions(prim: Usd.Prim, mesh: Mesh) -> None:
         if name not in instances(prim, tokens.REGION_API):
             apply_schema(prim, tokens.REGION_API, name)
         primvar = api.GetPrimvar(tokens.REGION_PRIMVAR + name)
-        if not _holds(primvar, mask):
-            kind = Sdf.ValueTypeNames.FloatArray
-            primvar = api.CreatePrimvar(tokens.REGION_PRIMVAR + name, kind, UsdGeom.Tokens.vertex)
-            primvar.Set(to_floats(mask))
-            if primvar.IsIndexed():
-                primvar.BlockIndices()
+        plain = primvar and primvar.HasAuthoredValue() and not primvar.IsIndexed()
+        kind = (primvar.GetTypeName(), primvar.GetInterpolation()) if plain else None
+        if kind != (Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex) or not np.array_equal(
+            floats(primvar.Get()), np.asarray(mask, dtype=np.float32)
+        ):
+            author_point_values(prim, tokens.REGION_PRIMVAR + name, mask)
     for primvar in api.GetPrimvarsWithAuthoredValues():
         name = str(primvar.GetPrimvarName())
         if name.startswith(tokens.REGION_PRIMVAR) and name.removeprefix(tokens.REGION_PRIMVAR) not in mesh.regions:
@@ -80,7 +80,7 @@ def author_region_subsets(prim: Usd.Prim, subsets: dict[str, IntArray], removed:
         if child and not child.IsA(UsdGeom.Subset):
             raise InputError(child.GetPath(), f"is a {child.GetTypeName()}, expected a GeomSubset for the region")
         if child and not child.IsActive():
-            child.SetActive(True)
+            child.SetActive(True)  # of a region that was removed before: a layer can't define it once more
         old = UsdGeom.Subset(child).GetIndicesAttr().Get() if child else None
         if old is None or not np.array_equal(ints(old), indices):
             UsdGeom.Subset.CreateGeomSubset(
@@ -90,14 +90,6 @@ def author_region_subsets(prim: Usd.Prim, subsets: dict[str, IntArray], removed:
         child = prim.GetChild(name)
         if child and child.IsA(UsdGeom.Subset):
             child.SetActive(False)
-
-
-def _holds(primvar: UsdGeom.Primvar, mask: FloatArray) -> bool:
-    if not primvar or not primvar.HasAuthoredValue() or primvar.IsIndexed():
-        return False
-    plain = primvar.GetTypeName() == Sdf.ValueTypeNames.FloatArray
-    vertex = primvar.GetInterpolation() == UsdGeom.Tokens.vertex
-    return plain and vertex and np.array_equal(floats(primvar.Get()), np.asarray(mask, dtype=np.float32))
 
 
 def _check_writable(prim: Usd.Prim) -> None:
@@ -137,7 +129,20 @@ def author_mesh(
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
     author_regions(prim.GetPrim(), mesh)
     names = _ChildNames(mesh)
-    _author_materials(prim, mesh, materials, names.material_faces)
+
+    def bind(target: Usd.Prim, material: str) -> None:
+        if material not in materials:
+            raise InputError(prim.GetPath(), f"no material '{material}'")
+        UsdShade.MaterialBindingAPI.Apply(target).Bind(materials[material])
+
+    if mesh.material:
+        bind(prim.GetPrim(), mesh.material)
+    if mesh.material_faces:
+        api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
+        for name, part in zip(names.material_faces, mesh.material_faces, strict=True):
+            bind(api.CreateMaterialBindSubset(name, to_ints(part.faces)).GetPrim(), part.material)
+        whole = sum(len(part.faces) for part in mesh.material_faces) == len(mesh.face_vertex_counts)
+        api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
     if mesh.skin or mesh.blendshapes:
         binding = UsdSkel.BindingAPI.Apply(prim.GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
@@ -195,26 +200,6 @@ def author_normals(prim: UsdGeom.Mesh, normals: FloatArray) -> None:
     per_point = len(normals) == len(prim.GetPointsAttr().Get())
     prim.CreateNormalsAttr(to_vec3f(normals))
     prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex if per_point else UsdGeom.Tokens.faceVarying)
-
-
-def _author_materials(
-    prim: UsdGeom.Mesh, mesh: Mesh, materials: Mapping[str, UsdShade.Material], names: Sequence[str]
-) -> None:
-    def bind(target: Usd.Prim, name: str) -> None:
-        if name not in materials:
-            raise InputError(prim.GetPath(), f"no material '{name}'")
-        UsdShade.MaterialBindingAPI.Apply(target).Bind(materials[name])
-
-    if mesh.material:
-        bind(prim.GetPrim(), mesh.material)
-    if mesh.material_faces:
-        api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
-        for name, material_face in zip(names, mesh.material_faces, strict=True):
-            subset = api.CreateMaterialBindSubset(name, to_ints(material_face.faces))
-            bind(subset.GetPrim(), material_face.material)
-        covered = sum(len(material_face.faces) for material_face in mesh.material_faces)
-        whole = covered == len(mesh.face_vertex_counts)
-        api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
 
 
 def author_skin(prim: Usd.Prim, skin: Skin, joints: Sequence[str], present: Skin | None = None) -> None:
@@ -282,8 +267,13 @@ def author_mesh_changes(
         put(mesh.CreateExtentAttr(), UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()) or [])
         lines.append("points")
     if not same(old.normals, new.normals):
-        # parts have faces wound counter-clockwise; face-varying normals follow the corners as the prim winds them
-        _author_normals(mesh, turned(new) if is_left_handed(mesh) else new)
+        put(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals").GetAttr(), None)  # it would win over the attribute
+        if new.normals is None:
+            put(mesh.GetNormalsAttr(), None)
+        else:
+            mesh.GetNormalsAttr().Clear()
+            # parts have faces wound counter-clockwise; face-varying normals follow the corners as the prim winds them
+            author_normals(mesh, np.asarray((turned(new) if is_left_handed(mesh) else new).normals))
         lines.append("normals")
     if new.blendshapes or (new.skin and joints):
         if not prim.HasAPI(UsdSkel.BindingAPI):
@@ -322,16 +312,6 @@ def author_other_mesh(
     put(mesh.CreateFaceVertexIndicesAttr(), to_ints(new.face_vertex_indices))
     _author_uv_sets(mesh, new)
     author_mesh_changes(mesh.GetPrim(), old, new, skeleton, joints, shared)
-
-
-def _author_normals(mesh: UsdGeom.Mesh, new: Mesh) -> None:
-    """Normals in the one attribute that holds them; primvars:normals would win over it."""
-    put(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals").GetAttr(), None)
-    if new.normals is None:
-        put(mesh.GetNormalsAttr(), None)
-    else:
-        mesh.GetNormalsAttr().Clear()
-        author_normals(mesh, new.normals)
 
 
 def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:

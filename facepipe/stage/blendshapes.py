@@ -15,7 +15,7 @@ from facepipe.parts import Blendshape, Inbetween
 from facepipe.stage.api_schemas import put
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.prims import author_name, editable, label
-from facepipe.stage.values import floats, ints, same, to_ints, to_vec3f
+from facepipe.stage.values import check_inside, floats, ints, same, to_ints, to_vec3f
 
 MOST_INBETWEENS = 100  # of a shape: each is a curve through the weights of all
 
@@ -56,8 +56,7 @@ def _read(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blen
         raise TopologyError(where, f"{count} offsets without pointIndices, expected {points}")
     if others and not len(offsets):  # UsdSkel moves no point by the shape itself
         offsets = np.zeros((len(indices), 3), np.float32)
-    if indices.size and not (indices.min() >= 0 and indices.max() < points):
-        raise TopologyError(where, f"pointIndices outside 0..{points - 1}")
+    check_inside(where, "pointIndices", indices, points)
     unique, place = np.unique(indices, return_inverse=True)
     merge = _Merge(where, len(indices), len(unique), place)
     return Blendshape(
@@ -82,26 +81,20 @@ def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ..
         # UsdSkel has the neutral at 0 and the shape at 1: another sculpt there would be a second value at one weight
         if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
             raise SchemaError(where, f"weight {weight}, expected a number other than 0 and 1")
-        normals = inbetween.GetNormalOffsets()
+        normals, offsets = inbetween.GetNormalOffsets(), floats(inbetween.GetOffsets(), 3)
+        if normals and not len(offsets):  # it turns normals alone
+            offsets = np.zeros((merge.count, 3), np.float32)
         parts.append(
             Inbetween(
                 name=name,
                 weight=float(weight),
-                offsets=_inbetween_offsets(merge, name, inbetween),
+                offsets=merge(f"inbetweens:{name}", offsets),
                 normal_offsets=merge.optional(f"inbetweens:{name}:normalOffsets", normals),
             )
         )
     if len({part.weight for part in parts}) != len(parts):
         raise SchemaError(merge.where, "two inbetweens have the same weight")
     return tuple(sorted(parts, key=lambda inbetween: inbetween.weight))
-
-
-def _inbetween_offsets(merge: _Merge, name: str, inbetween: UsdSkel.InbetweenShape) -> FloatArray:
-    """Zeros for an inbetween that turns normals alone."""
-    offsets = floats(inbetween.GetOffsets(), 3)
-    if not len(offsets) and inbetween.GetNormalOffsets():
-        offsets = np.zeros((merge.count, 3), np.float32)
-    return merge(f"inbetweens:{name}", offsets)
 
 
 class _Merge:
@@ -170,24 +163,22 @@ def _author_change(
     prim: Usd.Prim, shape: Blendshape, present: Blendshape | None, path: Sdf.Path | None, shared: Collection[Sdf.Path]
 ) -> tuple[Sdf.Path, list[str]]:
     """The target of the shape, and a line where it was authored."""
-    if present is None or path is None:
-        return _define(prim, shape, _free_name(prim, shape.name)), [f"{shape.name}: added"]
-    if same(shape, present):
+    known = None if path is None else present
+    if known is not None and path is not None and same(shape, known):
         return path, []
-    lost = {inbetween.name for inbetween in present.inbetweens} - {inbetween.name for inbetween in shape.inbetweens}
+    lost = {inbetween.name for inbetween in known.inbetweens} if known else set()
+    lost -= {inbetween.name for inbetween in shape.inbetweens}
     # UsdSkel still applies an inbetween whose value is blocked
-    if lost or path in shared:
-        return _define(prim, shape, _free_name(prim, shape.name)), [f"{shape.name}: replaced"]
+    if known is None or path is None or lost or path in shared:
+        taken = [str(child.GetName()) for child in prim.GetAllChildren()]
+        target = _define(prim, shape, unique_identifiers([*taken, shape.name])[-1])
+        return target, [f"{shape.name}: {'added' if known is None else 'replaced'}"]
     target = UsdSkel.BlendShape(editable(prim.GetStage().GetPrimAtPath(path)))
     authored = ints(target.GetPointIndicesAttr().Get())
-    dense = not authored.size and same(present.point_indices, np.arange(len(present.offsets), dtype=np.int32))
-    as_read = dense or same(authored, present.point_indices)  # else sorted or merged by the reader
-    fields = _author(target, shape, present if as_read else None)
+    dense = not authored.size and same(known.point_indices, np.arange(len(known.offsets), dtype=np.int32))
+    as_read = dense or same(authored, known.point_indices)  # else sorted or merged by the reader
+    fields = _author(target, shape, known if as_read else None)
     return path, [f"{shape.name}: {', '.join(fields)}"] if fields else []
-
-
-def _free_name(prim: Usd.Prim, name: str) -> str:
-    return unique_identifiers([*(str(child.GetName()) for child in prim.GetAllChildren()), name])[-1]
 
 
 def _define(prim: Usd.Prim, shape: Blendshape, name: str) -> Sdf.Path:
@@ -222,25 +213,19 @@ def _author(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape |
     there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
     fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
     names = iter(unique_identifiers([*there, *fresh])[len(there) :])
-    for name, inbetween in zip(
-        [inbetween.name if inbetween.name in there else next(names) for inbetween in shape.inbetweens],
-        shape.inbetweens,
-        strict=True,
-    ):
-        if not same(inbetween, known.get(inbetween.name)):
-            _author_inbetween(target, name, inbetween, known.get(inbetween.name))
-            written.append(f"inbetween {inbetween.name}")
+    for new in shape.inbetweens:
+        name, before = new.name if new.name in there else next(names), known.get(new.name)
+        if same(new, before):
+            continue
+        inbetween = target.CreateInbetween(name)
+        if before is None or not same(float(new.weight), before.weight):
+            inbetween.SetWeight(float(new.weight))
+        if before is None or not same(new.offsets, before.offsets):
+            inbetween.SetOffsets(to_vec3f(new.offsets))
+        if before is None or not same(_some(new.normal_offsets), before.normal_offsets):
+            _put_normals(inbetween.CreateNormalOffsetsAttr, inbetween.GetNormalOffsetsAttr(), new.normal_offsets)
+        written.append(f"inbetween {new.name}")
     return written
-
-
-def _author_inbetween(target: UsdSkel.BlendShape, name: str, new: Inbetween, present: Inbetween | None) -> None:
-    inbetween = target.CreateInbetween(name)
-    if present is None or not same(float(new.weight), present.weight):
-        inbetween.SetWeight(float(new.weight))
-    if present is None or not same(new.offsets, present.offsets):
-        inbetween.SetOffsets(to_vec3f(new.offsets))
-    if present is None or not same(_some(new.normal_offsets), present.normal_offsets):
-        _put_normals(inbetween.CreateNormalOffsetsAttr, inbetween.GetNormalOffsetsAttr(), new.normal_offsets)
 
 
 def _put_normals(

@@ -42,16 +42,16 @@ from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, open_stage, over
 from facepipe.stage.guard import errors_below, usd_errors
-from facepipe.stage.materials import Images, read_material
+from facepipe.stage.levels import level_names, stage_at
+from facepipe.stage.materials import Images, author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
+from facepipe.stage.textures import NewTextures, save_standalone
 
 if TYPE_CHECKING:
     import trimesh
-
-    from facepipe.stage.textures import NewTextures
 
 Read = TypeVar("Read")
 
@@ -67,13 +67,20 @@ class Face:
         :raises InputError: more prims than a face can have
         """
         self.stage = stage
-        self.prim = prim or _find(stage)
+        if prim is None:
+            first = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
+            prim = next((one for one in (*first, *stage.Traverse()) if is_applied(one, tokens.FACE_API)), None)
+        if prim is None:
+            file = Path(stage.GetRootLayer().realPath or "stage").name
+            what = "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files"
+            raise SchemaError(file, what)
+        self.prim = prim
         made_by = str(self.prim.GetAttribute(tokens.VERSION).Get() or "0")
         major = made_by.partition(".")[0]
         if major.isdecimal() and int(major) > int(__version__.partition(".")[0]):
             raise SchemaError(self.where, f"made by facepipe {made_by}, expected {__version__} or older")
         check_units(self.where, self.stage)
-        below = list(self._below())
+        below = list(self._below())  # counted before anything is read: damaged files promise more than memory holds
         check_kinds(below, self.where)
         check_arrays(below, self.where)
         skeletons = [prim for prim in below if prim.IsA(UsdSkel.Skeleton)]
@@ -88,7 +95,6 @@ class Face:
     def from_parts(cls, parts: FaceParts) -> Face:
         """A face authored on a stage in memory, which names its textures; `save` needs a file (`save_parts`)."""
         from facepipe.stage.author import author
-        from facepipe.stage.materials import textures_of
 
         face = cls(author(parts))
         if textures_of(parts):
@@ -137,20 +143,15 @@ class Face:
                 raise SchemaError(self.where, f"is of type '{self.prim.GetTypeName()}', expected SkelRoot")
             cache.Populate(root, INSTANCES)
             bound = cache.ComputeSkelBindings(root, INSTANCES)
-            bindings, materials = (
-                {
-                    str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
-                    for binding in bound
-                    for query in binding.GetSkinningTargets()
-                },
-                dict(self.material_names),
-            )
-            return self._finite(
-                tuple(
-                    read_mesh(prim, name, bindings.get(str(prim.GetPath())), materials)
-                    for prim, name in zip(prims, own, strict=True)
-                )
-            )
+            # as UsdSkel binds them, which looks at what is inherited; a mesh that it skips is not deformed by it either
+            bindings = {
+                str(query.GetPrim().GetPath()): Binding(query, self.skeleton.joints)
+                for binding in bound
+                for query in binding.GetSkinningTargets()
+            }
+            rows = zip(prims, own, strict=True)
+            read = [read_mesh(one, name, bindings.get(str(one.GetPath())), self.material_names) for one, name in rows]
+            return self._finite(tuple(read))
 
     @cached_property
     def skeleton(self) -> Skeleton:
@@ -202,7 +203,7 @@ class Face:
         """Photos that it was fitted to."""
         with errors_below(self.where):
             cameras = [prim for prim in self._below() if prim.IsA(UsdGeom.Camera)]
-            if not cameras:
+            if not cameras:  # most faces: their export loads one module less
                 return ()
             from facepipe.stage.photos import is_photo, read_photo
 
@@ -221,8 +222,6 @@ class Face:
     @property
     def levels(self) -> tuple[str, ...]:
         """Names of its levels of detail, finest first, itself included; none for most faces."""
-        from facepipe.stage.levels import level_names
-
         return level_names(self.prim)
 
     def at_level(self, number: int) -> Face:
@@ -230,8 +229,6 @@ class Face:
 
         :raises InputError: no such level
         """
-        from facepipe.stage.levels import stage_at
-
         names = self.levels
         if not 0 <= number < len(names):
             expected = f"expected 0 to {len(names) - 1}" if names else "the face has none (`facepipe lod` makes some)"
@@ -407,8 +404,6 @@ class Face:
 
         :raises InputError: `path` can't be written, is the source itself, or the source was never saved
         """
-        from facepipe.stage.textures import NewTextures, save_standalone
-
         target, base = Path(path).absolute(), self.stage.GetRootLayer()
         flatten = flatten or target.suffix.lower() == ".usdz"
         if not (flatten or base.realPath):
@@ -437,8 +432,6 @@ class Face:
         :param field: of `Material`
         :raises InputError: no layer is being made, no such material, or one without a texture
         """
-        from facepipe.stage.materials import author_texture
-
         if self._new_textures is None:
             raise InputError(self.where, "no layer to put textures on, expected a face within `deriving`")
         paths = {label: path for path, label in self.material_names.items()}
@@ -452,10 +445,8 @@ class Face:
 
     def parts_so_far(self) -> FaceParts:
         """The parts with what is authored so far within `deriving`, new textures too."""
-        parts, shown = (
-            Face(self.stage, self.prim).parts(),
-            {} if self._new_textures is None else self._new_textures.shown,
-        )
+        parts = Face(self.stage, self.prim).parts()
+        shown = {} if self._new_textures is None else self._new_textures.shown
         changes: dict[str, dict[str, Any]] = {material.name: {} for material in parts.materials}
         for (material, field), texture in shown.items():
             source = next(getattr(candidate, field) for candidate in parts.materials if candidate.name == material)
@@ -464,8 +455,6 @@ class Face:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""
-        from facepipe.stage.textures import save_standalone
-
         save_standalone(self.stage, path)
 
     def mesh_prim(self, name: str) -> Usd.Prim:
@@ -502,15 +491,6 @@ def animation_prims(face: Face) -> dict[str, Usd.Prim]:
     """The SkelAnimations below a face, by what each is called."""
     prims = [prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Animation)]
     return dict(zip(distinct_names(prims, [str(prim.GetPath()) for prim in prims]), prims, strict=True))
-
-
-def _find(stage: Usd.Stage) -> Usd.Prim:
-    prims = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
-    for prim in prims + list(stage.Traverse()):
-        if is_applied(prim, tokens.FACE_API):
-            return prim
-    name = Path(stage.GetRootLayer().realPath or "stage").name
-    raise SchemaError(name, "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files")
 
 
 def open_face(path: str | os.PathLike[str]) -> Face:

@@ -127,7 +127,7 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
     with replacing(target) as temporary, quiet_diagnostics():
         try:
             if target.suffix.lower() == ".usdz":
-                # A .usdz of the layer and of the files in `folder` that it names, and of no others
+                # of the layer and of the files in `beside` that it names, and of no others
                 for name in layer.GetCompositionAssetDependencies():
                     raise ExportError(target, f"a .usdz package can't hold the reference @{name}@; flatten first")
                 named: dict[str, None] = {}
@@ -161,15 +161,15 @@ def save_layer(layer: Sdf.Layer, path: str | os.PathLike[str], *, beside: Path |
                 raise ExportError(target, "USD could not write the layer")
         except USD_ERRORS as error:
             raise ExportError(target, f"can't be written: {reason(error)}") from None
-    when_placed(lambda: _forget(target))
 
+    def reload() -> None:
+        """USD keeps layers by path: what is open from there sees the new content."""
+        opened = Sdf.Layer.Find(str(target))
+        if opened is not None:
+            with quiet_diagnostics():
+                opened.Reload(force=True)
 
-def _forget(path: Path) -> None:
-    """USD keeps layers by path: what is open from `path` sees the new content."""
-    layer = Sdf.Layer.Find(str(path))
-    if layer is not None:
-        with quiet_diagnostics():
-            layer.Reload(force=True)
+    when_placed(reload)
 
 
 def new_stage(meters_per_unit: float, up_axis: str, frames_per_second: float = 24.0) -> Usd.Stage:

@@ -90,8 +90,19 @@ def _texture(shader: UsdShade.Shader, name: str, images: Images) -> TextureInput
     asset = file.Get() if file else None
     if asset is None:
         return None
+    where = f"{source.GetPath()}.inputs:file"
+    if not isinstance(asset, Sdf.AssetPath):
+        raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
+    if asset.resolvedPath not in images:
+        images[asset.resolvedPath] = read_image(asset)
+    data = images[asset.resolvedPath]
+    if data is None:
+        missing = not asset.resolvedPath
+        raise InputError(where, f"texture @{asset.path}@ can't be found" if missing else f"@{asset.path}@ is no image")
+    # a face with an image that may not be copied can be read all the same: who writes the image raises the refusal
+    refusal = copy_refusal(where, file, asset)
     return TextureInput(
-        texture=_image(source, file, asset, images),
+        texture=Texture(name=name_of(asset.resolvedPath), data=b"" if refusal else data, refusal=refusal),
         channels=given.GetName().rpartition(":")[2],
         uv_set=_uv_set(source),
         scale=_four(_value(source, "scale", (1, 1, 1, 1))),
@@ -115,20 +126,6 @@ def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
     if name == "st" and reader.GetShaderId() == "UsdTransform2d":
         return _uv_set(reader, "in")
     return str(_value(reader, "varname", "st"))
-
-
-def _image(shader: UsdShade.Shader, file: Usd.Attribute, asset: Any, images: Images) -> Texture:
-    where = f"{shader.GetPath()}.inputs:file"
-    if not isinstance(asset, Sdf.AssetPath):
-        raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
-    if asset.resolvedPath not in images:
-        images[asset.resolvedPath] = read_image(asset)
-    data = images[asset.resolvedPath]
-    if data is None:
-        missing = not asset.resolvedPath
-        raise InputError(where, f"texture @{asset.path}@ can't be found" if missing else f"@{asset.path}@ is no image")
-    name, refusal = name_of(asset.resolvedPath), copy_refusal(where, file, asset)
-    return Texture(name=name, data=b"" if refusal else data, refusal=refusal)
 
 
 _COLOR_FIELDS = ("diffuse_color", "emissive_color")
@@ -204,37 +201,27 @@ def author_materials(
     """Define materials under `scope`; the material by its name in parts."""
     UsdGeom.Scope.Define(stage, scope)
     names = unique_identifiers(material.name for material in materials)
-    return {
-        material.name: _author(stage, scope.AppendChild(name), material, textures)
-        for material, name in zip(materials, names, strict=True)
-    }
-
-
-def _author(stage: Usd.Stage, path: Sdf.Path, material: Material, textures: dict[str, str]) -> UsdShade.Material:
-    prim = UsdShade.Material.Define(stage, path)
-    author_name(prim.GetPrim(), material)
-    surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
-    surface.CreateIdAttr("UsdPreviewSurface")
-    prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-    default = Material(name="")
-    for field, name in _USD_NAMES.items():
-        value = getattr(material, field)
-        if value == getattr(default, field):
-            continue
-        kind = _kind(field)
-        given = surface.CreateInput(name, kind)
-        if isinstance(value, TextureInput):
-            texture = _author_texture(stage, path.AppendChild(f"{name}_texture"), value, field, textures)
-            given.ConnectToSource(texture.ConnectableAPI(), value.channels)
-        else:
-            given.Set(Gf.Vec3f(*value) if field in _COLOR_FIELDS else float(value))
-    return prim
-
-
-def _kind(field: str) -> Sdf.ValueTypeName:
-    if field == "normal":
-        return Sdf.ValueTypeNames.Normal3f
-    return Sdf.ValueTypeNames.Color3f if field in _COLOR_FIELDS else Sdf.ValueTypeNames.Float
+    default, prims = Material(name=""), {}
+    for material, own in zip(materials, names, strict=True):
+        path = scope.AppendChild(own)
+        prim = UsdShade.Material.Define(stage, path)
+        author_name(prim.GetPrim(), material)
+        surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
+        surface.CreateIdAttr("UsdPreviewSurface")
+        prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        for field, name in _USD_NAMES.items():
+            value = getattr(material, field)
+            if value == getattr(default, field):
+                continue
+            kind = Sdf.ValueTypeNames.Normal3f if field == "normal" else Sdf.ValueTypeNames.Float
+            given = surface.CreateInput(name, Sdf.ValueTypeNames.Color3f if field in _COLOR_FIELDS else kind)
+            if isinstance(value, TextureInput):
+                texture = _author_texture(stage, path.AppendChild(f"{name}_texture"), value, field, textures)
+                given.ConnectToSource(texture.ConnectableAPI(), value.channels)
+            else:
+                given.Set(Gf.Vec3f(*value) if field in _COLOR_FIELDS else float(value))
+        prims[material.name] = prim
+    return prims
 
 
 def _author_texture(

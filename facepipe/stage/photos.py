@@ -56,31 +56,30 @@ def author_photo_changes(
 
 
 def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
-    stage = camera.GetPrim().GetStage()
-    above = matrix(UsdGeom.XformCache().GetParentToWorldTransform(camera.GetPrim()))
+    prim = camera.GetPrim()
+    above = matrix(UsdGeom.XformCache().GetParentToWorldTransform(prim))
     if not abs(np.linalg.det(above)) > 0:
         raise InputError(camera.GetPath(), "stands below a transform that can't be inverted")
     place = camera.MakeMatrixXform().GetAttr()
     put(place, to_matrix(np.linalg.inv(above) @ np.asarray(photo.transform, dtype=np.float64)))
-    meters_per_unit = UsdGeom.GetStageMetersPerUnit(stage)
-    # a pixel is a power of two of them, so that float32 holds its multiples as exactly as it holds pixels; the longer
-    # side comes to 25 to 51 mm
-    pixel = 2.0 ** round(math.log2(_FILM_METRES / meters_per_unit * _TENTHS_A_UNIT / max(photo.width, photo.height)))
-    film = _Film(
-        photo.focal * pixel,
-        photo.width * pixel,
-        photo.height * pixel,
-        (photo.width / 2 - photo.center[0]) * pixel,
-        (photo.center[1] - photo.height / 2) * pixel,
-    )
+    # a pixel is a power of two of tenths of a unit, so that float32 holds its multiples as exactly as it holds pixels;
+    # the longer side comes to 25 to 51 mm
+    film = _FILM_METRES / UsdGeom.GetStageMetersPerUnit(prim.GetStage()) * _TENTHS_A_UNIT
+    pixel = 2.0 ** round(math.log2(film / max(photo.width, photo.height)))
     put(camera.CreateProjectionAttr(), UsdGeom.Tokens.perspective)
-    for name, value in zip(_FILM_ATTRIBUTES, film, strict=True):
-        put(camera.GetPrim().GetAttribute(name), value)
+    for name, pixels in zip(
+        _FILM_ATTRIBUTES,
+        _Film(
+            photo.focal,
+            photo.width,
+            photo.height,
+            photo.width / 2 - photo.center[0],
+            photo.center[1] - photo.height / 2,
+        ),
+        strict=True,
+    ):
+        put(prim.GetAttribute(name), pixels * pixel)
     put(camera.CreateClippingRangeAttr(), Gf.Vec2f(*photo.clipping))
-    _write_photo(camera.GetPrim(), photo)
-
-
-def _write_photo(prim: Usd.Prim, photo: PhotoView) -> None:
     apply_schema(prim, tokens.PHOTO_API)
     names, key = sorted(photo.tint), photo.key
     for name, value in (
@@ -195,7 +194,6 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
     # wide as high, as the width says.
     across, up = film.horizontal_aperture / width, film.vertical_aperture / height
     center = (width / 2 - film.horizontal_offset / across, height / 2 + film.vertical_offset / up)
-    focal, center = film.focal_length / across, center
     near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
     photo = PhotoView(
         name=str(prim.GetName()),
@@ -203,7 +201,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
         width=width,
         height=height,
         transform=matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
-        focal=focal,
+        focal=film.focal_length / across,
         center=center,
         clipping=(float(near), float(far)),
         light=floats(value(tokens.PHOTO_LIGHT), 3),

@@ -17,7 +17,7 @@ from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.blendshapes import read_blendshapes
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.prims import data_label, label
-from facepipe.stage.values import floats, ints, matrix
+from facepipe.stage.values import check_inside, floats, ints, matrix
 
 UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
 _FLOAT_ARRAYS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
@@ -52,20 +52,27 @@ def read_mesh(
     # the sum is not enough: counts of 5 and -1 fit four corners
     if (counts.size and (counts.min() < 0 or counts.sum() != len(indices))) or (not counts.size and indices.size):
         raise TopologyError(where, f"face counts ask for {counts.sum()} corners, got {len(indices)}")
-    if indices.size and not (indices.min() >= 0 and indices.max() < len(points)):
-        raise TopologyError(where, f"faceVertexIndices outside 0..{len(points) - 1}")
+    check_inside(where, "faceVertexIndices", indices, len(points))
     if not np.isfinite(points).all():
         raise SchemaError(where, "points hold NaN or infinity, expected finite numbers")
     whole, by_face = _materials(prim, material_names)
+    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")  # wins over the attribute, as USD says
+    authored = primvar and primvar.HasAuthoredValue()
+    normals = floats(primvar.ComputeFlattened() if authored else mesh.GetNormalsAttr().Get(), 3)
+    fitting = len(normals) and len(normals) in (len(points), len(indices)) and np.isfinite(normals).all()
+    primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
+    colors = floats(primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None, 3)
+    shown = len(colors) == 1 or len(colors) == len(points) > 0  # one colour is that of all points
+    anchor = prim.GetAttribute(tokens.ANCHOR).Get()
     result = Mesh(
         name=name,
         points=points,
         face_vertex_counts=counts,
         face_vertex_indices=indices,
         transform=matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
-        normals=_normals(mesh, len(points), len(indices)),
+        normals=normals if fitting else None,
         uv_sets=_uv_sets(prim, len(points), len(indices)),
-        colors=_colors(prim, len(points)),
+        colors=np.repeat(colors, len(points) // len(colors), axis=0) if shown else None,
         skin=_skin(where, len(points), binding) if binding else None,
         blendshapes=read_blendshapes(prim, len(points))
         if unbound_shapes or (binding is not None and bool(binding.query.HasBlendShapes()))
@@ -73,7 +80,7 @@ def read_mesh(
         regions=_regions(prim, len(points)),
         point_subsets=_point_subsets(prim, len(points)),
         landmarks=_landmarks(prim, len(points)),
-        anchor=_anchor(prim),
+        anchor=int(anchor) if anchor is not None and anchor >= 0 else None,
         material=whole,
         material_faces=by_face,
         double_sided=bool(mesh.GetDoubleSidedAttr().Get()),
@@ -91,15 +98,6 @@ def read_point_values(prim: Usd.Prim, name: str, points: int) -> FloatArray:
     return values if len(values) == points else np.full(points, np.nan, dtype=np.float32)
 
 
-def _normals(mesh: UsdGeom.Mesh, points: int, corners: int) -> FloatArray | None:
-    primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
-    value = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else mesh.GetNormalsAttr().Get()
-    if not value:
-        return None
-    normals = floats(value, 3)
-    return normals if len(normals) in (points, corners) and np.isfinite(normals).all() else None
-
-
 def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
     uv_sets = []
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
@@ -113,8 +111,8 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
         where = f"{prim.GetPath()}.{primvar.GetAttr().GetName()}"
         if len(values if indices is None else indices) != expected:
             raise TopologyError(where, f"{len(values if indices is None else indices)} values, expected {expected}")
-        if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
-            raise TopologyError(where, f"indices outside 0..{len(values) - 1}")
+        if indices is not None:
+            check_inside(where, "indices", indices, len(values))
         if per_point:
             uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
         else:
@@ -122,15 +120,6 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
             corner = np.arange(corners, dtype=np.int32) if indices is None else indices
             uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
     return tuple(uv_sets)
-
-
-def _colors(prim: Usd.Prim, points: int) -> FloatArray | None:
-    primvar = UsdGeom.Gprim(prim).GetDisplayColorPrimvar()
-    value = primvar.ComputeFlattened() if primvar and primvar.HasAuthoredValue() else None
-    colors = floats(value, 3)
-    if len(colors) == 1:
-        return np.repeat(colors, points, axis=0)
-    return colors if len(colors) == points and points else None
 
 
 def _skin(where: str, points: int, binding: Binding) -> Skin | None:
@@ -154,8 +143,7 @@ def _skin(where: str, points: int, binding: Binding) -> Skin | None:
     order = query.GetJointOrder()
     names = tuple(str(joint) for joint in order) if order else joints
     used = weights != 0
-    if used.any() and not (indices[used].min() >= 0 and indices[used].max() < len(names)):
-        raise TopologyError(where, f"joint indices outside 0..{len(names) - 1}")
+    check_inside(where, "joint indices", indices[used], len(names))
     place = {joint: i for i, joint in enumerate(joints)}
     missing = [joint for joint in names if joint not in place]
     if missing:
@@ -187,8 +175,7 @@ def _point_subsets(prim: Usd.Prim, points: int) -> dict[str, npt.NDArray[np.int3
     for subset in UsdGeom.Subset.GetAllGeomSubsets(UsdGeom.Imageable(prim)):
         if subset.GetElementTypeAttr().Get() == UsdGeom.Tokens.point:
             indices = ints(subset.GetIndicesAttr().Get())
-            if indices.size and not (indices.min() >= 0 and indices.max() < points):
-                raise TopologyError(str(subset.GetPath()), f"indices outside 0..{points - 1}")
+            check_inside(subset.GetPath(), "indices", indices, points)
             subsets[subset.GetPrim().GetName()] = indices
     return subsets
 
@@ -200,16 +187,10 @@ def _landmarks(prim: Usd.Prim, points: int) -> dict[str, Landmarks]:
         if name.endswith(":indices") and attribute.HasAuthoredValue():
             scheme = name.removeprefix(tokens.LANDMARKS_PREFIX).removesuffix(":indices")
             indices = ints(attribute.Get())
-            if indices.size and not (indices.min() >= 0 and indices.max() < points):
-                raise TopologyError(f"{prim.GetPath()}.{name}", f"indices outside 0..{points - 1}")
+            check_inside(f"{prim.GetPath()}.{name}", "indices", indices, points)
             names = prim.GetAttribute(f"{tokens.LANDMARKS_PREFIX}{scheme}:names").Get() or ()
             schemes[scheme] = Landmarks(indices=indices, names=tuple(str(landmark) for landmark in names))
     return schemes
-
-
-def _anchor(prim: Usd.Prim) -> int | None:
-    value = prim.GetAttribute(tokens.ANCHOR).Get()
-    return int(value) if value is not None and value >= 0 else None
 
 
 def _materials(prim: Usd.Prim, names: Mapping[str, str]) -> tuple[str | None, tuple[MaterialFaces, ...]]:

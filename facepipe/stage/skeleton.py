@@ -35,11 +35,15 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
             raise TopologyError(f"{where}.{name}", f"{len(transforms)} transforms, expected {len(joints)}")
         if not np.isfinite(transforms).all():
             raise SchemaError(f"{where}.{name}", "NaN or infinity, expected finite numbers")
+    attribute = skeleton.GetJointNamesAttr()
+    names = tuple(str(name) for name in attribute.Get() or [])
+    if names and len(names) != len(joints):
+        raise TopologyError(attribute.GetPath(), f"{len(names)} names, expected {len(joints)}")
     world = matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default()))
     result = Skeleton(
         name=prim.GetName(),
         joints=joints,
-        joint_names=_joint_names(skeleton, joints),
+        joint_names=names if names != Skeleton(joints=joints).names else (),  # the last parts of the paths need none
         bind_transforms=bind,
         rest_transforms=rest,
         transform=world,
@@ -49,15 +53,6 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
     if late.size or len(set(joints)) != len(joints):
         raise SchemaError(f"{where}.joints", f"'{joints[late[0]] if late.size else joints}' out of order or twice")
     return result
-
-
-def _joint_names(skeleton: UsdSkel.Skeleton, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """The source's names of joints; none where they are the last parts of the paths."""
-    attribute = skeleton.GetJointNamesAttr()
-    names = tuple(str(name) for name in attribute.Get() or [])
-    if names and len(names) != len(joints):
-        raise TopologyError(attribute.GetPath(), f"{len(names)} names, expected {len(joints)}")
-    return names if names != Skeleton(joints=joints).names else ()
 
 
 @reads_prim

@@ -52,34 +52,31 @@ def read_slider_network(prim: Usd.Prim) -> SliderNetwork | None:
     if (len(weights), len(biases)) != (sum(sizes), sum(layers[1:])):
         found = f"{len(weights)} weights and {len(biases)} biases"
         raise SchemaError(where, f"{found}, expected {sum(sizes)} and {sum(layers[1:])} for layers {layers[:8]}")
-    network = SliderNetwork(
-        sliders=words(tokens.NETWORK_SLIDERS),
-        channels=tuple(zip(joints, channels, strict=True)),
-        shapes=words(tokens.NETWORK_SHAPES),
-        weights=tuple(
-            part.reshape(out, into)
-            for part, (into, out) in zip(np.split(weights, list(accumulate(sizes))[:-1]), pairwise(layers), strict=True)
-        ),
-        biases=tuple(np.split(biases, list(accumulate(layers[1:]))[:-1])),
-        activation=str(value(tokens.NETWORK_ACTIVATION) or "tanh"),  # type: ignore[arg-type]
-        info=_info(prim, str(value(tokens.NETWORK_INFO) or "{}")),
-    )
-    fault = network_fault(network)
-    if fault:
-        raise SchemaError(where, fault)
-    return network
-
-
-def _info(prim: Usd.Prim, text: str) -> dict[str, object]:
-    where = f"{prim.GetPath()}.{tokens.NETWORK_INFO}"
-    check_values(where, text.encode())
+    trail, text = f"{prim.GetPath()}.{tokens.NETWORK_INFO}", str(value(tokens.NETWORK_INFO) or "{}")
+    check_values(trail, text.encode())
     try:
         info = json.loads(text)
     except (ValueError, RecursionError):
         info = None
     if not isinstance(info, dict):
-        raise SchemaError(where, "no JSON object, expected one")
-    return info
+        raise SchemaError(trail, "no JSON object, expected one")
+    # the matrices stand one after another, of each layer (outputs, inputs) row by row
+    ends, shapes = list(accumulate(sizes))[:-1], pairwise(layers)
+    network = SliderNetwork(
+        sliders=words(tokens.NETWORK_SLIDERS),
+        channels=tuple(zip(joints, channels, strict=True)),
+        shapes=words(tokens.NETWORK_SHAPES),
+        weights=tuple(
+            part.reshape(out, into) for part, (into, out) in zip(np.split(weights, ends), shapes, strict=True)
+        ),
+        biases=tuple(np.split(biases, list(accumulate(layers[1:]))[:-1])),
+        activation=str(value(tokens.NETWORK_ACTIVATION) or "tanh"),  # type: ignore[arg-type]
+        info=info,
+    )
+    fault = network_fault(network)
+    if fault:
+        raise SchemaError(where, fault)
+    return network
 
 
 def check_face_network(where: object, parts: FaceParts, error: type[FacepipeError] = InputError) -> None:
@@ -169,7 +166,15 @@ def _slider(prim: Usd.Prim, name: str) -> Slider:
         raise SchemaError(where, "joints, channels and gains (or shapes and gains) of different lengths")
     counts = [ints(value(field)).tolist() for field in ("channelKnots", "shapeKnots")]
     values, amounts = (floats(value(field)).tolist() for field in ("knotValues", "knotAmounts"))
-    _check_counts(where, counts, (len(joints), len(shapes)), (len(values), len(amounts)))
+    for field, own, expected in zip(("channelKnots", "shapeKnots"), counts, (len(joints), len(shapes)), strict=True):
+        if len(own) not in (0, expected):
+            raise SchemaError(f"{where}:{field}", f"{len(own)} counts, expected none or {expected}")
+        if any(count < 0 or count == 1 for count in own):
+            raise SchemaError(f"{where}:{field}", "a count of knots that is negative or 1, expected 0, or 2 or more")
+    total = sum(map(sum, counts))
+    if not len(values) == len(amounts) == total:
+        raise SchemaError(where, f"{len(values)} knot values and {len(amounts)} amounts, expected {total} of each")
+    # USD has no lists of lists: the knots of all curves stand one after another, and counts say how many are whose
     knots = list(zip(values, amounts, strict=True))
     slider = Slider(
         name=name,
@@ -190,17 +195,6 @@ def _slider(prim: Usd.Prim, name: str) -> Slider:
     if fault:
         raise SchemaError(where, fault)
     return slider
-
-
-def _check_counts(where: str, counts: list[list[int]], entries: tuple[int, int], knots: tuple[int, int]) -> None:
-    for field, own, expected in zip(("channelKnots", "shapeKnots"), counts, entries, strict=True):
-        if len(own) not in (0, expected):
-            raise SchemaError(f"{where}:{field}", f"{len(own)} counts, expected none or {expected}")
-        if any(count < 0 or count == 1 for count in own):
-            raise SchemaError(f"{where}:{field}", "a count of knots that is negative or 1, expected 0, or 2 or more")
-    total = sum(map(sum, counts))
-    if knots != (total, total):
-        raise SchemaError(where, f"{knots[0]} knot values and {knots[1]} amounts, expected {total} of each")
 
 
 def _curves(knots: list[tuple[float, float]], counts: list[int]) -> tuple[Curve | None, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -41,10 +42,14 @@ class TextureFolder:
         wanted = self._folder / file_name(name, "texture")
         check_written(self._folder)  # which nobody typed: as a link it is no folder on the way
         check_written(wanted)
-        file, number = wanted, 1
-        while not self._has_place(file, data):
-            number += 1
-            file = wanted.with_name(f"{wanted.stem}_{number}{wanted.suffix}")
+        for number in itertools.count(1):
+            file = wanted if number == 1 else wanted.with_name(f"{wanted.stem}_{number}{wanted.suffix}")
+            if file.name.casefold() in self._taken:
+                has_place = self._files.get(file) == data
+            else:
+                has_place = not file.exists() or (file.is_file() and file.read_bytes() == data)
+            if has_place:
+                break
         self._files[file] = data
         self._taken.add(file.name.casefold())
         return f"./{self._folder.name}/{file.name}"
@@ -62,15 +67,10 @@ class TextureFolder:
             with replacing_folder(self._folder) as folder:
                 for file, data in self._files.items():
                     write_bytes(folder / file.name, data)
-            return
-        for file, data in self._files.items():
-            if not file.exists():
-                write_bytes(file, data)
-
-    def _has_place(self, file: Path, data: bytes) -> bool:
-        if file.name.casefold() in self._taken:
-            return self._files.get(file) == data
-        return not file.exists() or (file.is_file() and file.read_bytes() == data)
+        else:
+            for file, data in self._files.items():
+                if not file.exists():
+                    write_bytes(file, data)
 
 
 class NewTextures:

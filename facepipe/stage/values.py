@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pxr import Gf, Vt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 
 AnyArray = npt.NDArray[Any]
 
@@ -21,7 +21,12 @@ def same(first: object, second: object) -> bool:
     if first is second:
         return True
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        return first is not None and second is not None and _same_arrays(np.asarray(first), np.asarray(second))
+        if first is None or second is None:
+            return False
+        one, other = np.asarray(first), np.asarray(second)
+        if one.shape == other.shape and "f" in one.dtype.kind + other.dtype.kind:
+            one, other = one.astype(np.float32), other.astype(np.float32)
+        return np.array_equal(one, other)
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
     if isinstance(first, tuple | list) and isinstance(second, tuple | list):
@@ -40,18 +45,16 @@ def require_same(where: object, old: object, new: object, fields: Iterable[str])
             raise InputError(f"{where} -> {field}", "differs, expected as on the face")
 
 
-def _same_arrays(first: AnyArray, second: AnyArray) -> bool:
-    if first.shape != second.shape:
-        return False
-    if "f" in first.dtype.kind + second.dtype.kind:
-        return np.array_equal(first.astype(np.float32), second.astype(np.float32))
-    return np.array_equal(first, second)
-
-
 def floats(value: Any, width: int | None = None) -> npt.NDArray[np.float32]:
     """A Vt array of floats or vectors as (n,) or (n, width) float32; None gives an empty array."""
     array = np.array(value if value is not None else [], dtype=np.float32)
     return array.reshape(-1, width) if width else array.reshape(-1)
+
+
+def check_inside(where: object, name: str, indices: IntArray, count: int) -> None:
+    """:raises TopologyError: indices, called `name`, of which some are not 0..count - 1"""
+    if indices.size and not (indices.min() >= 0 and indices.max() < count):
+        raise TopologyError(where, f"{name} outside 0..{count - 1}")
 
 
 def ints(value: Any) -> npt.NDArray[np.int32]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failed
-from facepipe_gltf.encoding import integer_weights
+from facepipe_gltf.encoding import Encoding
 from facepipe_gltf.options import ENGINES
 from faces import replace_mesh, tiny_face
 from gltf_export import (
@@ -125,7 +125,7 @@ def test_short_offsets_are_left_out_and_the_others_kept(writing: Writing) -> Non
 
 def test_quantised_weights_are_the_nearest_of_65535_steps_and_the_largest_takes_the_rest() -> None:
     weights = np.array([24576.25, 16383.75]) / 65535
-    found = integer_weights(np.stack([1 - weights, weights], axis=1))
+    found = Encoding(quantize=True).weights(np.stack([1 - weights, weights], axis=1)).array
     assert found.tolist() == [[65535 - 24576, 24576], [65535 - 16384, 16384]]
 
 

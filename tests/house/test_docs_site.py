@@ -45,6 +45,12 @@ def test_what_has_an_entry_is_there_and_described(entry: str) -> None:
     assert thing.__doc__, "no docstring"
 
 
+def test_every_picture_is_drawn_by_one_script_and_shown() -> None:
+    drawn = re.findall(r"^@of_docs\ndef (\w+)", (DOCS / "pictures.py").read_text(encoding="utf-8"), re.MULTILINE)
+    shown = {name for page in PAGES for name in re.findall(r"(\w+)\.png\)", page.read_text(encoding="utf-8"))}
+    assert {*drawn} == {path.stem for path in DOCS.glob("*.png")} == shown
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 def test_what_a_page_names_is_there(page: Path) -> None:
     """Files and folders of the repository, and modules and names that its Python imports."""

@@ -73,7 +73,11 @@ def test_the_tour_runs(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "result"), [("from_scan", "anna.glb"), pytest.param("from_glb", "game.glb", marks=pytest.mark.gate)]
+    ("name", "result"),
+    [
+        pytest.param("from_scan", "anna.glb", marks=pytest.mark.needs_torch),
+        pytest.param("from_glb", "game.glb", marks=pytest.mark.gate),
+    ],
 )
 def test_the_tutorials_run(tmp_path: Path, name: str, result: str) -> None:
     assert result in run_lines(tmp_path / "project", (REPOSITORY / "docs" / f"{name}.md").read_text(encoding="utf-8"))

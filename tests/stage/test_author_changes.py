@@ -22,8 +22,7 @@ from facepipe.checks import validate_stage
 from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.stage import save_parts
-from facepipe.stage.author_changes import author_changes
-from facepipe.stage.levels import author_levels
+from facepipe.stage.author_changes import author_changes, author_levels
 from facepipe.stage.values import to_floats, to_ints
 
 Change = Callable[[p.FaceParts], p.FaceParts]

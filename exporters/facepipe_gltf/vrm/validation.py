@@ -12,7 +12,6 @@ import numpy as np
 
 from facepipe.core.reports import Finding
 from facepipe.records import Json
-from facepipe_gltf import validation as gltf
 from facepipe_gltf.mesh_validation import Problem, primitives_of, targets
 from facepipe_gltf.raw import (
     RawDocument,
@@ -24,6 +23,7 @@ from facepipe_gltf.raw import (
     path_above,
     world_matrices,
 )
+from facepipe_gltf.validation import CHECKS, judged
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
 from facepipe_gltf.vrm.meta import EXTENSION, problems
@@ -42,7 +42,7 @@ def validate(path: str | os.PathLike[str], *, khronos: bool = True) -> tuple[Fin
     document = RawDocument(Path(path))
     vrm = as_object(as_object(document.json.get("extensions")).get(EXTENSION))
     checks = [(name, partial(check, vrm=vrm), severity) for name, check, severity in _CHECKS]
-    return gltf.judged(document, (*checks, *gltf.CHECKS), khronos=khronos)
+    return judged(document, (*checks, *CHECKS), khronos=khronos)
 
 
 def _version(document: RawDocument, vrm: Json) -> Iterator[Problem]:

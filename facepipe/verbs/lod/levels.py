@@ -19,7 +19,7 @@ from facepipe.kinds import Watch
 from facepipe.parts import Mesh
 from facepipe.rig import Rig
 from facepipe.stage import Face
-from facepipe.stage.levels import author_levels
+from facepipe.stage.author_changes import author_levels
 from facepipe.verbs.lod.decimate import Surface
 
 _MOVED = 0.1  # mm

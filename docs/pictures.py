@@ -1,0 +1,521 @@
+"""Draws the pictures of the docs: `python docs/pictures.py [NAME ...]`, all of them without names; `--list` lists them.
+
+Those of scans and photos need ../shared/data, those of browsers node and chromium (and `npm ci` in tests/support/js),
+some the extras `train` and `lod`. People are of `facepipe sample`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import facepipe_web
+import numpy as np
+from facepipe_web import build
+from PIL import Image, ImageChops
+
+import facepipe
+from facepipe.cli import main
+from facepipe.geometry.similarity import robust_similarity
+from facepipe.heads import make
+from facepipe.heads.assembly import make_head
+from facepipe.heads.people import MODES, STYLES, Look
+from facepipe.heads.surfaces import dressed
+from facepipe.importers import ict, load
+from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.parts import FaceParts, Material, Mesh
+from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture
+from facepipe.pictures.camera import LENS, MARGIN, Camera, View, portrait
+from facepipe.pictures.wireframe import wireframe
+from facepipe.rig.trs import rotation_matrices
+from facepipe.scanning.database import create_database, save_database
+from facepipe.stage import Face
+from facepipe.verbs.blend import BlendSession, Weights
+from facepipe.verbs.blend.graph import mix
+from facepipe.verbs.whole_faces import whole_face
+
+HERE = Path(__file__).resolve().parent
+DATA = HERE.parents[1] / "shared" / "data"
+SCAN, PHOTO = DATA / "scans" / "LeePerrySmith.glb", DATA / "photos" / "astronaut.png"
+ICT = DATA / "ict_facekit" / "ict_facekit.npz"
+SCRIPTS = HERE.parent / "tests" / "support" / "js"
+
+Drawing = Callable[[Path], Image.Image]
+PICTURES: dict[str, Drawing] = {}
+
+
+def of_docs(draw: Drawing) -> Drawing:
+    """Draws docs/NAME.png in a folder for what it needs on the way."""
+    PICTURES[draw.__name__] = draw
+    return draw
+
+
+@of_docs
+def demo(folder: Path) -> Image.Image:
+    """The sample head and some of its shapes, by `facepipe demo`."""
+    run("demo", folder / "demo")
+    return Image.open(folder / "demo" / "sheet.png")
+
+
+@of_docs
+def people(folder: Path) -> Image.Image:
+    """Twelve people of `facepipe sample`."""
+    views: tuple[View, ...] = ("front", "three-quarter")
+    drawn = [(f"seed {n}", picture(make(n, textures=1024), None, options(300, views[n % 2]))) for n in range(1, 13)]
+    return contact_sheet(drawn, columns=6)
+
+
+@of_docs
+def looks(folder: Path) -> Image.Image:
+    """The average head in every style of hair, and tones of skin."""
+    bald = make_head(np.zeros(MODES))
+    drawn: list[tuple[str, Image.Image]] = []
+    hairs = ("dark", "dark", "brown", "grey", "red", "blond", "black")
+    eyes = ("green", "brown", "blue", "grey", "hazel", "blue", "dark")
+    for style, tone, hair, iris in zip(STYLES, (2, 7, 3, 5, 1, 4, 9), hairs, eyes, strict=True):
+        look = Look(tone=tone, style=style, hair=hair, eyes=iris, beard=0.5 * (style == "stubble"), freckles=0.5)
+        seen = options(300, "three-quarter" if len(drawn) % 2 else "front")
+        drawn.append((f"{style}, tone {tone}", picture(dressed(bald, look, 1024), None, seen)))
+    return contact_sheet(drawn, columns=4)
+
+
+@of_docs
+def sliders(folder: Path) -> Image.Image:
+    """A person, and some of the sliders."""
+    face = facepipe.open(person(folder, 3))
+    settings = [
+        *({}, {"noseWidth": 1.0, "noseLength": 1.0}, {"jawWidth": 1.0, "strongJaw": 1.0}),
+        *({"age": 1.0, "eyeTilt": -1.0}, {"smile": 1.0, "lookLeft": 1.0}),
+    ]
+    seen, parts = close(face, 330, "three-quarter"), face.parts()
+    names = [", ".join(f"{name} {value:g}" for name, value in values.items()) or "as drawn" for values in settings]
+    drawn = [picture(parts, face.evaluate(sliders=values), seen) for values in settings]
+    return contact_sheet(list(zip(names, drawn, strict=True)), columns=5)
+
+
+@of_docs
+def blend(folder: Path) -> Image.Image:
+    """Two people, the second moved by 5 mm and turned by 3 degrees; eyes, brows and mouth of the second on the first.
+
+    Averaged point by point, and blended in the gradient domain, with the same weights.
+    """
+    first, second = (bare(make(seed, textures=1024)) for seed in (10, 5))  # of one hair style, so of one topology
+    axis, half = np.array([0.3, 1.0, 0.2]), np.radians(3.0) / 2
+    turn = rotation_matrices(np.array([*(np.sin(half) * axis / np.linalg.norm(axis)), np.cos(half)]))
+    moved = [replace(mesh, points=mesh.points @ turn.T + (0.3, 0.3, 0.265)) for mesh in second.meshes]
+    session = BlendSession([Face.from_parts(first), Face.from_parts(replace(second, meshes=tuple(moved)))])
+    others = dict.fromkeys(("eyes", "eyebrows", "mouth"), (0.0, 1.0))
+    result = session.neutral(Weights(regions=others, default=(1.0, 0.0)))
+    given = session.sources.points
+    seen = close(Face.from_parts(first), 400, "three-quarter")
+    drawn = [
+        ("A", picture(first, given[0], seen)),
+        ("B, 5 mm and 3° off", picture(second, given[1], seen)),
+        ("points averaged by region", picture(first, mix(result.shares, given), seen)),
+        ("facepipe blend", picture(first, result.points, seen)),
+    ]
+    return contact_sheet(drawn, columns=4)
+
+
+@of_docs
+def bones(folder: Path) -> Image.Image:
+    """Two shapes of a person: rest, target, what bones reach of it, what they leave, and what the residual adds."""
+    names, head = ("jawOpen", "mouthSmileLeft"), person(folder, 10)
+    facepipe.fit_bones(head, targets=names, residual=True, out=folder / "fitted.usda")
+    shaped, face, drawn = facepipe.open(head), facepipe.open(folder / "fitted.usda"), []
+    parts, plain, rest = face.parts(), close(face, 264, (0.3, 0.0), neck=2.0), face.evaluate()
+    for name in names:
+        local, weights = face.sample(name)
+        target = shaped.evaluate({name: 1.0})
+        reached, whole = (face.evaluate(given, joint_transforms=local) for given in ({}, weights))
+        off, left = (np.linalg.norm(one - target, axis=1) * face.mm_per_unit for one in (reached, whole))
+        heat = replace(plain, heatmap=HeatMap(values=off, range=(0.0, 5.0)))
+        drawn += [
+            ("rest", picture(parts, rest, plain)),
+            (name, picture(parts, target, plain)),
+            (f"bones: RMS {np.sqrt((off**2).mean()):.2f} mm", picture(parts, reached, plain)),
+            (f"what they miss: {off.max():.1f} mm at most", picture(parts, reached, heat)),
+            (f"bones + residual: {left.max():.1f} mm at most", picture(parts, whole, plain)),
+        ]
+    return contact_sheet(drawn, columns=5)
+
+
+@of_docs
+def lod(folder: Path) -> Image.Image:
+    """A person and the levels of detail in an expression, shaded and as wire frames."""
+    posed = {"jawOpen": 0.35, "mouthSmileLeft": 0.8, "mouthSmileRight": 0.5, "eyeBlinkLeft": 0.4, "browInnerUp": 0.6}
+    report = facepipe.lod(person(folder, 3), out=folder / "lods.usdc", triangles=(20000, 8000, 2500))
+    worst = [max(shape.mean_mm for shape in level.errors.shapes.values()) for level in report.levels]
+    said = ["the face itself", *(f"{mm:.2f} mm off in the worst shape" for mm in worst)]
+    full, above, below = facepipe.open(folder / "lods.usdc"), [], []
+    camera = portrait(full.evaluate(), (0.35, 0.05), 330, 330)
+    for number, words in enumerate(said):
+        level = full.at_level(number)
+        parts, points = level.parts(), level.evaluate(posed)
+        image = picture(parts, points, PictureOptions(size=330, camera=camera))
+        count = sum(int(mesh.face_vertex_counts.sum()) - 2 * len(mesh.face_vertex_counts) for mesh in level.meshes)
+        above.append((f"lod{number}: {count:,} triangles", image))
+        screen = camera.project(points)
+        screen = np.concatenate([screen[:, :2] / screen[:, 3:], screen[:, 3:]], axis=1)
+        wired = image.convert("RGB")
+        wired.paste((24, 44, 96), (0, 0), wireframe(parts, screen, wired.size))
+        below.append((words, wired))
+    return contact_sheet([*above, *below], columns=len(said))
+
+
+@of_docs
+def photo(folder: Path) -> Image.Image:
+    """The report page of a fit to a portrait of Eileen Collins (NASA, public domain) with its landmarks."""
+    head, marks, shot = person(folder, 0), PHOTO.with_suffix(".landmarks.json"), folder / "shot.png"
+    run("fit-photo", PHOTO, head, "--landmarks", marks, "-o", folder / "out.usda", "--report", folder / "report")
+    page, size = folder / "report" / "report.html", (1240, 4000)  # more than it is high
+    browse(page.as_uri(), size, [{"wait": "body"}, {"picture": str(shot)}])
+    image = Image.open(shot).convert("RGB")
+    used = ImageChops.difference(image, Image.new("RGB", image.size, "white")).getbbox() or (0, 0, 0, 0)
+    return image.crop((0, 0, image.width, used[3] + 36))
+
+
+@of_docs
+def photo_face(folder: Path) -> Image.Image:
+    """That portrait, and the face that `fit-photo` and `bake-photo` make of it, with nothing else given."""
+    fitted, out = folder / "fitted.usda", folder / "person.usda"
+    facepipe.fit_photo(person(folder, 0), photos=[PHOTO], out=fitted)
+    facepipe.bake_photo(fitted, photos=[PHOTO], out=out)
+    face = facepipe.open(out)
+    parts, neutral = face.parts(), face.evaluate(pose="set")
+    views: tuple[View, ...] = ("front", "three-quarter", "side")
+    drawn = [("the photo", Image.open(PHOTO).convert("RGB").crop((140, 0, 320, 180)).resize((300, 300), 1))]
+    drawn += [(str(view), picture(parts, neutral, close(face, 300, view))) for view in views]
+    smiling = neutral + face.evaluate(both(0.7, "mouthSmile", "cheekSquint", "mouthUpperUp")) - face.evaluate()
+    return contact_sheet([*drawn, ("smiling", picture(parts, smiling, close(face, 300)))], columns=5)
+
+
+@of_docs
+def scan_face(folder: Path) -> Image.Image:
+    """A scan, and the face that `facepipe fit-neutral` makes of it, with nothing else given.
+
+    "Infinite, 3D Head Scan" by Lee Perry-Smith (CC-BY 3.0, based on a work at www.triplegangers.com; www.ir-ltd.net).
+    """
+    marks, out = folder / "marks.json", folder / "face.usda"
+    run("scan-landmarks", SCAN, "-o", marks)
+    run("fit-neutral", SCAN, "--landmarks", marks, "-o", out)
+    face, scan = facepipe.open(out), read_scan(SCAN)
+    head = face.meshes[0]
+    place = robust_similarity(read_scan_landmarks(marks).points, head.points[head.landmarks["multipie68"].indices])
+    mesh = Mesh(
+        name="Scan",
+        points=place.apply(scan.points),
+        face_vertex_counts=np.full(len(scan.triangles), 3, np.int32),
+        face_vertex_indices=scan.triangles.ravel(),
+        material="Clay",
+    )
+    clay = Material(name="Clay", diffuse_color=(0.5, 0.48, 0.46), roughness=0.7)
+    given = FaceParts(name="Scan", meters_per_unit=face.meters_per_unit, meshes=(mesh,), materials=(clay,))
+    front, turned, side = (close(face, 300, view, neck=3.0) for view in ("front", "three-quarter", "side"))
+    parts, rest, drawn = face.parts(), face.evaluate(), []
+    for seen in (front, turned):
+        drawn += [("the scan", picture(given, None, seen)), ("the face", picture(parts, rest, seen))]
+    drawn.append(("from the side", picture(parts, rest, side)))
+    poses = {
+        "jawOpen": {"jawOpen": 0.7},
+        "smile": both(0.8, "mouthSmile", "cheekSquint"),
+        "blink": both(1.0, "eyeBlink"),
+    }
+    for name, weights in poses.items():
+        seen = turned if name == "smile" else front
+        drawn.append((name, picture(parts, face.evaluate(weights), seen)))
+    return contact_sheet(drawn, columns=4)
+
+
+@of_docs
+def rebuild_scan(folder: Path) -> Image.Image:
+    """The same scan, and ICT-FaceKit (MIT license) fitted to it, with 60 people of that as database.
+
+    20 landmarks are placed by hand (docs/rebuild_landmarks.json). The scan has closed eyes; the last picture is the
+    neutral, with open ones.
+    """
+
+    def member(seed: int) -> Any:
+        return whole_face(bare(load("ict", ICT, ict.Options(identity_seed=seed)).parts), f"person{seed}")
+
+    head, faces, sheet = folder / "ict.usdc", folder / "faces.fpdb", folder / "sheet.png"
+    save_database(create_database([functools.partial(member, seed) for seed in range(60)]).database, faces)
+    run("import", "ict", ICT, head)
+    given = ("--template", head, "--database", faces, "--landmarks", HERE / "rebuild_landmarks.json")
+    closed = ("--weights", "eyeBlink_L=1", "eyeBlink_R=1")
+    run("fit-neutral", SCAN, *given, *closed, "-o", folder / "person.usda", "--picture", sheet)
+    image = Image.open(sheet).convert("RGB")
+    return image.resize((900, round(image.height * 900 / image.width)), Image.Resampling.LANCZOS)
+
+
+@of_docs
+def three(folder: Path) -> Image.Image:
+    """GLBs of two people in three.js beside facepipe's own pictures, by the same cameras."""
+    drawn = []
+    for seed, shapes in ((4, {}), (9, both(0.8, "mouthSmile") | {"jawOpen": 0.25})):
+        file, glb = person(folder, seed, f"person{seed}"), folder / f"{seed}.glb"
+        facepipe.export(file, glb)
+        face = facepipe.open(file)
+        camera = portrait(face.evaluate(), "three-quarter", 480, 480)
+        cell = {"file": glb.name, "shapes": shapes, **in_three(camera, face.meters_per_unit)}
+        own = picture(face.parts(), face.evaluate(shapes), options(480, camera=camera))
+        drawn += [
+            (f"seed {seed}, three.js", in_browser(folder, [cell], 480)[0]),
+            (f"seed {seed}, facepipe render", own),
+        ]
+    return contact_sheet(drawn, columns=4)
+
+
+@of_docs
+def vrm(folder: Path) -> Image.Image:
+    """VRM's presets, single expressions, looks and a turned head as three-vrm shows a person."""
+    names = (
+        *("neutral", "happy", "angry", "sad", "relaxed", "surprised", "blink", "blinkLeft", "blinkRight"),
+        *("aa", "ih", "ou", "ee", "oh", "look up", "look down", "look left", "head turned"),
+    )
+    ways = {"look up": (0, 0.4, 1), "look down": (0, -0.45, 1), "look left": (0.5, 0, 1)}
+    file, terms = folder / "person.vrm", ("--authors", "facepipe", "--license-url", "https://vrm.dev/licenses/1.0/")
+    run("export", person(folder, 5), "-o", file, "--stub-body", *terms)
+    face = facepipe.read(file, "gltf")
+    view = in_three(close_camera(face, 210, (0.12, 0.0), 2.0), face.meters_per_unit)
+    cells = [{"file": file.name, "name": name, "way": ways.get(name), **view} for name in names]
+    return contact_sheet(list(zip(names, in_browser(folder, cells, 210), strict=True)), columns=6)
+
+
+@of_docs
+def web(folder: Path) -> Image.Image:
+    """The viewer's page: a person, posed and coloured by distance, and the neutral."""
+    posed = """(() => {
+      const wanted = { smile: 0.9, mouthOpen: 0.3 };
+      for (const [name, value] of Object.entries(wanted)) {
+        const number = document.querySelector(`.row[data-name="${name}"] input[type="number"]`);
+        number.value = value;
+        number.dispatchEvent(new Event("change"));
+      }
+      for (const one of document.querySelectorAll("details")) one.open = /^expression/.test(one.textContent);
+    })()"""
+    return viewed(folder, person(folder, 3), posed, "distance", "split")
+
+
+@of_docs
+def web_blend(folder: Path) -> Image.Image:
+    """The viewer's page with a blend of two people."""
+    sources, child = (person(folder, 3), person(folder, 8, "bea")), folder / "child.usda"
+    run("blend", *sources, "-o", child, "--set", "eyes=0.2,0.8", "--set", "mouth=0,1", "--default", "0.6,0.4")
+    unfolded = """(() => {
+      const folds = document.querySelectorAll("section[aria-label=Blend] details");
+      for (const one of folds) one.open = /^(all|eyes|mouth|nose)/.test(one.textContent);
+    })()"""
+    return viewed(folder, child, unfolded, "regions")
+
+
+def person(folder: Path, seed: int, name: str = "anna") -> Path:
+    """A person of the sample, saved."""
+    path = folder / f"{name}.usdc"
+    facepipe.sample(path, seed=seed, textures=1024)
+    return path
+
+
+def both(weight: float, *shapes: str) -> dict[str, float]:
+    """Shapes on both sides."""
+    return {f"{name}{side}": weight for name in shapes for side in ("Left", "Right")}
+
+
+def bare(parts: FaceParts) -> FaceParts:
+    """A head without expressions, where they would only take time."""
+    return replace(parts, meshes=tuple(replace(mesh, blendshapes=()) for mesh in parts.meshes))
+
+
+def run(*words: object) -> None:
+    """A facepipe command; 1 says that something could be better."""
+    if main([str(word) for word in words]) > 1:
+        raise SystemExit(f"facepipe {words[0]} failed")
+
+
+def options(size: int, view: View = "front", camera: Camera | None = None) -> PictureOptions:
+    """A picture."""
+    return PictureOptions(size=size, view=view, camera=camera)
+
+
+def close(face: Face, size: int, view: View = "front", neck: float = 6.0) -> PictureOptions:
+    """A picture of the head alone, down to `neck` cm below the chin."""
+    return options(size, camera=close_camera(face, size, view, neck))
+
+
+def close_camera(face: Face, size: int, view: View, neck: float) -> Camera:
+    """Its camera."""
+    points, (mesh, marks) = face.evaluate(pose="set"), face.landmarks()
+    chin = face.split(points)[mesh.name][marks.indices[8], 1]
+    return portrait(points[points[:, 1] > chin - neck / (100 * face.meters_per_unit)], view, size, size)
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a folder's files while the block lasts."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/"
+    finally:
+        server.shutdown()
+
+
+def browse(url: str, size: tuple[int, int], steps: list[dict[str, str]]) -> None:
+    """A page in Chromium, and what is done there."""
+    node, chromium = shutil.which("node"), shutil.which("chromium") or shutil.which("google-chrome")
+    if node is None or chromium is None:
+        raise SystemExit("needs node and chromium on the PATH")
+    if not build.is_built():
+        build.build()
+    words: list[str | Path] = [
+        node,
+        SCRIPTS / "browse.mjs",
+        build.HERE / "node_modules" / "playwright-core" / "index.mjs",
+        chromium,
+    ]
+    request = json.dumps({"url": url, "viewport": size, "steps": steps})
+    done = subprocess.run(words, input=request, text=True, check=False, capture_output=True)
+    problems = done.stderr if done.returncode else "\n".join(json.loads(done.stdout)["problems"])
+    if problems:
+        raise SystemExit(problems)
+
+
+def viewed(folder: Path, face: Path, script: str, *buttons: str) -> Image.Image:
+    """The page of `facepipe view` after a script and some buttons."""
+    if not build.is_built():
+        build.build()
+    press = [{"click": f'button[data-value="{value}"]'} for value in buttons]
+    settled = {"run": "new Promise((done) => setTimeout(done, 3000)).then(() => document.activeElement.blur())"}
+    steps = [
+        {"wait": "body[data-state=ready]"},
+        {"run": script},
+        *press,
+        settled,
+        {"picture": str(folder / "page.png")},
+    ]
+    with facepipe_web.view([face], facepipe_web.Options()) as page:
+        thread = threading.Thread(target=page.serve)
+        thread.start()
+        try:
+            browse(page.url, (1280, 720), steps)
+        finally:
+            page.close()
+            thread.join()
+    return Image.open(folder / "page.png")
+
+
+def in_three(camera: Camera, meters: float) -> dict[str, Any]:
+    """A camera of a square picture, as the page below has it."""
+    eye, angle = camera.eye * meters, np.degrees(2 * np.arctan(LENS / (1 - 2 * MARGIN)))
+    return {"eye": eye.tolist(), "at": (eye - camera.axes[2]).tolist(), "angle": float(angle)}
+
+
+def in_browser(folder: Path, cells: list[dict[str, Any]], size: int) -> list[Image.Image]:
+    """Square pictures of GLBs and VRMs in the folder, as three.js and three-vrm draw them."""
+    given, size = size, 2 * size  # hair with an alpha test is ragged at one sample a pixel
+    columns, shot = min(len(cells), 6), folder / "shot.png"
+    rows = -(-len(cells) // columns)
+    if not (folder / "node_modules").exists():
+        (folder / "node_modules").symlink_to(SCRIPTS / "node_modules")
+    request = json.dumps({"cells": cells, "size": size, "columns": columns, "rows": rows})
+    (folder / "index.html").write_text(PAGE.replace("REQUEST", request))
+    with served(folder) as url:
+        browse(url, (size * columns, size * rows), [{"wait": "body[data-state]"}, {"picture": str(shot)}])
+    image, corners = Image.open(shot), (divmod(number, columns) for number in range(len(cells)))
+    drawn = (image.crop((x * size, y * size, (x + 1) * size, (y + 1) * size)) for y, x in corners)
+    return [one.convert("RGB").resize((given, given), Image.Resampling.BOX) for one in drawn]
+
+
+PAGE = """<!doctype html><link rel="icon" href="data:,"><style>body{margin:0;overflow:hidden}</style>
+<script type="importmap">{"imports": {"three": "./node_modules/three/build/three.module.js",
+"three/addons/": "./node_modules/three/examples/jsm/",
+"@pixiv/three-vrm": "./node_modules/@pixiv/three-vrm/lib/three-vrm.module.min.js"}}</script>
+<script type="module">
+import * as THREE from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import { VRMLoaderPlugin } from "@pixiv/three-vrm";
+const { cells, size, columns, rows } = REQUEST;
+const renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+renderer.setSize(size * columns, size * rows);
+renderer.toneMapping = THREE.ACESFilmicToneMapping;
+document.body.append(renderer.domElement);
+const scene = new THREE.Scene();
+scene.background = new THREE.Color(0xc4c9d2);
+scene.environment = new THREE.PMREMGenerator(renderer).fromScene(new RoomEnvironment(), 0.04).texture;
+scene.environmentIntensity = 0.7;
+const key = new THREE.DirectionalLight(0xffffff, 1.2);
+key.position.set(-1, 1.5, 2);
+scene.add(key);
+renderer.setScissorTest(true);
+const loader = new GLTFLoader().register((parser) => new VRMLoaderPlugin(parser));
+const loaded = {};
+for (const [i, cell] of cells.entries()) {
+  const { scene: head, userData: { vrm } } = (loaded[cell.file] ??= await loader.loadAsync(cell.file));
+  scene.add(head);
+  head.traverse((one) => {
+    one.frustumCulled = false;
+    for (const [name, value] of Object.entries(cell.shapes ?? {})) {
+      const index = one.morphTargetDictionary?.[name];
+      if (index !== undefined) one.morphTargetInfluences[index] = value;
+    }
+  });
+  if (vrm) {
+    vrm.humanoid.resetNormalizedPose();
+    vrm.expressionManager.resetValues();
+    vrm.lookAt.reset();
+    vrm.update(0);
+    if (vrm.expressionManager.getExpression(cell.name)) vrm.expressionManager.setValue(cell.name, 1);
+    const eyes = vrm.lookAt.getLookAtWorldPosition(new THREE.Vector3());
+    if (cell.way) vrm.lookAt.lookAt(eyes.add(new THREE.Vector3(...cell.way)));
+    if (cell.name === "head turned") vrm.humanoid.getNormalizedBoneNode("head").rotation.set(0.1, 0.5, 0.1);
+    vrm.update(0);
+  }
+  const camera = new THREE.PerspectiveCamera(cell.angle, 1, 0.01, 20);
+  camera.position.set(...cell.eye);
+  camera.lookAt(...cell.at);
+  const place = [(i % columns) * size, (rows - 1 - Math.floor(i / columns)) * size, size, size];
+  renderer.setViewport(...place);
+  renderer.setScissor(...place);
+  renderer.render(scene, camera);
+}
+document.body.dataset.state = "ready";
+</script>"""
+
+
+def draw(names: list[str]) -> None:
+    """Draw and save."""
+    for name in names or PICTURES:
+        with tempfile.TemporaryDirectory() as folder:
+            PICTURES[name](Path(folder)).convert("RGB").save(HERE / f"{name}.png", optimize=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--list", action="store_true")
+    given = parser.parse_args()
+    if unknown := {*given.names} - {*PICTURES}:
+        parser.error(f"no such picture: {', '.join(sorted(unknown))}")
+    if given.list:
+        sys.stdout.writelines(f"{name}: {(one.__doc__ or '').splitlines()[0]}\n" for name, one in PICTURES.items())
+    else:
+        draw(given.names)
