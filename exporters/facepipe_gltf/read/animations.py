@@ -20,7 +20,7 @@ from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coeffici
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.skins import Joints, Nodes, local_trs
 from facepipe_gltf.read.values import Value, given_name
 
