@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import InputError
 
 MAGIC = b"FPBC"
@@ -135,7 +135,8 @@ def encode(content: PayloadContent) -> Encoded:
     sizes = (count, len(exact), stored.shape[1])
     parts = [HEADER.pack(MAGIC, VERSION, flags, *sizes, content.meters_per_unit, joints_hash(content.joints))]
     parts += [] if content.times is None else [np.asarray(content.times).astype("<f4").tobytes()]
-    parts += [stored.tobytes(), _mask(moving, count) if is_sparse else b""]
+    mask = np.isin(np.arange(count), moving)
+    parts += [stored.tobytes(), np.packbits(mask, bitorder="little").tobytes() if is_sparse else b""]
     body = b"".join(parts)
     kept = rounded.astype(np.float64)
     kept[..., 6:] += 1.0
@@ -175,12 +176,6 @@ def _refuse(content: PayloadContent, exact: FloatArray, sound: BoolArray, expect
     frame, joint, channel = np.argwhere(~sound)[0]
     where = f"bone coefficients -> {content.joints[joint]} -> {_CHANNELS[channel // 3]} {'xyz'[channel % 3]}"
     raise InputError(where, f"{exact[frame, joint, channel]:g}, expected {expected}")
-
-
-def _mask(moving: IntArray, count: int) -> bytes:
-    bits = np.zeros(count, np.uint8)
-    bits[moving] = 1
-    return np.packbits(bits, bitorder="little").tobytes()
 
 
 def read_header(data: bytes, where: object) -> Header:
@@ -244,33 +239,24 @@ def decode(data: bytes, joints: Sequence[str], where: object) -> PayloadContent:
     stored = np.frombuffer(data[header.values : header.mask], DTYPES[header.precision])
     if not (np.isfinite(stored) & (np.abs(stored.astype(np.float64)) <= LARGEST)).all():
         raise InputError(where, f"NaN, infinity or a number above {LARGEST:g}, expected finite coefficients")
-    values = np.zeros((header.frames, header.joints, 9))
-    values[:, _places(data, header, where)] = stored.reshape(header.frames, header.stored, 9)
+    values, places = np.zeros((header.frames, header.joints, 9)), np.arange(header.joints)
+    if header.is_sparse:
+        bits = np.unpackbits(np.frombuffer(data[header.mask : header.end], np.uint8), bitorder="little")
+        places = np.flatnonzero(bits)
+        if len(places) != header.stored or places[-1] >= header.joints:
+            expected = f"expected {header.stored} among {header.joints}"
+            raise InputError(where, f"joint mask of {len(places)} joints, {expected}")
+    values[:, places] = stored.reshape(header.frames, header.stored, 9)
     values[..., 6:] += 1.0
+    times = None
+    if header.has_times:
+        times = np.frombuffer(data[HEADER.size : header.values], "<f4").astype(np.float64)
+        if not ascend(times):
+            raise InputError(where, "times don't ascend, expected different seconds in order")
     return PayloadContent(
         joints=tuple(joints),
         coefficients=values if header.has_frames else values[0],
-        times=_times(data, header, where),
+        times=times,
         meters_per_unit=header.meters_per_unit,
         precision=header.precision,
     )
-
-
-def _places(data: bytes, header: Header, where: object) -> IntArray:
-    """(stored,) numbers of the joints in the payload."""
-    if not header.is_sparse:
-        return np.arange(header.joints)
-    bits = np.unpackbits(np.frombuffer(data[header.mask : header.end], np.uint8), bitorder="little")
-    places = np.flatnonzero(bits)
-    if len(places) != header.stored or places[-1] >= header.joints:
-        raise InputError(where, f"joint mask of {len(places)} joints, expected {header.stored} among {header.joints}")
-    return places
-
-
-def _times(data: bytes, header: Header, where: object) -> FloatArray | None:
-    if not header.has_times:
-        return None
-    times = np.frombuffer(data[HEADER.size : header.values], "<f4").astype(np.float64)
-    if not ascend(times):
-        raise InputError(where, "times don't ascend, expected different seconds in order")
-    return times
