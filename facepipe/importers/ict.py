@@ -7,6 +7,7 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -151,20 +152,6 @@ class IctModel:
     warnings: tuple[str, ...] = ()
 
 
-def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
-    """Read the generic neutral, the identity modes with their weights, and the named shapes that are there.
-
-    :param source: a FaceXModel folder, an ICT-FaceKit checkout, or the packed .npz
-    :raises InputError: no neutral, a weighted mode that is missing, or a file that can't be used
-    :raises TopologyError: not the ICT-FaceKit topology
-    """
-    if not source.is_dir():
-        return _read_npz(source, identity, shapes)
-    inner = source / "FaceXModel"
-    check_found(inner, source)
-    return _read_folder(inner if inner.is_dir() else source, identity, shapes)
-
-
 def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
     sizes = {"V": POINT_COUNT, "F": FACE_COUNT}
     arrays = read_arrays(path, _BASE, sizes)
@@ -287,7 +274,13 @@ def read(source: Path, options: Options) -> Imported:
     else:
         weights = {}
     weights = {name: weight for name, weight in weights.items() if weight != 0}
-    model = read_model(source, weights, EXPRESSIONS + (EXTRAS if options.extras else ()))
+    names = EXPRESSIONS + (EXTRAS if options.extras else ())
+    if source.is_dir():
+        inner = source / "FaceXModel"  # of an ICT-FaceKit checkout
+        check_found(inner, source)
+        model = _read_folder(inner if inner.is_dir() else source, weights, names)
+    else:
+        model = _read_npz(source, weights, names)
     materials = face_materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(
@@ -307,20 +300,15 @@ def read(source: Path, options: Options) -> Imported:
     )
 
 
-def shape_name(name: str, arkit_names: bool) -> str:
-    """The face's name of a model's shape: with `arkit_names` a side suffix ``_L`` / ``_R`` is written Left / Right."""
-    if arkit_names and name.endswith(("_L", "_R")):
-        return name[:-2] + ("Left" if name.endswith("_L") else "Right")
-    return name
-
-
 def _mode(number: int) -> str:
     return f"identity{number:03d}"
 
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     neutral = model.neutral
-    shapes = {shape_name(shape, options.arkit_names): offsets for shape, offsets in model.shapes.items()}
+    shapes = dict(model.shapes)
+    if options.arkit_names:
+        shapes = {re.sub("_L$", "Left", re.sub("_R$", "Right", shape)): offsets for shape, offsets in shapes.items()}
     pieces = [part for part in PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
@@ -351,7 +339,7 @@ _CAP = 0.1  # cm of depth at the front of an eyeball, the middle of which is on 
 
 
 def face_materials(model: IctModel) -> IntArray:
-    """(F,) index of every face's material in `ict_topology.MATERIALS`, -1 for none or an unknown one."""
+    """(F,) index of every face's material in `MATERIALS`, -1 for none or an unknown one."""
     names = list(MATERIALS)
     number = np.array([names.index(name) if name in names else -1 for name in model.neutral.materials] + [-1])
     materials = number[model.neutral.face_material]
@@ -426,7 +414,12 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
     """
     count = max(part.points[1] for part in PARTS if part.mesh == "Head")
     landmarks = neutral[list(LANDMARKS)]
-    distances = np.stack([_distance(neutral[:count], landmarks, bundle) for bundle in _BUNDLES.values()])
+    distances = np.empty((len(_BUNDLES), count))
+    for own, bundle in zip(distances, _BUNDLES.values(), strict=True):
+        places = [[landmarks[at] if isinstance(at, int) else np.array(at) for at in line] for line in bundle.lines]
+        segments = [segment for line in places for segment in itertools.pairwise(line)]
+        own[:] = np.min([to_segment(neutral[:count], *segment) for segment in segments], axis=0) - bundle.radius
+    # exp(-d / blend) of the distance beyond that of the nearest region: half as much after 0.24 cm
     masks = np.exp(-(distances - distances.min(axis=0)) / _BLEND)
     masks[masks < 0.01] = 0.0  # far regions are exactly absent
     masks /= masks.sum(axis=0)
@@ -434,9 +427,3 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
         if part.mesh == "Head" and part.region:
             masks[:, slice(*part.points)] = np.array([name == part.region for name in REGIONS])[:, None]
     return dict(zip(REGIONS, masks, strict=True))
-
-
-def _distance(points: FloatArray, landmarks: FloatArray, bundle: _Bundle) -> FloatArray:
-    places = [[landmarks[spot] if isinstance(spot, int) else np.array(spot) for spot in line] for line in bundle.lines]
-    segments = [(a, b) for line in places for a, b in itertools.pairwise(line)]
-    return np.asarray(np.min([to_segment(points, a, b) for a, b in segments], axis=0) - bundle.radius)
