@@ -14,7 +14,7 @@ from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
-from facepipe.verbs.inspect_action import report_of
+from facepipe.verbs.inspect import report_of
 
 if TYPE_CHECKING:
     from facepipe.stage import Face
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _made(folder: Path, seed: int) -> int:
     """Make the files in `folder`; the number of errors found in them."""
     from facepipe.performing import perform
-    from facepipe.verbs.sample_action import Sample
+    from facepipe.verbs.sample import Sample
 
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:
