@@ -52,10 +52,10 @@ from facepipe.verbs.animate.animate import AnimateReport
 from facepipe.verbs.apply_bones import ApplyBonesReport
 from facepipe.verbs.blend.quality import BlendReport
 from facepipe.verbs.blend.weights import Weights
-from facepipe.verbs.eval_action import EvalReport
+from facepipe.verbs.eval import EvalReport
 from facepipe.verbs.fit_bones.limits import LimitRules
 from facepipe.verbs.fit_bones.report import FitBonesReport
-from facepipe.verbs.inspect_action import InspectReport
+from facepipe.verbs.inspect import InspectReport
 from facepipe.verbs.landmarks import LandmarksReport
 from facepipe.verbs.lod.levels import LodReport
 from facepipe.verbs.regions import RegionsReport

@@ -210,7 +210,7 @@ OPENED = {
     "it is made here: in a temporary folder, or as a result whose place was checked": """
         facepipe.cli.action_line:ActionLine.run facepipe.hosting.host_face:face_to_bytes
         facepipe.verbs.array_file:write_arrays
-        facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval_action:Eval.write
+        facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval:Eval.write
         facepipe.neural.bake_action:Bake.text
         facepipe.scanning.rebuild.rebuild_report:RebuildPictures.write
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
