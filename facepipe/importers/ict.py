@@ -152,6 +152,20 @@ class IctModel:
     warnings: tuple[str, ...] = ()
 
 
+def read_model(source: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
+    """Read the generic neutral, the identity modes with their weights, and the named shapes that are there.
+
+    :param source: a FaceXModel folder, an ICT-FaceKit checkout, or the packed .npz
+    :raises InputError: no neutral, a weighted mode that is missing, or a file that can't be used
+    :raises TopologyError: not the ICT-FaceKit topology
+    """
+    if not source.is_dir():
+        return _read_npz(source, identity, shapes)
+    inner = source / "FaceXModel"
+    check_found(inner, source)
+    return _read_folder(inner if inner.is_dir() else source, identity, shapes)
+
+
 def _read_npz(path: Path, identity: Mapping[str, float], shapes: Sequence[str]) -> IctModel:
     sizes = {"V": POINT_COUNT, "F": FACE_COUNT}
     arrays = read_arrays(path, _BASE, sizes)
@@ -274,13 +288,7 @@ def read(source: Path, options: Options) -> Imported:
     else:
         weights = {}
     weights = {name: weight for name, weight in weights.items() if weight != 0}
-    names = EXPRESSIONS + (EXTRAS if options.extras else ())
-    if source.is_dir():
-        inner = source / "FaceXModel"  # of an ICT-FaceKit checkout
-        check_found(inner, source)
-        model = _read_folder(inner if inner.is_dir() else source, weights, names)
-    else:
-        model = _read_npz(source, weights, names)
+    model = read_model(source, weights, EXPRESSIONS + (EXTRAS if options.extras else ()))
     materials = face_materials(model)
     sources = {source: model.files} | ({options.identity: (options.identity,)} if options.identity else {})
     parts = FaceParts(
@@ -300,15 +308,18 @@ def read(source: Path, options: Options) -> Imported:
     )
 
 
+def shape_name(name: str) -> str:
+    """ARKit's name of a model's shape: a side suffix ``_L`` / ``_R`` is written Left / Right."""
+    return re.sub("_L$", "Left", re.sub("_R$", "Right", name))
+
+
 def _mode(number: int) -> str:
     return f"identity{number:03d}"
 
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     neutral = model.neutral
-    shapes = dict(model.shapes)
-    if options.arkit_names:
-        shapes = {re.sub("_L$", "Left", re.sub("_R$", "Right", shape)): offsets for shape, offsets in shapes.items()}
+    shapes = {shape_name(name) if options.arkit_names else name: offsets for name, offsets in model.shapes.items()}
     pieces = [part for part in PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])

@@ -231,7 +231,7 @@ OPENED = {
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
         facepipe.cooking.cooking:Node.below facepipe.cooking.cooking:Node.lost facepipe.hosting.host_face:recipe_from
-        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:_with_relative_sources
+        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:save_parts
         """,
 }
 
