@@ -36,14 +36,16 @@ from facepipe.photo.fit.report import PhotoFitReport
 from facepipe.photo.fit.train_photo_action import TrainPhotoReport
 from facepipe.photo.frames.search import ChosenFramesReport
 from facepipe.photo.texture.report import BakePhotoReport
+from facepipe.scanning.database.database_report import DatabaseReport
+from facepipe.scanning.database.info_action import DatabaseInfoReport
 from facepipe.scanning.landmarks.find import ScanLandmarksReport
 from facepipe.scanning.photos.scan import ScanPhotosReport
-from facepipe.scanning.rebuild.action_reports import FitNeutralReport
-from facepipe.scanning.rebuild.action_reports import RebuildReport
-from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-from facepipe.scanning.rebuild.action_reports import RegisterScanReport
-from facepipe.scanning.rebuild.action_reports import SplitShapesReport
+from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.personal_template import PersonalReport
+from facepipe.scanning.rebuild.rebuild_report import RebuildReport
+from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport
+from facepipe.scanning.rebuild.register_scans import RegisterScanReport
+from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
 from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
 from facepipe.verbs.animate.animate import AnimateReport
@@ -238,6 +240,81 @@ def choose_frames(
     :param clip: short video of one person
     :param count: frames to keep at most
     :param out: folder to make: the frames as PNG, report.json
+    :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def database_add(
+    database: str | os.PathLike[str],
+    faces: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    max_surface_mean_mm: float = 0.3,
+    max_surface_p95_mm: float = 1.0,
+    min_coverage: float = 0.6,
+    max_flipped_triangles: int = 20,
+    ignore_quality: bool = False,
+    drop_shapes: bool = False,
+    names: Sequence[str] = (),
+    quality: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+) -> DatabaseReport:
+    """Put more faces into a database: `facepipe database add`.
+
+    :param max_surface_mean_mm: largest mean distance from the scan of the neutral [mm]
+    :param max_surface_p95_mm: largest 95th percentile of that distance [mm]
+    :param min_coverage: least share of the face area that the scan shows
+    :param max_flipped_triangles: most triangles turned over, in the neutral and its shapes
+    :param ignore_quality: add faces that miss the limits too; the history says so
+    :param drop_shapes: shapes of the database that a face lacks leave it; otherwise the face is refused
+    :param names: names of the faces (default: those of their files)
+    :param database: database: .fpdb
+    :param faces: face stages of one topology
+    :param quality: measures of a face: a JSON report, with several faces NAME=REPORT, once for each
+    :param out: write another file (default: in place)
+    :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def database_create(
+    faces: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    tolerance_mm: float = 0.1,
+    names: Sequence[str] = (),
+) -> DatabaseReport:
+    """Make a database of face stages: `facepipe database create`.
+
+    :param tolerance_mm: RMS error over all points to which each expression is held; less makes the file larger [mm]
+    :param names: names of the faces (default: those of their files)
+    :param faces: face stages of one topology
+    :param out: database to write: .fpdb
+    :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def database_info(
+    database: str | os.PathLike[str],
+) -> DatabaseInfoReport:
+    """List what is in a database: `facepipe database info`.
+
+    :param database: database: .fpdb
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def database_remove(
+    database: str | os.PathLike[str],
+    names: Sequence[str],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> DatabaseReport:
+    """Take faces out of a database: `facepipe database remove`.
+
+    :param database: database: .fpdb
+    :param names: names of faces, as info lists them
+    :param out: write another file (default: in place)
     :param overwrite: put it in place of a file that is there
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """

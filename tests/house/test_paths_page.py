@@ -199,10 +199,10 @@ OPENED = {
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
         facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
         facepipe.verbs.blend.blend_action:BlendFaces.check
-        facepipe.scanning.database.actions:DatabaseInfo.look
+        facepipe.scanning.database.info_action:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
-        facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos
+        facepipe.scanning.rebuild.scan_fit:scan_input facepipe.scanning.photos.photos:read_photos
         facepipe.photo.frames.clip:_most_pixels facepipe.stage.files:check_stage_file
         facepipe_blender.panel:FACEPIPE_OT_export.invoke facepipe_blender.panel:FACEPIPE_OT_export.execute
         facepipe_blender.panel:_deliver
@@ -224,7 +224,8 @@ OPENED = {
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
         facepipe.scanning.rebuild.steps:WorkFolder._read
-        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
+        facepipe.scanning.rebuild.rebuild:Rebuild._step facepipe.stage.files:open_stage
+        facepipe.stage.layer_files:_check
         facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
         facepipe.stage.composition:check_arrays

@@ -198,16 +198,13 @@ class _Search:
     def _best(self, crops: list[Candidate]) -> FaceFrame | None:
         judged: list[tuple[float, FaceFrame]] = []
         for candidate in crops:
-            sure_frame = self._judged(candidate)
-            if sure_frame is not None and sure_frame[0] > _CERTAIN:
-                return sure_frame[1]
-            judged += [sure_frame] if sure_frame is not None else []
+            # How sure a face is, and its frame as three views show it, and three along what those showed.
+            once = self._moved(candidate.frame, _SURE / 2, np.inf)
+            twice = None if once is None else self._moved(once[1], _SURE, _STEADY)
+            if twice is not None and twice[0] > _CERTAIN:
+                return twice[1]
+            judged += [twice] if twice is not None else []
         return max(judged, key=lambda one: one[0])[1] if judged else None
-
-    def _judged(self, candidate: Candidate) -> tuple[float, FaceFrame] | None:
-        """How sure a face is, and its frame as three views show it; None where they don't agree on one."""
-        once = self._moved(candidate.frame, _SURE / 2, np.inf)
-        return None if once is None else self._moved(once[1], _SURE, _STEADY)
 
     def _moved(self, frame: FaceFrame, surer: float, steadier: float) -> tuple[float, FaceFrame] | None:
         """Score and frame by three views along `frame`; None where they are less sure or less steady than that."""

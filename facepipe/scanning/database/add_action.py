@@ -17,79 +17,14 @@ from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
 from facepipe.declare import source
-from facepipe.kinds import FileAction, InPlaceAction, Inspector, Job, Watch, action
+from facepipe.kinds import InPlaceAction, Job, action
 from facepipe.scanning.database.database_report import DatabaseReport, report_of
-from facepipe.scanning.database.options import AddOptions, DatabaseOptions, FaceNames
+from facepipe.scanning.database.options import AddOptions, FaceNames
 
 if TYPE_CHECKING:
     from facepipe.scanning.database.options import Quality
 
 _MOST_REPORT = 1 << 26  # bytes of a report
-
-
-@action("database create", "make a database of face stages")
-@dataclass(frozen=True, kw_only=True)
-class CreateDatabase(FaceNames, DatabaseOptions, FileAction[DatabaseReport]):
-    """The action (`create_database`)."""
-
-    output = "database to write: .fpdb"
-    suffixes = (".fpdb",)
-    alone = True
-
-    faces: tuple[Path, ...] = source("face stages of one topology", metavar="FACE")
-
-    def write(self, job: Job) -> DatabaseReport:
-        from facepipe.scanning.database.changes import create_database, stage_sources
-        from facepipe.scanning.database.database_file import save_database
-
-        sources = stage_sources(self.faces, self.names)
-        with job.watch("create", 2 * len(sources)) as bar:
-            made = create_database(sources, self, done=bar.update)
-        save_database(made.database, job.out)
-        return report_of(made.database, made.warnings)
-
-
-@action("database remove", "take faces out of a database")
-@dataclass(frozen=True, kw_only=True)
-class RemoveFromDatabase(InPlaceAction[DatabaseReport]):
-    """The action (`remove_faces`)."""
-
-    suffixes = (".fpdb",)
-
-    database: Path = source("database: .fpdb")
-    names: tuple[str, ...] = source(
-        "names of faces, as info lists them", metavar="NAME", split=lambda name: (None, name)
-    )
-
-    def write(self, job: Job) -> DatabaseReport:
-        from facepipe.scanning.database.changes import remove_faces
-        from facepipe.scanning.database.database_file import load_database, save_database
-
-        made = remove_faces(load_database(self.database), self.names, str(self.database))
-        save_database(made.database, job.out)
-        return report_of(made.database, made.warnings)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DatabaseInfoReport(DatabaseReport):
-    """What is in a database, and its file."""
-
-    path: Path
-    bytes: int
-
-
-@action("database info", "list what is in a database")
-@dataclass(frozen=True, kw_only=True)
-class DatabaseInfo(Inspector[DatabaseInfoReport]):
-    """The action."""
-
-    database: Path = source("database: .fpdb")
-
-    def look(self, watch: Watch) -> DatabaseInfoReport:
-        from facepipe.scanning.database.database_file import load_database
-
-        found = report_of(load_database(self.database))
-        return DatabaseInfoReport(**vars(found), path=self.database, bytes=self.database.stat().st_size)
 
 
 def _report_file(word: str) -> tuple[str, str]:
