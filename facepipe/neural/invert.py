@@ -296,6 +296,7 @@ class InvertNeuralRig:
             raise InputError("blocks", f"shape {np.shape(blocks)}, expected {shape[:1]}: one for each frame")
         first = None if start is None else from_default(rig.controls, np.asarray(start, dtype=np.float64))
         with one_thread():
+            # Of orthonormal shapes, distances of activations are those of points.
             rig = rig if rig.bones else with_orthonormal_shapes(rig)
             data = SkinnedData(rig, points, self.options.points) if rig.bones else ShapeData.from_targets(rig, points)
             if self.options.mode == "adam":
@@ -340,6 +341,7 @@ class InvertNeuralRig:
     ) -> InverseReport:
         values = values_of(rig.controls, x)
         off = np.stack([np.linalg.norm(rig.points(row) - own, axis=1) for row, own in zip(values, points, strict=True)])
+        # Halved: second derivatives of a mean of squares are 2 J^T J / n.
         matrices = np.stack([data.normal(x[[one]], np.array([one]))[1][0] for one in range(len(x))]) / 2.0
         rms = np.sqrt(np.square(off).mean(axis=1))
         means = off.mean(axis=1)
@@ -406,6 +408,7 @@ def _control_reports(names: list[str], matrices: FloatArray, off: FloatArray, ou
     sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
     ridge = _STEP_RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
     inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(count))
+    # 1 / sqrt((J^T J)^-1_kk) is what of a control's motion no others together can make.
     own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
     free = np.sqrt(max(outputs - count, 1))
     std = np.minimum(off[:, None] / np.maximum(free * own_sizes, 1e-30), _ANYWHERE)

@@ -68,6 +68,7 @@ class Motion:
             require_finite(values, self.where, what)
         if self.coefficients is not None:
             require_finite(self.coefficients, self.where, "bone coefficients")
+        # What learns of it maps values to shares of ranges, and does not ask again.
         for number, control in enumerate(self.controls):
             low, high, own = control.minimum, control.maximum, self.values[:, number]
             if not low < high:

@@ -238,6 +238,7 @@ def _check_times(
     :param points: what holds points, and (f,) whether they are between two samples that differ
     :raises InputError: the first time at which controls or points are not known
     """
+    # Held values beyond the samples, or mixed ones between two, would be learned as if they were known.
     faults: list[tuple[float, str, str]] = []
     for name, known, ends in (("points", sampled, moving), ("controls", moving, sampled)):
         beyond = known[(known < ends[0]) | (known > ends[-1])]

@@ -325,6 +325,7 @@ def _report(
     rig: NeuralRig, learned: Motion, checked: Motion, straight: Straight, options: TrainNeuralRigOptions
 ) -> NeuralRigReport:
     models: list[NeuralRig | Straight] = [rig, straight, ridge(learned, options.tolerance_mm, options.shapes)]
+    # All three on the same frames, which none of them was fitted to.
     off: list[list[FloatArray]] = [[], [], []]
     for values, points in zip(checked.values, checked.points, strict=True):
         for own, one in zip(off, models, strict=True):

@@ -59,6 +59,7 @@ class CleanScan:
             raise error.under(scan.name) from None
 
     def _surface(self, scan: Scan) -> CleanedScan:
+        # Normals are made anew: the file's are of points that may have been merged, or of triangles turned.
         cleaned = clean_surface(scan.points, scan.triangles, smallest=self.smallest)
         mended = replace(
             scan,
@@ -90,6 +91,7 @@ class CleanScan:
         points = scan.points[first]
         cloud = cloud_normals(points, self.neighbours)
         kept, normals, turned = ~cloud.lone, cloud.normals, False
+        # A scanner knows which side it saw: the planes of neighbours only tell whether all normals point inward.
         if scan.normals is not None:
             normals = scan.normals[first]
             turned = bool(np.einsum("ni,ni->n", normals, cloud.normals).mean() < 0)

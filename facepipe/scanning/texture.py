@@ -436,6 +436,7 @@ def _brows(skin: SkinSurface, brightness: FloatArray, trust: FloatArray) -> floa
         rows = np.unique(np.concatenate([np.asarray(one, np.int64) for one in near]))
         return np.asarray(brightness[rows[trust[rows] > _BRIGHT_SHOWN]])
 
+    # A quantile, not the mean: hairs may cover a quarter of where brows are.
     forehead, brows = around(_FOREHEAD), around(_ON_BROWS)
     if not len(forehead) or not len(brows):
         return 0.0

@@ -59,6 +59,7 @@ def train_deformation_network(
         layers = [nn.Linear(x.shape[1], width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), last]
         network = nn.Sequential(*layers).double()
         size = y.square().mean().sqrt().clamp_min(1e-12)
+        # The last frames are checked, not some of all: neighbours in time are nearly the same.
         kept = max(1, len(x) - max(1, round(CHECKED * len(x))))
         optimiser = torch.optim.Adam(network.parameters(), lr=RATE)
         best, best_step, weights = np.inf, 0, {}

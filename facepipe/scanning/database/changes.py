@@ -259,6 +259,7 @@ def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callab
     facts = []
     for source in sources:
         face = source()
+        # One NaN would be in every number of both models.
         require_finite(face.points, face.name)
         require_finite(face.deltas, face.name)
         facts.append(

@@ -82,6 +82,7 @@ def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
         raise InputError(f"{source} -> history", "other entries than there are")
     if not header.tolerance_mm > 0:
         raise InputError(f"{source} -> tolerance_mm", f"{header.tolerance_mm}, expected a number above 0")
+    # A size that is met first holds for all arrays after it: none is broadcast by mistake.
     reader = _Reader(source, arrays, {"entries": len(header.entries)})
     reader.sizes["meshes"] = len(header.meshes)
     points = reader.get("topology/points", "i", "meshes")

@@ -145,6 +145,7 @@ class _CameraEntry:
             raise InputError(f"{where} -> focal", f"{self.focal}, expected pixels above 0")
         x, y = self.center or (self.width / 2, self.height / 2)
         k1, k2, p1, p2 = self.distortion
+        # The nearest rotation, U V^T of the singular value decomposition: files have rounded numbers.
         matrix = np.array(self.rotation, dtype=np.float64)
         U, _, Vt = np.linalg.svd(matrix)
         nearest = np.asarray(U @ Vt)

@@ -191,6 +191,7 @@ def _triangulated(colmap: Any, folder: Path, known: Mapping[str, PhotoCamera], o
 
 
 def _structure(model: Any, names: Mapping[str, str], count: int) -> Structure:
+    # Sorted, so that the same photos give the same structure.
     images = sorted((one for one in model.images.values() if one.has_pose), key=lambda one: str(one.name))
     if len(images) < FEWEST_PHOTOS:
         raise FitError(
@@ -269,6 +270,7 @@ def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> lis
     for i, a in enumerate(cameras):
         for j, b in enumerate(cameras):
             if i != j and shared[i, j] >= _FEWEST_SHARED:
+                # The root: errors of means fall with the root of the number of points.
                 score[i, j] = _fitness(a, b, subject) * np.sqrt(shared[i, j])
     pairs = set()
     for i, row in enumerate(score):

@@ -167,6 +167,7 @@ def _poisson(cloud: Cloud) -> tuple[FloatArray, IntArray]:
     pycolmap = colmap_module()
     center, extent = cloud.points.mean(axis=0), float(np.ptp(cloud.points, axis=0).max())
     options = pycolmap.PoissonMeshingOptions()
+    # Depth d cuts the extent into 2^d cells.
     options.depth = int(np.clip(np.ceil(np.log2(extent / cloud.spacing / _WITHIN)), _SHALLOWEST, _DEEPEST))
     options.trim, options.color, options.num_threads = 0.0, False, 1
     with tempfile.TemporaryDirectory(prefix="facepipe-scan-") as folder:

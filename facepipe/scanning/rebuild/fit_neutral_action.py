@@ -116,6 +116,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         else:
             what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
             raise InputError("--database", what)
+        # Fitted without hair and lashes, which go with the skin after it.
         body = template.body(database.topology)
         scan, landmarks, notes, photos = scan_input(Path(self.scan), self.landmarks, job.watch)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})

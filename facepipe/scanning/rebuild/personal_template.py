@@ -110,6 +110,7 @@ def author_personal(
     :raises TopologyError: a face or database of another topology than the template
     :raises InputError: nothing to make shapes of
     """
+    # The neutral as it stands, corrected by hand or not.
     own = whole_face(face.parts(), face.where)
     if own.topology.digest != template.topology.digest:
         raise TopologyError(face.where, f"other meshes or faces than {template.where}, expected the same")

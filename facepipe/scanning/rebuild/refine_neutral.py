@@ -134,6 +134,7 @@ def _report(
     :param flipped: triangles that were turned over before
     :param lines: warnings from before
     """
+    # NaN, not 0, where a row may not follow: means are over what could change.
     free, shows, face = rows > 0.0, np.isfinite(distances[1]), template.face
     before, after = (_mean_and_p95(np.where(free, one, np.nan)) for one in distances)
     whole = _mean_and_p95(distances[1])

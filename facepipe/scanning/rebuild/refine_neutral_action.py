@@ -75,6 +75,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         weights = region_weights(parts, self.regions, where)
         template, scan = Template.of(parts, where), read_scan(self.scan)
         landmarks, notes = landmarks_of(self.landmarks, scan)
+        # The face is refined as the scan shows it; what it shows besides is taken off again.
         own, besides = whole_face(parts, where), self.weights or shown_before(parts.recipe)
         shown = resolved(besides, tuple(own.deltas), f"{where} -> --weights") if besides else {}
         expression = ShownShapes(deltas=own.deltas).expression(shown, len(template.points))

@@ -161,6 +161,7 @@ def expression_surface(
     """The neutral's skin by the shapes of an expression, with room for the person's own motion."""
     modes = np.stack([shapes[shape][template.rows] for shape in weights])
     expected = np.array([float(weight) for weight in weights.values()])
+    # The residual's standard deviation is still + variation * motion: where much moves, people differ much.
     spread = expected_spread(modes, expected, options)
     return DeformableSurface(
         base=neutral.points[template.rows],
@@ -241,6 +242,7 @@ def neutral_place(
     if known.sum() < _FEWEST_OF_NEUTRAL:
         what = f"{int(known.sum())} of 68 are known, expected {_FEWEST_OF_NEUTRAL} or more"
         raise InputError(f"{scan.name} -> landmarks", what)
+    # Nothing bends: only the place is sought.
     surface = neutral_surface(template, points, held=_RIGID)
     surface = surface if seen is None else replace(surface, seen=seen)
     start = robust_similarity(landmarks.points[known], surface.base[template.landmarks][known])
@@ -337,6 +339,7 @@ def _view(
     expected = np.array([float(weight) for weight in expression.weights.values()])
     spread = expected_spread(modes, expected, expression_options)
     anchors = expression_anchors(template, first, expression)
+    # Variances add: of the landmarks' noise, and of the person's own motion beyond the template's.
     held = np.sqrt(anchors.variances(options.landmark_sigma_mm) + anchors.places(spread) ** 2)
     precision = np.full(len(expected), 1.0 / expression_options.weight_sigma**2)
     return View(

@@ -133,6 +133,7 @@ def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[st
     :param names: of the anchors
     """
     distances = registered.distances[np.isfinite(registered.distances)]
+    # By landmarks alone: elsewhere nothing says how far a face has slid along its scan.
     slides = dict(zip(names, registered.anchor_slides, strict=True))
     known = {part: [slides[key] for i in marks if (key := f"landmark {i}") in slides] for part, marks in _PARTS.items()}
     return ScanFit(

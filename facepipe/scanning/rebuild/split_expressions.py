@@ -130,6 +130,7 @@ def turned_over(
 
 
 def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitShapesReport:
+    # Both ways: of two shapes that scans show as one, neither can be said to be seen.
     alike: dict[int, list[str]] = {}
     for first, second in split.together:
         alike.setdefault(first, []).append(names[second])

@@ -56,6 +56,7 @@ def check_kept(
     :param shapes: and one of (n, 3) a name
     :raises InputError: something else
     """
+    # A file may be damaged, or from another template: what fits is used, anything else is made anew.
     sizes: dict[str, tuple[int, ...]] = dict.fromkeys(points, (count, 3))
     if shapes:
         names = content.get("names")
