@@ -40,12 +40,12 @@ from facepipe.scanning.database.database_report import DatabaseReport
 from facepipe.scanning.database.info_action import DatabaseInfoReport
 from facepipe.scanning.landmarks.find import ScanLandmarksReport
 from facepipe.scanning.photos.scan import ScanPhotosReport
-from facepipe.scanning.rebuild.action_reports import FitNeutralReport
-from facepipe.scanning.rebuild.action_reports import RebuildReport
-from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-from facepipe.scanning.rebuild.action_reports import RegisterScanReport
-from facepipe.scanning.rebuild.action_reports import SplitShapesReport
+from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.personal_template import PersonalReport
+from facepipe.scanning.rebuild.rebuild_report import RebuildReport
+from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport
+from facepipe.scanning.rebuild.register_scans import RegisterScanReport
+from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
 from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
 from facepipe.verbs.animate.animate import AnimateReport

@@ -202,7 +202,7 @@ OPENED = {
         facepipe.scanning.database.info_action:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
-        facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos
+        facepipe.scanning.rebuild.scan_fit:scan_input facepipe.scanning.photos.photos:read_photos
         facepipe.photo.frames.clip:_most_pixels facepipe.stage.files:check_stage_file
         facepipe_blender.panel:FACEPIPE_OT_export.invoke facepipe_blender.panel:FACEPIPE_OT_export.execute
         facepipe_blender.panel:_deliver
@@ -224,8 +224,8 @@ OPENED = {
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
         facepipe.scanning.rebuild.steps:WorkFolder._read
-        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
-        facepipe.stage.textures:TextureFolder.write
+        facepipe.scanning.rebuild.rebuild:Rebuild._step facepipe.stage.files:open_stage
+        facepipe.stage.layer_files:_check facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
         facepipe.stage.composition:check_arrays
         """,
