@@ -18,7 +18,7 @@ from facepipe.registry import exporter, neural_rigs, outputs
 from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
-    from facepipe.importers.rename_table import Renamed
+    from facepipe.importers.rename_table import Rename, Renamed
     from facepipe.parts import HasParts
     from facepipe.rig.neural_rig import NeuralEncoder
     from facepipe.stage import Face
@@ -104,31 +104,12 @@ def export(
             whole = read_face(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, form, rig, attach, learned)
-        if naming is not None:
-            renamed = naming(made.face.parts())
-            if getattr(form, "lods", False):
-                lower = tuple(naming(lower_level).parts for lower_level in whole.lower_levels())
-                held: Any = HeldLevels(renamed.parts, lower)
-            else:
-                held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
-                held = replace(held, held=renamed.parts)
-            made = replace(made, face=held, renamed=renamed)
+        made = _made(whole, form, rig, attach, learned, naming)
         if distil:
             bar.update()
         report = module.export(made.face, target, form)
         bar.update()
-    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    plausible = implausible(whole.parts())
-    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
-    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
-    if made.attached is not None:
-        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
-    if made.distilled is None:
-        return report
-    points, packed = made.distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
-    learned_report = replace(report, error_mm=None if points is None else points.max + packed)
-    return DistilledExportReport(**vars(learned_report), distilled=made.distilled)
+    return _reported(report, made, implausible(whole.parts()))
 
 
 def _options(
@@ -163,24 +144,47 @@ def _options(
     return form, attached, DistilOptions(**distilled) if distil else None
 
 
-def _made(face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None) -> _Made:
-    """The face with learned sliders, or the neural rig, if asked for.
+def _made(
+    face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None, naming: Rename | None
+) -> _Made:
+    """The face with learned sliders, or the neural rig, and under other names, if asked for.
 
-    :raises InputError: as `DistilSliders`, or a damaged rig or one without an encoder
+    :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
+    made = _Made(face=face)
     if learned is not None:
         from facepipe.verbs.sliders import DistilSliders
 
         parts, report = DistilSliders(**vars(learned))(face.parts())
-        return _Made(face=HeldFace(parts), distilled=report)
-    if rig is None:
-        return _Made(face=face)
-    if getattr(form, "encoder", False):
+        made = _Made(face=HeldFace(parts), distilled=report)
+    elif rig is not None and getattr(form, "encoder", False):
         from facepipe.verbs.whole_faces import Topology
 
         encoder = neural_rigs().encoder(rig)
         encoder.check(Topology.of(face.parts()).digest, face.where)
-        return _Made(face=_EncodedFace(face.parts(), encoder))
-    attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
-    return _Made(face=HeldFace(attached.parts), attached=attached)
+        made = _Made(face=_EncodedFace(face.parts(), encoder))
+    elif rig is not None:
+        attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
+        made = _Made(face=HeldFace(attached.parts), attached=attached)
+    if naming is None:
+        return made
+    renamed = naming(made.face.parts())
+    if getattr(form, "lods", False):
+        lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
+        return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
+    held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
+    return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
+
+
+def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
+    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
+    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
+    if made.attached is not None:
+        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
+    if made.distilled is None:
+        return report
+    points, packed = made.distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
+    learned = replace(report, error_mm=None if points is None else points.max + packed)
+    return DistilledExportReport(**vars(learned), distilled=made.distilled)

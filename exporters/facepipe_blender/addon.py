@@ -97,6 +97,7 @@ def _download(folder: Path, options: Options) -> None:
     """
     host = _HOSTS[options.blender]
     words = ["download", "--quiet", "--disable-pip-version-check", "--dest", str(folder.absolute())]
+    # pip takes wheels for another machine and Python alone: a source would be built for this one
     words += ["--only-binary=:all:", "--implementation", "cp", "--python-version", host.python]
     words += [word for tag in _TAGS[options.platform] for word in ("--platform", tag)]
     if options.wheels is not None:
@@ -134,6 +135,7 @@ def write_own_wheel(folder: Path) -> Path:
 
     :raises InputError: the folder can't be written
     """
+    # by hand, of the files that run: an installed facepipe has neither its pyproject.toml nor the tools that build it
     files: dict[str, bytes] = {}
     for package in _PACKAGES:
         root = Path(str(importlib.import_module(package).__file__)).parent

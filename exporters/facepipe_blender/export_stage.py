@@ -1,6 +1,6 @@
 """Faces put on a stage that Blender is about to save, in place of Blender's prims of their objects.
 
-In order: the exported stage, with the prims of the objects on it; the face that objects make; its place on the stage.
+In order: faces put on the stage; the face that objects make, as parts; the stage and Blender's prims on it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,11 @@ from .armature import joint_paths, read_skeleton, skeleton_at_rest
 from .face_objects import MESH, FaceObjects, Kept, faces_among, kept_in
 from .read_mesh import read_mesh
 
-_BARE = ("", "Xform", "Scope", "SkelRoot")
+_BARE = ("", "Xform", "Scope", "SkelRoot")  # types of prims that hold nothing of their own
+_NEAR = 5e-6  # of a matrix: what float32 angles and scales make of none
+_UP = {"Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "Z": np.eye(3)}  # from Z up
+_UV_TYPES = ("texCoord2f[]", "float2[]")
+_OBJECT, _DATA = "blender:object_name", "blender:data_name"
 
 
 def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -> tuple[str, ...]:
@@ -119,10 +123,6 @@ def _finish(layer: Sdf.Layer, built: Sequence[Built], *, empty: bool, alone: boo
         rate = stage.GetTimeCodesPerSecond()
         stage.SetStartTimeCode(min(float(time[0]) for time in times) * rate)
         stage.SetEndTimeCode(max(float(time[-1]) for time in times) * rate)
-
-
-_NEAR = 5e-6  # of a matrix: what float32 angles and scales make of none
-_UP = {"Y": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "Z": np.eye(3)}  # from Z up
 
 
 class Built(NamedTuple):
@@ -285,10 +285,6 @@ def _moved_mesh(mesh: Mesh, matrix: FloatArray) -> Mesh:
         normals=normals,
         blendshapes=tuple(shape.changed(offsets, offsets) for shape in mesh.blendshapes),  # none has normals yet
     )
-
-
-_UV_TYPES = ("texCoord2f[]", "float2[]")
-_OBJECT, _DATA = "blender:object_name", "blender:data_name"
 
 
 class StageView:

@@ -161,7 +161,7 @@ def face_of(obj: Any, objects: Iterable[Any]) -> FaceObjects:
     for face in faces:
         if obj in (face.armature, *face.meshes):
             return face
-    below = []
+    below = []  # faces under an empty that the user took for the whole: meant where there is one alone
     for face in faces:
         above = face.first.parent
         while above is not None and above != obj:

@@ -149,6 +149,7 @@ def _blend_again(face: FaceObjects, file: Path | None) -> tuple[str, ...]:
     blended, changes = reblended(path)
     objects = {str(obj.get(MESH, "")): obj for obj in face.meshes}
     meshes = {mesh.name: mesh for mesh in blended.meshes}
+    # all is checked before the first point moves: half a face of the new blend would be one of neither
     if meshes.keys() != objects.keys():
         raise TopologyError(path, f"meshes {', '.join(meshes)}, expected {', '.join(objects)} as in Blender")
     for name, mesh in meshes.items():

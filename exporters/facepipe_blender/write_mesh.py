@@ -71,7 +71,8 @@ def write_mesh(obj: Any, mesh: Mesh) -> None:
         obj.data.vertices.foreach_set("co", flat)
     if mesh.blendshapes:
         _write_shapes(obj, mesh)
-    write_regions(obj, dict(mesh.regions))
+    _remove(obj, [group.name for group in obj.vertex_groups if group.name.startswith(REGION)])
+    _add(obj, {REGION + name: mask for name, mask in mesh.regions.items()})
     for name in [one.name for one in obj.data.attributes if one.name.startswith(_DROPPED)]:
         obj.data.attributes.remove(obj.data.attributes[name])  # references to others end with every removal
     for name, indices in mesh.point_subsets.items():
@@ -130,12 +131,6 @@ def _write_shapes(obj: Any, mesh: Mesh) -> None:
 
 def _set(block: Any, points: FloatArray) -> None:
     block.data.foreach_set("co", np.ascontiguousarray(points, dtype=np.float32).ravel())
-
-
-def write_regions(obj: Any, regions: dict[str, FloatArray]) -> None:
-    """The regions as vertex groups of a mesh object, in place of those it has."""
-    _remove(obj, [group.name for group in obj.vertex_groups if group.name.startswith(REGION)])
-    _add(obj, {REGION + name: mask for name, mask in regions.items()})
 
 
 def write_skin(obj: Any, skin: Skin, bones: Sequence[str]) -> None:

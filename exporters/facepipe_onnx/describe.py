@@ -91,6 +91,7 @@ def describe(
 
 
 def _common(parts: FaceParts, rig: Rig, operators: list[str]) -> Json:
+    # in world space: the skeleton's place may turn and scale what the meshes hold
     neutral = rig.evaluate()
     return {
         "face": {

@@ -36,11 +36,6 @@ def sidecar_path(model: Path) -> Path:
     return model.with_name(f"{model.name}.json")
 
 
-def to_properties(metadata: dict[str, Any]) -> dict[str, str]:
-    """Metadata as `metadata_props`."""
-    return {PREFIX + key: json.dumps(metadata[key], sort_keys=True, allow_nan=False) for key in sorted(metadata)}
-
-
 def model_metadata(model: Any) -> dict[str, Any]:
     """The metadata in a model; keys of others are left out.
 
@@ -48,11 +43,6 @@ def model_metadata(model: Any) -> dict[str, Any]:
     """
     ours = {prop.key.removeprefix(PREFIX): prop.value for prop in model.metadata_props if prop.key.startswith(PREFIX)}
     return {key: parse_json(text, f"metadata {PREFIX}{key}") for key, text in ours.items()}
-
-
-def sidecar_text(metadata: dict[str, Any]) -> str:
-    """Metadata as the sidecar's text."""
-    return json.dumps(metadata, sort_keys=True, indent=1, allow_nan=False) + "\n"
 
 
 def parse_json(text: str | bytes, where: object) -> Any:

@@ -36,6 +36,7 @@ class Options:
 
         :raises InputError: a value outside its choices or range
         """
+        # options of the other kind of graph are refused, not ignored: who gives them expects that they do something
         check_ranges(self)
         if not isinstance(self.batch, int):
             raise InputError("option batch", f"is {self.batch!r}, expected a whole number")

@@ -81,7 +81,7 @@ class Deformer:
         :param sliders: slider values by name, for graphs of sliders; those not named are as on the face
         :raises InputError: names, counts or inputs that the graph has not, or numbers that are not finite
         """
-        feeds: dict[str, npt.ArrayLike] = {}
+        feeds: dict[str, npt.ArrayLike] = {}  # an empty mapping is no input: a graph without shapes has none of them
         if weights:
             feeds["weights"] = self._by_name("weights", weights, self.shapes)
         if sliders:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -27,7 +28,7 @@ from facepipe.rig.neural_rig import EPSILON, EncoderLayer, NeuralEncoder
 from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe
 from facepipe_onnx.graph import build, select_shapes
-from facepipe_onnx.metadata import ENCODER, FURTHER, operators, sidecar_path, sidecar_text, to_properties
+from facepipe_onnx.metadata import ENCODER, FURTHER, PREFIX, operators, sidecar_path
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_weights import packed_error
 from facepipe_onnx.read import problems
@@ -59,9 +60,9 @@ def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.
     """
     target, beside = outputs(path)
     model.producer_version = __version__
-    for key, value in to_properties(metadata).items():
+    for key in sorted(metadata):
         entry = model.metadata_props.add()
-        entry.key, entry.value = key, value
+        entry.key, entry.value = PREFIX + key, json.dumps(metadata[key], sort_keys=True, allow_nan=False)
     if model.ByteSize() > MAX_BYTES:
         raise ExportError(name, f"{model.ByteSize()} bytes, expected at most {MAX_BYTES}: what an ONNX file holds")
     for problem in problems(model):
@@ -69,7 +70,7 @@ def write_model(model: Any, metadata: dict[str, Any], name: str, path: str | os.
     data = bytes(model.SerializeToString(deterministic=True))
     with together(target):
         write_bytes(target, data)
-        write_bytes(beside, sidecar_text(metadata).encode())
+        write_bytes(beside, f"{json.dumps(metadata, sort_keys=True, indent=1, allow_nan=False)}\n".encode())
     return len(data)
 
 

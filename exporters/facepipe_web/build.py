@@ -50,6 +50,7 @@ def build() -> None:
         raise RuntimeError("needs node (20 or newer) and npm on the PATH")
     if not _has_packages():
         _run([npm, "ci", "--no-audit", "--no-fund", "--ignore-scripts"])
+    # beside it, then in its place: a server that runs meanwhile gives out no half of a page
     digest, temporary, former = sources_digest(), DIST.with_name("dist.new"), DIST.with_name("dist.former")
     try:
         _run([node, "build.mjs", str(temporary)])

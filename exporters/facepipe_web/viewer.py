@@ -115,7 +115,7 @@ class Blending:
         if wanted == "points":
             return "application/octet-stream", self._live.points(rows, self._live.base.gltf_axes)
         if wanted == "face":
-            with self._lock:
+            with self._lock:  # the page asks for the next version while it still loads the last: some are kept
                 face = self._live.face(rows)
                 self._number += 1
                 name = f"blend{self._number}"
@@ -166,6 +166,7 @@ def view(faces: Sequence[Path], options: Options, onnx: Path | None = None) -> I
     :raises InputError: no build, a port that is not free, or files that can't be shown
     :raises SchemaError, ExportError: a stage without a face, or one that a format can't hold
     """
+    # never built on the way: that takes node and a network, which a viewer has no business to ask for
     options.check()
     if not build.is_built():
         what = "is older than its sources" if build.DIST.exists() else "is not built"

@@ -96,22 +96,17 @@ def quiet_libraries() -> Iterator[None]:
 
     `sys.stderr` still leads where stderr led. Warnings that Python was asked for (``-W``, ``PYTHONWARNINGS``) stay.
     """
-    with warnings.catch_warnings(), _own_stderr(), _no_reports():
+    with warnings.catch_warnings(), _own_stderr():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")
-        yield
-
-
-@contextlib.contextmanager
-def _no_reports() -> Iterator[None]:
-    """Errors that C++ code or a finaliser swallows are not printed: USD does so over values that Python can't hold."""
-    before = sys.excepthook, sys.unraisablehook
-    sys.excepthook = lambda *_: None
-    sys.unraisablehook = lambda _: None
-    try:
-        yield
-    finally:
-        sys.excepthook, sys.unraisablehook = before
+        # errors that C++ code or a finaliser swallows: USD does so over values that Python can't hold
+        before = sys.excepthook, sys.unraisablehook
+        sys.excepthook = lambda *_: None
+        sys.unraisablehook = lambda _: None
+        try:
+            yield
+        finally:
+            sys.excepthook, sys.unraisablehook = before
 
 
 @contextlib.contextmanager

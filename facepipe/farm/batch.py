@@ -434,25 +434,28 @@ def batch(
         run = Run(plan=plan, ledger=ledger, options=options, on_task=lambda *_: None, roots=roots)
         if on_task is not None:
             run.on_task = on_task(run)
-        setting = {  # what processes that do tasks need to know first
-            "folder": str(plan.folder),
-            "roots": [*dict.fromkeys(str(one.absolute()) for one in roots)],
-            "urls": trust().urls,
-            "models": models,
-            "local": options.local and str(options.local.absolute()),
-            "local_bytes": int(options.local_gb * 1e9),
-            "version": __version__,
-        }
+        setting = _setting(plan, roots, models, options)
         engine: Engine = (
             Cluster(cluster, setting, processes) if cluster else Processes(processes or os.cpu_count() or 1, setting)
         )
-        try:
+        with contextlib.closing(engine):
             run(engine)
-        finally:
-            engine.close()
         report = report_of(run, state, time.perf_counter() - start)
         write_report(report, run, state)
     return report
+
+
+def _setting(plan: Plan, roots: tuple[Path, ...], models: bool, options: RunOptions) -> Mapping[str, Any]:
+    """What processes that do tasks need to know first."""
+    return {
+        "folder": str(plan.folder),
+        "roots": [*dict.fromkeys(str(one.absolute()) for one in roots)],
+        "urls": trust().urls,
+        "models": models,
+        "local": options.local and str(options.local.absolute()),
+        "local_bytes": int(options.local_gb * 1e9),
+        "version": __version__,
+    }
 
 
 def _with_thumbnails(plan: Plan, state: Path, size: int) -> Plan:

@@ -21,12 +21,12 @@ import contextlib
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.cli.parser import add_options
+from facepipe.cli.parser import add_options, options_from
 from facepipe.cli.show import emit, is_quiet, note
 from facepipe.core.errors import InputError
 from facepipe.farm.plan import RunOptions
@@ -78,7 +78,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
     from facepipe.cli import in_project
-    from facepipe.cli.parser import options_from
     from facepipe.core.policy.paths import trust
     from facepipe.core.project import project_around
     from facepipe.farm.batch import batch
@@ -91,7 +90,7 @@ def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
             for one in plan.steps
         }
         plan = plan_of(plan.where, plan.folder, plan.out, plan.rows, steps)  # what a project adds can have braces too
-    with _watched() as on_task:
+    with contextlib.ExitStack() as ends:  # of bars
         report = batch(
             plan,
             state,
@@ -100,17 +99,10 @@ def _run(arguments: argparse.Namespace, plan: Plan, state: Path | None) -> int:
             cluster=arguments.cluster,
             thumbnails=arguments.thumbnails,
             models=trust().models,
-            on_task=on_task,
+            on_task=lambda run: _bars(run, ends) if sys.stderr.isatty() and not is_quiet() else _lines(run),
         )
     emit(report.to_dict(), report.text(), as_json=arguments.json)
     return 1 if report.missed else 0
-
-
-@contextlib.contextmanager
-def _watched() -> Iterator[Callable[[Run], Callable[..., object]]]:
-    """Watches a run: called with it, and then with each task that ends and its record."""
-    with contextlib.ExitStack() as ends:
-        yield lambda run: _bars(run, ends) if sys.stderr.isatty() and not is_quiet() else _lines(run)
 
 
 def _bars(run: Run, ends: contextlib.ExitStack) -> Callable[..., object]:

@@ -23,6 +23,8 @@ from facepipe.core.threads import THREADS
 from facepipe.farm.ledger import FAILED, Record
 
 PROGRAM = "facepipe.farm.program"  # a module that answers requests, a line of JSON each, from its standard input
+LOST = "lost"  # status of a task whose process ended before it answered
+Done = Callable[[Record], object]
 _PAUSE = 0.2  # seconds between two looks at its memory
 _ONE_THREAD = dict.fromkeys(
     (
@@ -129,10 +131,6 @@ def _pump(pipe: Any, answers: queue.SimpleQueue[bytes | None]) -> None:
         for line in pipe:
             answers.put(line)
     answers.put(None)
-
-
-Done = Callable[[Record], object]
-LOST = "lost"  # status of a task whose process ended before it answered
 
 
 class Engine(Protocol):

@@ -42,6 +42,7 @@ _MOST_TEXT = 2_000_000_000  # characters of the lines of all tasks
 _MOST_LINE = 1 << 14  # characters of a line for a face: thousands are given out at once
 _MOST_OF_ALL = 1 << 26  # of a line for all faces
 _FEW = 1000  # names that an unknown one is compared to
+_NUMBER = re.compile(r"-\d*\.?\d*(e-?\d+)?")  # that begins as a flag does
 _BRACES = re.compile(r"\{([^{}]*)\}")
 _STEP = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,60}")
 # key of a step beside its line -> type of its value
@@ -243,9 +244,6 @@ def filled(pattern: str, values: Mapping[str, str], most: int = _MOST_LINE) -> s
     if len(pattern) + sum(len(values[name]) for name in _BRACES.findall(pattern)) > most:
         raise InputError(pattern[:40], f"more than {most:,} characters with its values")
     return _BRACES.sub(lambda found: values[found[1]], pattern)
-
-
-_NUMBER = re.compile(r"-\d*\.?\d*(e-?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,10 +49,26 @@ def read_table(where: str, folder: Path, table: Mapping[str, Any], *, typed: boo
     if len(kinds) != 1:
         raise InputError(where, f"expected one of {', '.join(_KINDS)}")
     kind, said = kinds[0], table[kinds[0]]
+    place = f"{where}.{kind}"
     if kind == "glob":
-        columns: Iterable[dict[str, str]] = _of_glob(f"{where}.{kind}", folder, said, typed=typed)
+        columns: Iterable[dict[str, str]] = _of_glob(place, folder, said, typed=typed)
+    elif kind == "csv":
+        columns = _of_csv(place, folder, said)
+    elif kind == "rows":
+        fine = isinstance(said, list) and all(isinstance(one, dict) and one.keys() == said[0].keys() for one in said)
+        if not fine or not all(isinstance(value, str | int | float) for one in said for value in one.values()):
+            raise InputError(place, "expected a list of rows with the same columns, texts and numbers")
+        columns = ({str(key): str(value) for key, value in one.items()} for one in said)
     else:
-        columns = {"csv": _of_csv, "rows": _of_rows, "range": _of_range}[kind](f"{where}.{kind}", folder, said)
+        ends = next(iter(said.values())) if isinstance(said, dict) and len(said) == 1 else None
+        if not isinstance(ends, list) or len(ends) != 2 or not all(type(end) is int for end in ends):
+            raise InputError(place, "expected a column with its first and last number, like { seed = [1, 500] }")
+        first, last = ends
+        if not 0 <= last - first < _MOST_ROWS:
+            what = f"from {first} to {last}, expected at least one and at most {_MOST_ROWS:,} numbers"
+            raise InputError(place, what)
+        (column,) = said
+        columns = ({column: str(number)} for number in range(first, last + 1))
     rows = []
     for number, values in enumerate(columns, 1):
         own = values.get("name") or (Path(values["face"]).stem if "face" in values else "")
@@ -177,21 +193,3 @@ def _cells(path: str, data: bytes) -> Iterator[dict[str, str]]:
             yield dict(zip(header, cells, strict=True))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(path, f"is no CSV file: {error}") from None
-
-
-def _of_rows(where: str, folder: Path, said: Any) -> list[dict[str, str]]:
-    fine = isinstance(said, list) and all(isinstance(one, dict) and one.keys() == said[0].keys() for one in said)
-    if not fine or not all(isinstance(value, str | int | float) for one in said for value in one.values()):
-        raise InputError(where, "expected a list of rows with the same columns, texts and numbers")
-    return [{str(key): str(value) for key, value in one.items()} for one in said]
-
-
-def _of_range(where: str, folder: Path, columns: Any) -> Iterable[dict[str, str]]:
-    ends = next(iter(columns.values())) if isinstance(columns, dict) and len(columns) == 1 else None
-    if not isinstance(ends, list) or len(ends) != 2 or not all(type(end) is int for end in ends):
-        raise InputError(where, "expected a column with its first and last number, like { seed = [1, 500] }")
-    first, last = ends
-    if not 0 <= last - first < _MOST_ROWS:
-        raise InputError(where, f"from {first} to {last}, expected at least one and at most {_MOST_ROWS:,} numbers")
-    (column,) = columns
-    return ({column: str(number)} for number in range(first, last + 1))
