@@ -44,7 +44,6 @@ class Target:
 
     node: int
     index: int
-    shape: str
     knots: Sequence[Sequence[float]]  # piecewise linear
 
     def bind(self, weight: float) -> Json | None:
@@ -75,7 +74,7 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
         for index, name in enumerate(extras.get("targetNames", [])):
             shape = ours.get("inbetweens", {}).get(name, {}).get("shape", name)
             knots = ours.get("curves", {}).get(name, _STRAIGHT)
-            targets.setdefault(shape, []).append(Target(i, index, shape, knots))
+            targets.setdefault(shape, []).append(Target(i, index, knots))
     presets = table()["preset"]
     named, arkit = match_shapes(presets, [*targets]), match_shapes(sorted(ARKIT_SHAPES), [*targets])
     preset: Json = {}
