@@ -29,7 +29,7 @@ from facepipe_gltf.morphs import Sculpt, chosen_shapes, extras
 from facepipe_gltf.node import run_node
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
-from facepipe_gltf.primitives import Chosen, PrimitiveWriter, by_material
+from facepipe_gltf.primitives import PrimitiveWriter, by_material
 from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.record import record_of, written
 from facepipe_gltf.record_format import Record
@@ -222,7 +222,7 @@ class _Writer:
             parts = self.parts = replace(parts, animations=tuple(resampled_clips), frames_per_second=options.fps)
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
-        self.materials = MaterialWriter(parts.materials)
+        self.materials = MaterialWriter(parts.materials, self.tangents)
         shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
@@ -261,17 +261,14 @@ class _Writer:
         for baked in meshes:
             mesh, sculpts = baked.mesh, baked.sculpts
             writer = PrimitiveWriter(baked, self.options, self.buffers, len(self.parts.skeleton.joints))
-            chosen = []
-            for material, triangles in by_material(baked):
-                surface = self.materials.surface(material, mesh)
-                if mesh.colors is not None and not surface.colored and mesh.name not in self.uncolored:
-                    self.uncolored.append(mesh.name)
-                tangent_uv = surface.tangent_uv if self.tangents else None
-                chosen.append(Chosen(triangles, surface.index, tangent_uv, surface.colored))
+            shown = [(triangles, self.materials.surface(name, mesh)) for name, triangles in by_material(baked)]
+            colored = [surface.colored for _, surface in shown]
+            if mesh.colors is not None and not all(colored) and mesh.name not in self.uncolored:
+                self.uncolored.append(mesh.name)
             # all primitives or none: where one has no colours, those of its points are lost, and the record keeps all
-            if all(one.colored for one in chosen):
+            if all(colored):
                 self.colored.add(mesh.name)
-            primitives = writer.write(chosen)
+            primitives = writer.write(shown)
             ours: Json = {"pointCount": len(mesh.points)} | extras(sculpts)
             if mesh.landmarks:
                 ours["landmarks"] = {
@@ -292,7 +289,8 @@ class _Writer:
                 node["skin"] = 0
             self.meshes.append(entry)
             self.nodes.append(node)
-            counts = (writer.vertex_count, writer.triangle_count, len(primitives), len(sculpts))
+            vertices = sum(self.buffers.accessors[one["attributes"]["POSITION"]]["count"] for one in primitives)
+            counts = (vertices, len(baked.corners.faces), len(primitives), len(sculpts))
             for kind, count in zip(_COUNTED, counts, strict=True):
                 self.counts[kind] += count
         return meshes

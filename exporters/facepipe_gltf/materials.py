@@ -161,15 +161,16 @@ class Surface:
     """A material in the document, and what its primitives need."""
 
     index: int
-    tangent_uv: int | None  # the UV set of its normal map
+    tangent_uv: int | None  # the UV set of its normal map, which gets tangents
     colored: bool  # COLOR_0 may multiply it
 
 
 class MaterialWriter:
     """Converts the face's materials as meshes ask for them; one glTF material per material, UV layout and sidedness."""
 
-    def __init__(self, materials: Sequence[Material]) -> None:
+    def __init__(self, materials: Sequence[Material], tangents: bool) -> None:
         self.textures = Textures()
+        self._tangents = tangents
         self.materials: list[Json] = []
         self.extensions: set[str] = set()
         self._by_name = {material.name: material for material in materials}
@@ -204,9 +205,10 @@ class MaterialWriter:
                 self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
             self._clearcoat(result, source, uv_names)
             self.materials.append(result)
+            mapped = "normalTexture" in result
             self._surfaces[key] = Surface(
                 index=len(self.materials) - 1,
-                tangent_uv=result["normalTexture"].get("texCoord", 0) if "normalTexture" in result else None,
+                tangent_uv=result["normalTexture"].get("texCoord", 0) if mapped and self._tangents else None,
                 colored=source.diffuse_color == (1.0, 1.0, 1.0),
             )
         return self._surfaces[key]

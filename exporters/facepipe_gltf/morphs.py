@@ -245,28 +245,24 @@ def blocks(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray)
     :param normals: (n, 3) unit normals of the mesh's points in glTF space
     """
     with_normals = any(one.normal_offsets is not None for one in sculpts)
-    block: list[Sculpt] = []
+    every: list[list[Sculpt]] = []
     rows = 0
     for sculpt in sculpts:
-        if block and rows + len(sculpt.point_indices) > _BLOCK:
-            yield _morphs(block, placement, normals, with_normals)
-            block, rows = [], 0
-        block.append(sculpt)
         rows += len(sculpt.point_indices)
-    if block:
-        yield _morphs(block, placement, normals, with_normals)
-
-
-def _morphs(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray, with_normals: bool) -> Morphs:
-    starts = np.cumsum([0, *(len(sculpt.point_indices) for sculpt in sculpts)])
-    points = np.concatenate([sculpt.point_indices for sculpt in sculpts], dtype=np.int64)
-    offsets = placement.offsets(np.concatenate([sculpt.offsets for sculpt in sculpts]), points)
-    if not with_normals:
-        return Morphs(starts, points, offsets, None)
-    own = [
-        np.zeros_like(sculpt.offsets) if sculpt.normal_offsets is None else sculpt.normal_offsets for sculpt in sculpts
-    ]
-    return Morphs(starts, points, offsets, placement.normal_offsets(np.concatenate(own), normals[points], points))
+        if rows > _BLOCK or not every:
+            every.append([])
+            rows = len(sculpt.point_indices)
+        every[-1].append(sculpt)
+    for block in every:
+        starts = np.cumsum([0, *(len(sculpt.point_indices) for sculpt in block)])
+        points = np.concatenate([sculpt.point_indices for sculpt in block], dtype=np.int64)
+        offsets = placement.offsets(np.concatenate([sculpt.offsets for sculpt in block]), points)
+        turned = None
+        if with_normals:
+            pairs = [(one.normal_offsets, one.offsets) for one in block]
+            own = np.concatenate([np.zeros_like(offset) if normal is None else normal for normal, offset in pairs])
+            turned = placement.normal_offsets(own, normals[points], points)
+        yield Morphs(starts, points, offsets, turned)
 
 
 def without_small(morphs: Morphs, smallest: float) -> Morphs:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from facepipe.records import Json
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.buffers import Buffers, Rows
 from facepipe_gltf.encoding import Encoded, Encoding
+from facepipe_gltf.materials import Surface
 from facepipe_gltf.morphs import Vertices, rows_of, table_of, vertices_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.record_format import material_groups
@@ -69,15 +69,6 @@ def _project(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     return np.asarray(np.where(tiny, 0.0, flat / np.where(tiny, 1.0, length)))
 
 
-class Chosen(NamedTuple):
-    """What one primitive shows."""
-
-    triangles: IntArray  # (t,) numbers into the mesh's triangles
-    material: int
-    tangent_uv: int | None  # UV set that gets tangents
-    colored: bool  # with COLOR_0
-
-
 class PrimitiveWriter:
     """Writes the primitives of one mesh into `buffers`."""
 
@@ -87,30 +78,27 @@ class PrimitiveWriter:
         self._smallest = options.drop_deltas / 1000
         self._buffers = buffers
         self._joint_type = np.uint8 if joint_count <= 1 << 8 else np.uint16
-        self.vertex_count = 0
-        self.triangle_count = 0
 
-    def write(self, every: Sequence[Chosen]) -> list[Json]:
-        """The primitives of the mesh."""
+    def write(self, shown: Sequence[tuple[IntArray, Surface]]) -> list[Json]:
+        """The primitives of the mesh: numbers of the triangles that show a surface, and the surface."""
         corners = self._baked.corners
         primitives: list[Json] = []
         vertices_of_all = []
-        for chosen in every:
+        for triangles, surface in shown:
             flipped = None
-            if chosen.tangent_uv is not None:
-                uvs = corners.uvs[chosen.tangent_uv][corners.uv_indices[chosen.tangent_uv][chosen.triangles]]
+            if surface.tangent_uv is not None:
+                uvs = corners.uvs[surface.tangent_uv][corners.uv_indices[surface.tangent_uv][triangles]]
                 flipped = _orientation(uvs.astype(np.float64))
-            vertices_of_all.append(vertices_of(corners, chosen.triangles, flipped))
+            vertices_of_all.append(vertices_of(corners, triangles, flipped))
+        # before any attribute, block by block: a block of targets is in the cache for all primitives
         targets_of_all = self._targets(vertices_of_all)
-        for chosen, vertices, targets in zip(every, vertices_of_all, targets_of_all, strict=True):
+        for (_, surface), vertices, targets in zip(shown, vertices_of_all, targets_of_all, strict=True):
             count = len(vertices.points)
-            self.vertex_count += count
-            self.triangle_count += len(vertices.triangles)
             kind = np.uint16 if count <= _MOST_SHORT else np.uint32
             primitive: Json = {
-                "attributes": self._attributes(vertices, chosen.tangent_uv, chosen.colored),
+                "attributes": self._attributes(vertices, surface),
                 "indices": self._buffers.add(vertices.triangles.astype(kind).ravel(), "index"),
-                "material": chosen.material,
+                "material": surface.index,
             }
             if targets:
                 primitive["targets"] = [
@@ -123,7 +111,7 @@ class PrimitiveWriter:
             primitives.append(primitive)
         return primitives
 
-    def _attributes(self, vertices: Vertices, tangent_uv: int | None, colored: bool) -> dict[str, int]:
+    def _attributes(self, vertices: Vertices, surface: Surface) -> dict[str, int]:
         baked, encoding = self._baked, self._encoding
         points = baked.points[vertices.points]
         normals = baked.point_normals[vertices.points]
@@ -134,12 +122,12 @@ class PrimitiveWriter:
             "POSITION": self._add(encoding.positions(points), bounds=True),
             "NORMAL": self._add(encoding.directions(normals)),
         }
-        if tangent_uv is not None:
-            found = _tangents(points, normals, uvs[tangent_uv], vertices.triangles)
+        if surface.tangent_uv is not None:
+            found = _tangents(points, normals, uvs[surface.tangent_uv], vertices.triangles)
             attributes["TANGENT"] = self._add(encoding.directions(found))
         for i, values in enumerate(uvs):
             attributes[f"TEXCOORD_{i}"] = self._add(encoding.uvs(values))
-        if colored and baked.mesh.colors is not None:
+        if surface.colored and baked.mesh.colors is not None:
             attributes["COLOR_0"] = self._add(encoding.colors(np.asarray(baked.mesh.colors)[vertices.points]))
         if baked.influences is not None:
             joints, weights, _ = baked.influences

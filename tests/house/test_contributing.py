@@ -21,7 +21,7 @@ PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ACTION, TEST = "facepipe/verbs/scale_shapes.py", "tests/verbs/test_scale_shapes.py"
 HOUSE = ("test_action_page.py", "test_action_schemas.py", "test_readme.py")
 FILES = ("README.md", "pyproject.toml", "tests/conftest.py", *(f"tests/house/{name}" for name in HOUSE))
-FILES += tuple(f"schemas/{name}" for name in ("generate.py", "manifest.py"))
+FILES += ("schemas/generate.py",)
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "docs").glob("*.*"))
 FILES += tuple(one.relative_to(REPOSITORY).as_posix() for one in (REPOSITORY / "tests" / "support").glob("*.py"))
 

@@ -63,7 +63,7 @@ facepipe.blend("a.usda", weights=[0.8, 0.2], out="c.usda")  # arg-type
 
 
 def test_they_are_what_the_generator_makes() -> None:
-    made = runpy.run_path(str(REPOSITORY / "schemas" / "manifest.py"))["made"]()
+    made = runpy.run_path(str(REPOSITORY / "schemas" / "generate.py"))["made"]()
     assert len(made) == 2
     for file, text in made.items():
         assert file.read_text(encoding="utf-8") == text, f"{file}: `python schemas/generate.py` makes it"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import small_head as sample
 from facepipe_gltf import vrm
-from facepipe_gltf.vrm.meta import LICENSE_URL
+from facepipe_gltf.vrm.options import LICENSE_URL
 from gltf_export import Parts, limited
 from node import vrm_load
 

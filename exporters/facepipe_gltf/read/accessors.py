@@ -103,10 +103,7 @@ def numbers(document: Document, checked: Accessor) -> FloatArray:
     :raises InputError: far more numbers than the file holds
     """
     document.budget.check(checked.count * checked.components * 8, checked.value.error)
-    result = np.zeros((checked.count, checked.components)) if checked.base is None else checked.base.astype(np.float64)
-    if checked.sparse is not None:
-        result[checked.sparse[0]] = checked.sparse[1]
-    return _fractions(checked, result)
+    return _fractions(checked, _stored(checked).astype(np.float64))
 
 
 def integers(document: Document, reference: Value, kind: str, *, count: int | None = None) -> IntArray:
@@ -119,6 +116,11 @@ def integers(document: Document, reference: Value, kind: str, *, count: int | No
     if checked.dtype.kind != "u":
         raise checked.value.error("signed or float components, expected unsigned integers")
     document.budget.spend(checked.count * checked.components * 8, checked.value.error)
+    return _stored(checked)
+
+
+def _stored(checked: Accessor) -> npt.NDArray[Any]:
+    """(count, components) values as they are stored, a copy."""
     shape = (checked.count, checked.components)
     result: npt.NDArray[Any] = np.zeros(shape, checked.dtype) if checked.base is None else np.array(checked.base)
     if checked.sparse is not None:

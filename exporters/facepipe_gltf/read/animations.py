@@ -32,22 +32,59 @@ _MOST = 64  # lines that stand for the curve between two keys
 _WITHIN = 4  # points of a line where its distance from the curve is measured
 _AT_ONCE = 1 << 20  # numbers
 _ALIKE = 1e-3  # weights of two meshes at one time: keys between those of the other are float32 too
-_PATHS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
+_TYPES = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}  # of accessors; of morph weights SCALAR
 
 
 @dataclass(frozen=True)
-class Sampler:
-    """Keys of one channel."""
+class Channel:
+    """The track of one property of a node."""
 
-    value: Value
+    node: int
+    path: str  # translation, rotation, scale, weights
+    value: Value  # of its sampler
     mode: str  # STEP, LINEAR or CUBICSPLINE
     times: FloatArray  # (k,) seconds, ascending
     keys: FloatArray  # (k, width)
     tangents: tuple[FloatArray, FloatArray] | None  # (k, width) in and out, for CUBICSPLINE
 
+    def at(self, times: FloatArray) -> FloatArray:
+        """(t, width) values at `times` (t,), held before the first key and after the last; rotations of unit length."""
+        rotation = self.path == "rotation"
+        left, right, share = between(self.times, times)
+        span, share = self.times[right] - self.times[left], share[:, None]
+        a, b = self.keys[left], self.keys[right]
+        if self.mode == "STEP" or len(self.times) == 1:
+            values = a
+        elif self.tangents is not None:
+            # Hermite's cubic of glTF 2.0, appendix C.5: tangents are per second, so times the length of the span
+            arrive, leave = self.tangents
+            out = span[:, None] * leave[left]
+            into = span[:, None] * arrive[right]
+            s2, s3 = share * share, share * share * share
+            values = np.asarray(
+                (2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + share) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into
+            )
+        elif rotation:
+            values = slerp(self._unit(a), self._unit(b), share)
+        else:
+            values = np.where(share == 0.0, a, a + share * (b - a))
+        return self._unit(values) if rotation else values
 
-def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sampler:
-    """The sampler at `value`, of `width` numbers a key, in accessors of type `kind` (SCALAR for morph weights).
+    def _unit(self, quaternions: FloatArray) -> FloatArray:
+        length = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        if length.min() < 1e-6:
+            raise self.value.require("output").error("a rotation of length 0, expected unit quaternions")
+        return np.asarray(quaternions / length)
+
+
+def _on_frames(times: FloatArray, rate: float) -> FloatArray:
+    """`times`, rounded to whole frames where float32 makes no difference; unchanged where two would become one."""
+    found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
+    return found if (np.diff(found) > 0).all() else times
+
+
+def _read_channel(document: Document, value: Value, node: int, path: str, width: int) -> Channel:
+    """The channel of a node's property, by the sampler at `value` of `width` numbers a key.
 
     :raises InputError: times that don't ascend, or keys that don't fit them
     """
@@ -58,61 +95,14 @@ def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sam
     if np.any(np.diff(times) <= 0.0):
         raise value.require("input").error("key times that don't ascend")
     output = value.require("output")
-    read = accessors.floats(document, output, kind).astype(np.float64)
-    cubic = mode == "CUBICSPLINE"
-    expected = len(times) * width * (3 if cubic else 1)
-    if read.size != expected:
-        raise output.error(f"{read.size} numbers for {len(times)} keys, expected {expected}")
-    if not cubic:
-        return Sampler(value, mode, times, read.reshape(len(times), width), None)
+    read = accessors.floats(document, output, _TYPES.get(path, "SCALAR")).astype(np.float64)
+    rows = 3 if mode == "CUBICSPLINE" else 1
+    if read.size != len(times) * width * rows:
+        raise output.error(f"{read.size} numbers for {len(times)} keys, expected {len(times) * width * rows}")
     # a cubic key is three rows: in-tangent, value, out-tangent
-    triples = read.reshape(len(times), 3, width)
-    return Sampler(value, mode, times, triples[:, 1], (triples[:, 0], triples[:, 2]))
-
-
-def _unit(sampler: Sampler, quaternions: FloatArray) -> FloatArray:
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    if length.min() < 1e-6:
-        raise sampler.value.require("output").error("a rotation of length 0, expected unit quaternions")
-    return np.asarray(quaternions / length)
-
-
-@dataclass(frozen=True)
-class Channel:
-    """The track of one property of a node."""
-
-    node: int
-    path: str  # translation, rotation, scale, weights
-    sampler: Sampler
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """(t, width) values at `times` (t,), held before the first key and after the last; rotations of unit length."""
-        sampler, rotation = self.sampler, self.path == "rotation"
-        left, right, share = between(sampler.times, times)
-        span, share = sampler.times[right] - sampler.times[left], share[:, None]
-        a, b = sampler.keys[left], sampler.keys[right]
-        if sampler.mode == "STEP" or len(sampler.times) == 1:
-            values = a
-        elif sampler.tangents is not None:
-            # Hermite's cubic of glTF 2.0, appendix C.5: tangents are per second, so times the length of the span
-            arrive, leave = sampler.tangents
-            out = span[:, None] * leave[left]
-            into = span[:, None] * arrive[right]
-            s2, s3 = share * share, share * share * share
-            values = np.asarray(
-                (2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + share) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into
-            )
-        elif rotation:
-            values = slerp(_unit(sampler, a), _unit(sampler, b), share)
-        else:
-            values = np.where(share == 0.0, a, a + share * (b - a))
-        return _unit(sampler, values) if rotation else values
-
-
-def _on_frames(times: FloatArray, rate: float) -> FloatArray:
-    """`times`, rounded to whole frames where float32 makes no difference; unchanged where two would become one."""
-    found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
-    return found if (np.diff(found) > 0).all() else times
+    keys = read.reshape(len(times), rows, width)
+    tangents = (keys[:, 0], keys[:, 2]) if rows == 3 else None
+    return Channel(node, path, value, mode, times, keys[:, rows // 2], tangents)
 
 
 def lines_error(channels: Sequence[Channel], times: FloatArray) -> str:
@@ -131,7 +121,7 @@ def _frames_off(times: FloatArray, rate: float) -> FloatArray:
 
 def _bends(channel: Channel) -> FloatArray:
     """Times between keys that make lines of each curve, more where it bends more."""
-    start, end = channel.sampler.times[:-1], channel.sampler.times[1:]
+    start, end = channel.times[:-1], channel.times[1:]
     added: list[FloatArray] = [np.zeros(0)]
     lines = 1
     while len(start) and lines < _MOST:
@@ -144,7 +134,7 @@ def _bends(channel: Channel) -> FloatArray:
 def _deviation(channel: Channel, start: FloatArray, end: FloatArray, lines: int) -> FloatArray:
     """(k,) largest distance of a channel from `lines` straight lines between each `start` and `end` (k,)."""
     points, rotation = lines * _WITHIN, channel.path == "rotation"
-    step = max(1, _AT_ONCE // ((points + 1) * channel.sampler.keys.shape[1]))
+    step = max(1, _AT_ONCE // ((points + 1) * channel.keys.shape[1]))
     distances: list[FloatArray] = [np.zeros(0)]
     for first in range(0, len(start), step):
         begin, span = start[first : first + step, None], (end - start)[first : first + step, None]
@@ -197,7 +187,7 @@ def read_animations(
         channels = _channels(document, value, joints, shapes)
         if channels:
             read.append((value, channels))
-    keys = [channel.sampler.times for _, channels in read for channel in channels]
+    keys = [channel.times for _, channels in read for channel in channels]
     # whole frames of the keys of all animations, as a stage has one timeCodesPerSecond; film's where no rate fits
     every = np.concatenate(keys) if keys else np.zeros(0)
     fitting = (rate for rate in _RATES if _frames_off(every, rate).max(initial=0.0) < ON_FRAME)
@@ -217,20 +207,20 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
     Warns of what this does to its keys.
     """
     if fps is not None:
-        first = min(channel.sampler.times[0] for channel in channels)
-        last = max(channel.sampler.times[-1] for channel in channels)
+        first = min(channel.times[0] for channel in channels)
+        last = max(channel.times[-1] for channel in channels)
         document.budget.spend(int(min(8.0 * fps * float(last - first), 1e15)), value.error)
         times = whole_frames(first, last, fps)
         document.budget.spend(8 * len(times), value.error)
         document.warn(value, f"sampled at {fps:g} frames per second: off by at most {lines_error(channels, times)}")
         return times
-    held = [channel.sampler for channel in channels if channel.sampler.mode == "STEP"]
-    curves = [channel for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    times_of_all = [channel.sampler.times for channel in channels]
-    for sampler in held:  # just before each key whose value differs from the one before
-        changes = (np.diff(sampler.keys, axis=0) != 0).any(axis=1)
-        span = np.diff(sampler.times)
-        times_of_all.append((sampler.times[1:] - np.minimum(TICK, span / 2))[changes])
+    held = [channel for channel in channels if channel.mode == "STEP"]
+    curves = [channel for channel in channels if channel.mode == "CUBICSPLINE"]
+    times_of_all = [channel.times for channel in channels]
+    for channel in held:  # just before each key whose value differs from the one before
+        changes = (np.diff(channel.keys, axis=0) != 0).any(axis=1)
+        span = np.diff(channel.times)
+        times_of_all.append((channel.times[1:] - np.minimum(TICK, span / 2))[changes])
     times = np.concatenate(times_of_all + [_bends(channel) for channel in curves])
     times = times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
     document.budget.spend(8 * len(times), value.error)
@@ -249,7 +239,7 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         target = channel.require("target")
         path, node = target.require("path").text(), target.get("node")
         index = -1 if node is None else document.index("nodes", node)
-        moves_joint = path in _PATHS and index in joints.of_node
+        moves_joint = path in _TYPES and index in joints.of_node
         if not moves_joint and not (path == "weights" and index in shapes):
             left_out += 1
             continue
@@ -260,8 +250,8 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         number = reference.integer()
         if number >= len(samplers):
             raise reference.error(f"{number}, but there are {len(samplers)} samplers")
-        kind, width = _PATHS[path] if path in _PATHS else ("SCALAR", len(shapes[index]))
-        channels[index, path] = Channel(index, path, read_sampler(document, samplers[number], kind, width))
+        width = len(shapes[index]) if path == "weights" else int(_TYPES[path][-1])
+        channels[index, path] = _read_channel(document, samplers[number], index, path, width)
     if left_out:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
     return list(channels.values())
@@ -277,7 +267,7 @@ def _animation(
     shapes: Mapping[int, Sequence[Role]],
     times: FloatArray,
 ) -> Animation:
-    moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _PATHS})
+    moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _TYPES})
     weights = [channel for channel in channels if channel.path == "weights"]
     width = 24 * len(moved) + 2 * sum(len(shapes[channel.node]) for channel in weights)
     # before sampling: a few keys far apart ask for more frames than memory holds
@@ -331,7 +321,7 @@ def _joint_motion(
     for joint in moved:
         node = node_of[joint]
         parts = []
-        for path, rest in zip(_PATHS, local_trs(nodes.values[node]), strict=True):
+        for path, rest in zip(_TYPES, local_trs(nodes.values[node]), strict=True):
             channel = by_target.get((node, path))
             constant = np.tile(rest, (len(times), 1))
             parts.append(constant if channel is None else channel.at(times))

@@ -273,13 +273,11 @@ class _Directions:
 
     def normal_offsets(self, values: FloatArray, normals: FloatArray) -> FloatArray:
         """Offsets of normals, or normals themselves; `normals` (k, 3) are those of the same points in the file."""
-        return np.asarray((_summed(self._linear.T, values) / self._lengths(normals)).astype(np.float32))
-
-    def _lengths(self, normals: FloatArray) -> FloatArray:
-        """(k, 1) of unit normals taken back: the scale where that is all there is, so that they keep their bits."""
         length = np.linalg.norm(_summed(self._linear.T, normals), axis=1)
+        # the scale where that is all there is, so that unit normals keep their bits
         near = np.abs(length - self._scale) <= _UNIT * self._scale
-        return np.where(near, self._scale, np.where(length > 0.0, length, 1.0))[:, None]
+        length = np.where(near, self._scale, np.where(length > 0.0, length, 1.0))
+        return np.asarray((_summed(self._linear.T, values) / length[:, None]).astype(np.float32))
 
 
 def _summed(matrix: FloatArray, values: FloatArray) -> FloatArray:

@@ -29,6 +29,37 @@ REQUIRED = (
     *(f"{side}{part}" for side in SIDES for part in ("UpperLeg", "LowerLeg", "Foot")),
     *(f"{side}{part}" for side in SIDES for part in ("UpperArm", "LowerArm", "Hand")),
 )
+_LIMBS = {  # of one side: part -> the part, or bone of the middle, that it hangs below
+    "UpperLeg": "hips",
+    "LowerLeg": "UpperLeg",
+    "Foot": "LowerLeg",
+    "Toes": "Foot",
+    "Shoulder": "upperChest",
+    "UpperArm": "Shoulder",
+    "LowerArm": "UpperArm",
+    "Hand": "LowerArm",
+    **{
+        f"{finger}{link}": f"{finger}{above}" if above else "Hand"
+        for finger, links in _FINGERS.items()
+        for above, link in zip(("", *links), links, strict=False)
+    },
+}
+PARENTS = {  # bone -> the bone that it hangs below where the model has it; the topmost has none
+    "hips": "",
+    "spine": "hips",
+    "chest": "spine",
+    "upperChest": "chest",
+    "neck": "upperChest",
+    "head": "neck",
+    "leftEye": "head",
+    "rightEye": "head",
+    "jaw": "head",
+    **{
+        f"{side}{part}": f"{side}{above}" if above in _LIMBS else above
+        for side in SIDES
+        for part, above in _LIMBS.items()
+    },
+}
 _NEEDS_PARENT = frozenset(  # exist only where the bone above them does
     ["upperChest"]
     + [f"{side}{finger}{link}" for side in SIDES for finger, links in _FINGERS.items() for link in links[1:]]
@@ -39,26 +70,6 @@ _PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
 _FEWEST = 3
 _ROOT = "root"
 _SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
-
-
-def _parents() -> dict[str, str]:
-    """Bone -> the bone that it hangs below where the model has it; the topmost has none."""
-    parents = {"hips": "", "spine": "hips", "chest": "spine", "upperChest": "chest", "neck": "upperChest"}
-    parents |= {"head": "neck", "leftEye": "head", "rightEye": "head", "jaw": "head"}
-    for side in SIDES:
-        parents |= {f"{side}UpperLeg": "hips", f"{side}LowerLeg": f"{side}UpperLeg"}
-        parents |= {f"{side}Foot": f"{side}LowerLeg", f"{side}Toes": f"{side}Foot"}
-        parents |= {f"{side}Shoulder": "upperChest", f"{side}UpperArm": f"{side}Shoulder"}
-        parents |= {f"{side}LowerArm": f"{side}UpperArm", f"{side}Hand": f"{side}LowerArm"}
-        for finger, links in _FINGERS.items():
-            above = f"{side}Hand"
-            for link in links:
-                parents[f"{side}{finger}{link}"] = above
-                above = f"{side}{finger}{link}"
-    return parents
-
-
-PARENTS = _parents()
 
 
 def above(bone: str, present: Container[str]) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -30,12 +30,12 @@ def table() -> Mapping[str, Any]:
     """The table: ``preset``, name -> ARKit shape -> weight, and ``degrees``, kind -> direction -> angle."""
     read = tomllib.loads(_TABLE.read_text(encoding="utf-8"))
     for name, weights in read["preset"].items():
-        read["preset"][name] = {side: weight for shape, weight in weights.items() for side in _sides(shape)}
+        read["preset"][name] = {
+            f"{shape}{side}": weight
+            for shape, weight in weights.items()
+            for side in ([""] if shape in ARKIT_SHAPES else ["Left", "Right"])
+        }
     return read
-
-
-def _sides(shape: str) -> tuple[str, ...]:
-    return (shape,) if shape in ARKIT_SHAPES else (f"{shape}Left", f"{shape}Right")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,6 @@ class Target:
 
     node: int
     index: int
-    shape: str
     knots: Sequence[Sequence[float]]  # piecewise linear
 
     def bind(self, weight: float) -> Json | None:
@@ -69,8 +68,13 @@ class Expressions:
 def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions:
     """The expressions of the morph targets that the meshes of a document name in their extras."""
     targets: dict[str, list[Target]] = {}
-    for target in _targets(nodes, meshes):
-        targets.setdefault(target.shape, []).append(target)
+    for i, node in enumerate(nodes):
+        extras = meshes[node["mesh"]].get("extras", {}) if "mesh" in node else {}
+        ours = extras.get("facepipe", {})
+        for index, name in enumerate(extras.get("targetNames", [])):
+            shape = ours.get("inbetweens", {}).get(name, {}).get("shape", name)
+            knots = ours.get("curves", {}).get(name, _STRAIGHT)
+            targets.setdefault(shape, []).append(Target(i, index, knots))
     presets = table()["preset"]
     named, arkit = match_shapes(presets, [*targets]), match_shapes(sorted(ARKIT_SHAPES), [*targets])
     preset: Json = {}
@@ -92,15 +96,6 @@ def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions
     if curved:
         lost.append(f"inbetweens ({len(curved)} shapes: {first_names(curved, 3)}): VRM's expressions are linear")
     return Expressions({"preset": preset} | ({"custom": custom} if custom else {}), tuple(lost))
-
-
-def _targets(nodes: Sequence[Json], meshes: Sequence[Json]) -> Iterator[Target]:
-    for i, node in enumerate(nodes):
-        extras = meshes[node["mesh"]].get("extras", {}) if "mesh" in node else {}
-        ours = extras.get("facepipe", {})
-        for index, name in enumerate(extras.get("targetNames", [])):
-            shape = ours.get("inbetweens", {}).get(name, {}).get("shape", name)
-            yield Target(i, index, shape, ours.get("curves", {}).get(name, _STRAIGHT))
 
 
 def _expression(weights: Mapping[str, float], targets: Mapping[str, Sequence[Target]]) -> Json:
@@ -139,21 +134,14 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
             if len(moving):
                 # (n, 3) world offsets of a mesh's points, as offsets of its own points before they are skinned at rest
                 matrices = place(mesh, parts.skeleton, space, skinned=False).matrices[:, :3, :3]
-                local = np.asarray(np.einsum("nij,nj->ni", np.linalg.inv(matrices) @ space.world[:3, :3], offsets))[
-                    moving
-                ]
+                local = np.einsum("nij,nj->ni", np.linalg.inv(matrices) @ space.world[:3, :3], offsets)[moving]
                 made[mesh.name].append(Blendshape(name=name, point_indices=moving.astype(np.int32), offsets=local))
     meshes = tuple(replace(mesh, blendshapes=(*mesh.blendshapes, *made[mesh.name])) for mesh in parts.meshes)
-    return replace(parts, meshes=meshes), _summary(names, worst * parts.meters_per_unit * 1000)
-
-
-def _summary(names: Sequence[str], off: float) -> tuple[str, ...]:
-    """The line on these shapes for the report."""
-    if not names:
-        return ()
-    some = first_names(names, _LISTED)
+    off = worst * parts.meters_per_unit * 1000
     count = f"{len(names)} shape{'s' * (len(names) > 1)}"
-    return (f"{count} that sliders make ({some}): exact at full value, off by at most {off:.2g} mm half way",)
+    line = f"{count} that sliders make ({first_names(names, _LISTED)})"
+    summary = (f"{line}: exact at full value, off by at most {off:.2g} mm half way",) if names else ()
+    return replace(parts, meshes=meshes), summary
 
 
 def _points(parts: FaceParts, rig: Rig, values: Mapping[str, float]) -> FloatArray:

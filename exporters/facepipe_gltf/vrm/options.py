@@ -1,12 +1,39 @@
-"""Options of the VRM exporter."""
+"""Options of the VRM exporter, and `VRMC_vrm.meta` that they make: the model's name, authors and permissions."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from facepipe.core.errors import InputError
+from facepipe.core.names import did_you_mean
+from facepipe.core.reading import read_json_object
 from facepipe.declare import option
+from facepipe.records import Json
 from facepipe_gltf.options import Options as GltfOptions
+
+EXTENSION = "VRMC_vrm"
+LICENSE_URL = "https://vrm.dev/licenses/1.0/"  # the only one that VRM 1.0 has (meta.md) and its runtimes load
+_TEXTS = (
+    *("name", "version", "copyrightInformation", "contactInformation", "thirdPartyLicenses", "licenseUrl"),
+    "otherLicenseUrl",
+)
+_LISTS = ("authors", "references")
+_FLAGS = (
+    *("allowExcessivelyViolentUsage", "allowExcessivelySexualUsage", "allowPoliticalOrReligiousUsage"),
+    *("allowAntisocialOrHateUsage", "allowRedistribution"),
+)
+_CHOICES = {
+    "avatarPermission": ("onlyAuthor", "onlySeparatelyLicensedPerson", "everyone"),
+    "commercialUsage": ("personalNonProfit", "personalProfit", "corporation"),
+    "creditNotation": ("required", "unnecessary"),
+    "modification": ("prohibited", "allowModification", "allowModificationRedistribution"),
+}
+_OTHERS = ("extensions", "extras", "thumbnailImage")
+_FIELDS = (*_TEXTS, *_LISTS, *_FLAGS, *_CHOICES, *_OTHERS)
+_LARGEST = 1 << 20  # bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,3 +59,65 @@ class Options:
     def gltf(self) -> GltfOptions:
         """Those of the glTF writer: what every VRM runtime reads."""
         return GltfOptions(shapes=self.shapes, morph_normals=self.morph_normals)
+
+
+def meta_of(options: Options, name: str, attribution: str) -> Json:
+    """The meta of a model: of the options, of their file, and of the face's attribution.
+
+    :param name: what the model is called where the file doesn't say
+    :raises InputError: no licence, no authors, or a field that VRM doesn't have or takes otherwise
+    """
+    meta: Json = {"name": name}
+    if attribution:
+        meta |= {"authors": [attribution], "copyrightInformation": attribution}
+    if options.meta is not None:
+        given: Json = read_json_object(options.meta, _LARGEST)
+        if "thumbnailImage" in given:
+            problem = "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
+            raise InputError(options.meta, problem)
+        for field, fault in _faults(given):
+            raise InputError(f"{options.meta} -> {field}", fault)
+        meta |= given
+    # flags take precedence over the file, and the file over the face: who exports knows best
+    authors = [one.strip() for one in options.authors.split(",") if one.strip()]
+    if authors:
+        meta["authors"] = authors
+    if options.license_url:
+        meta["licenseUrl"] = options.license_url
+    if "authors" not in meta:
+        raise InputError("option authors", "not given and the face has no attribution, expected a name")
+    if "licenseUrl" not in meta:
+        terms = f"expected {LICENSE_URL}, if you grant what it and --meta say, or licenseUrl in --meta"
+        raise InputError("option license_url", f"not given, and no licence is ever assumed, {terms}")
+    wrong = _expected("licenseUrl", meta["licenseUrl"])
+    if wrong is not None:
+        raise InputError("option license_url", f"{str(meta['licenseUrl'])[:60]}, expected {wrong}")
+    return meta
+
+
+def problems(meta: Json) -> list[tuple[str, str]]:
+    """Errors of a meta object: field and message."""
+    lacking = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
+    return lacking + _faults(meta)
+
+
+def _faults(meta: Json) -> list[tuple[str, str]]:
+    """Fields with values that VRM doesn't take, and a message on each."""
+    found = {field: _expected(field, value) for field, value in meta.items()}
+    return [(field, f"{json.dumps(meta[field])[:60]}, expected {what}") for field, what in found.items() if what]
+
+
+def _expected(field: str, value: Any) -> str | None:
+    """What is expected instead of the value; None where the value is right."""
+    if field in _CHOICES:
+        return None if value in _CHOICES[field] else " or ".join(_CHOICES[field])
+    if field in _FLAGS:
+        return None if isinstance(value, bool) else "true or false"
+    if field in _LISTS:
+        texts = isinstance(value, list) and all(isinstance(one, str) and one.strip() for one in value)
+        return None if texts and value else "a list of texts"
+    if field == "licenseUrl":
+        return None if value == LICENSE_URL else f"{LICENSE_URL} (others go to otherLicenseUrl)"
+    if field in _TEXTS:
+        return None if isinstance(value, str) and (value.strip() or field != "name") else "a text"
+    return None if field in _OTHERS else f"a field of VRM's meta{did_you_mean(field, _FIELDS)}"

@@ -26,7 +26,7 @@ from facepipe_gltf.raw import (
 from facepipe_gltf.validation import CHECKS, judged
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
-from facepipe_gltf.vrm.meta import EXTENSION, problems
+from facepipe_gltf.vrm.options import EXTENSION, problems
 
 _LEVEL = 0.26  # sine of 15 degrees, by which arms held out may be off
 _UNIFORM = 1e-4
@@ -132,20 +132,16 @@ def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
             if (name in presets) != (group == "preset"):
                 yield where, "is no preset of VRM 1.0" if group == "preset" else "has the name of a preset"
             for i, bind in enumerate(as_list(as_object(expression).get("morphTargetBinds"))):
-                yield from _bind(document, f"{where}/morphTargetBinds/{i}", as_object(bind), counts)
-
-
-def _bind(document: RawDocument, where: str, bind: Json, target_counts: list[int | None]) -> Iterator[Problem]:
-    node = document.item("nodes", bind.get("node")) or {}
-    mesh = node.get("mesh")
-    count = target_counts[mesh] if is_index(mesh) and mesh < len(target_counts) else None
-    index, weight = bind.get("index"), bind.get("weight")
-    if count is None:
-        yield f"{where}/node", f"{str(bind.get('node'))[:40]}, expected a node with a mesh"
-    elif not is_index(index) or index >= count:
-        yield f"{where}/index", f"{str(index)[:40]}, expected a target below {count}"
-    if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 <= weight <= 1:
-        yield f"{where}/weight", f"{str(weight)[:40]}, expected 0 to 1"
+                at, bind = f"{where}/morphTargetBinds/{i}", as_object(bind)
+                mesh = (document.item("nodes", bind.get("node")) or {}).get("mesh")
+                count = counts[mesh] if is_index(mesh) and mesh < len(counts) else None
+                index, weight = bind.get("index"), bind.get("weight")
+                if count is None:
+                    yield f"{at}/node", f"{str(bind.get('node'))[:40]}, expected a node with a mesh"
+                elif not is_index(index) or index >= count:
+                    yield f"{at}/index", f"{str(index)[:40]}, expected a target below {count}"
+                if isinstance(weight, bool) or not isinstance(weight, int | float) or not 0 <= weight <= 1:
+                    yield f"{at}/weight", f"{str(weight)[:40]}, expected 0 to 1"
 
 
 def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:

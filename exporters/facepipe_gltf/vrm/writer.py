@@ -25,8 +25,7 @@ from facepipe_gltf.placement import numbers, place, space_of
 from facepipe_gltf.raw import local_matrix, path_above
 from facepipe_gltf.vrm.bones import REQUIRED, SIDES, TORSO, Humanoid, humanoid_of, misplaced
 from facepipe_gltf.vrm.expressions import Expressions, expressions_of, table, with_slider_shapes
-from facepipe_gltf.vrm.meta import EXTENSION, meta_of
-from facepipe_gltf.vrm.options import Options
+from facepipe_gltf.vrm.options import EXTENSION, Options, meta_of
 from facepipe_gltf.writer import embedded, report_of, write_glb
 
 # Parts of a person's height (Drillis and Contini 1966, after Winter, Biomechanics and Motor Control of Human Movement)
@@ -141,56 +140,29 @@ def figure_of(parts: FaceParts, bones: Mapping[str, int]) -> Figure:
     low, high = (every.min(axis=0), every.max(axis=0)) if len(every) else (np.zeros(3), np.ones(3))
     joints = (space.skeleton @ rest_worlds(parts.skeleton))[:, :3, 3]
     height = _HEADS * (high[1] - low[1])
-    marks = _landmarks(parts.meshes, points)
+    listed = [mesh.landmarks[_SCHEME].indices if _SCHEME in mesh.landmarks else () for mesh in parts.meshes]
+    marked = [own[np.asarray(one)] for own, one in zip(points, listed, strict=True) if len(one) == _MARKS]
+    marks = marked[0] if marked else None
     if marks is not None and high[1] > marks[_CHIN_MARK, 1]:
         height = (high[1] - marks[_CHIN_MARK, 1]) / (1 - _CHIN)
     if "hips" in bones and high[1] > joints[bones["hips"], 1]:
         height = (high[1] - joints[bones["hips"], 1]) / (1 - _HIPS)
-    return Figure(_eyes(bones, joints, marks, parts.meshes, points), low, high, float(height), joints)
+    # by joints, else landmarks, else where the shapes of blinking move points
+    eyes: FloatArray | None = None
+    if "leftEye" in bones and "rightEye" in bones:
+        eyes = joints[[bones["leftEye"], bones["rightEye"]]]
+    elif marks is not None:
+        eyes = np.stack([marks[_LEFT_EYE].mean(axis=0), marks[_RIGHT_EYE].mean(axis=0)])
+    else:
+        left, right = (_moved_by(f"eyeBlink{side}", parts.meshes, points) for side in ("Left", "Right"))
+        eyes = None if left is None or right is None else np.stack([left, right])
+    return Figure(eyes, low, high, float(height), joints)
 
 
-def turned_to_front(parts: FaceParts, figure: Figure) -> tuple[FaceParts, int]:
-    """The face looking along +Z, and the degrees by which it turned about the up axis: a multiple of 90."""
-    if figure.eyes is None:
-        return parts, 0
-    x, y, z = figure.eyes[0] - figure.eyes[1]
-    steps = round(math.atan2(z, x) / _QUARTER) % 4  # the left eye of who looks along +Z is on the side of +X
-    if not steps or abs(y) > math.hypot(x, z):
-        return parts, 0
-    sine, cosine, degrees = {1: (1, 0, 90), 2: (0, -1, 180), 3: (-1, 0, -90)}[steps]
-    turn = np.eye(4)
-    turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = cosine, sine, -sine, cosine
-    return moved(parts, turn), degrees
-
-
-def moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
+def _moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
     """The whole face moved by a rigid `matrix` (4, 4) of glTF space."""
     world = parts.gltf_axes
     return parts.placed(np.linalg.inv(world) @ matrix @ world)
-
-
-def _landmarks(meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:
-    """(68, 3) where some mesh has them."""
-    for mesh, own in zip(meshes, points, strict=True):
-        if _SCHEME in mesh.landmarks and len(mesh.landmarks[_SCHEME].indices) == _MARKS:
-            return np.asarray(own[np.asarray(mesh.landmarks[_SCHEME].indices)])
-    return None
-
-
-def _eyes(
-    bones: Mapping[str, int],
-    joints: FloatArray,
-    marks: FloatArray | None,
-    meshes: tuple[Mesh, ...],
-    points: list[FloatArray],
-) -> FloatArray | None:
-    """(2, 3) left and right eye: joints, else landmarks, else where the shapes of blinking move points."""
-    if "leftEye" in bones and "rightEye" in bones:
-        return np.asarray(joints[[bones["leftEye"], bones["rightEye"]]])
-    if marks is not None:
-        return np.stack([marks[_LEFT_EYE].mean(axis=0), marks[_RIGHT_EYE].mean(axis=0)])
-    lids = [_moved_by(f"eyeBlink{side}", meshes, points) for side in ("Left", "Right")]
-    return None if any(lid is None for lid in lids) else np.stack([lid for lid in lids if lid is not None])
 
 
 def _moved_by(shape: str, meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:
@@ -206,16 +178,9 @@ def _moved_by(shape: str, meshes: tuple[Mesh, ...], points: list[FloatArray]) ->
     return np.average(np.concatenate(rows), axis=0, weights=total) if total.sum() else None
 
 
-def missing_bones(present: Sequence[str]) -> tuple[str, ...]:
+def _missing(present: Sequence[str]) -> tuple[str, ...]:
     """The required bones that are not there, in the specification's order."""
     return tuple(bone for bone in REQUIRED if bone not in present)
-
-
-def standing_place(figure: Figure, hips: int | None) -> FloatArray:
-    """(3,) offset that puts the face on a body that stands on the ground; sideways only where the whole body is new."""
-    if hips is not None:
-        return np.array([0.0, _HIPS * figure.height - figure.joints[hips, 1], 0.0])
-    return np.array([-figure.middle[0], figure.height - figure.high[1], -figure.middle[2]])
 
 
 def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own_torso: Sequence[str]) -> None:
@@ -293,7 +258,7 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
     """
     meta = meta_of(options, name, parts.attribution)
     humanoid = humanoid_of(parts, options.bones)
-    missing = missing_bones([*humanoid.bones])
+    missing = _missing([*humanoid.bones])
     if missing and not options.stub_body:
         what = f"no joints for {len(missing)} of the 15 human bones that VRM requires: {', '.join(missing)}"
         raise InputError(parts.name, f"{what}; expected joints of known names, or option stub_body, which adds them")
@@ -304,12 +269,13 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
     tree = NodeTree(document.json)
     bones = _human_nodes(parts, document, tree, humanoid, figure, added)
     expressions = expressions_of(tree.nodes, document.json.get("meshes", []))
+    shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
     extension: Json = {
         "specVersion": "1.0",
         "meta": meta,
         "humanoid": {"humanBones": {bone: {"node": node} for bone, node in bones.items()}},
         "expressions": expressions.json,
-        "firstPerson": _first_person(tree),
+        "firstPerson": {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]},
     }
     lost = [*document.dropped, *expressions.lost]
     if parts.animations:
@@ -343,7 +309,7 @@ def _human_nodes(
     """Human bone -> node, with those added that are missing; meshes without a skin hang on the head."""
     skins = document.json.get("skins", [])
     bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
-    missing = missing_bones([*bones])
+    missing = _missing([*bones])
     if missing:
         roots = [root for root in tree.roots if "mesh" not in tree.nodes[root]]
         own_torso = [bone for bone in TORSO if bone in bones]
@@ -388,19 +354,30 @@ def _human_nodes(
 def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FaceParts, Figure, list[str]]:
     """The face, turned to look along +Z and, above an added body, at a person's height; what was changed."""
     changes = []
-    placed, degrees = turned_to_front(parts, figure_of(parts, humanoid.bones))
-    if degrees:
+    figure = figure_of(parts, humanoid.bones)
+    x, y, z = np.zeros(3) if figure.eyes is None else figure.eyes[0] - figure.eyes[1]
+    # by quarters, as axes differ between programs; the left eye of who looks along +Z is on the side of +X
+    steps = round(math.atan2(z, x) / _QUARTER) % 4
+    if steps and abs(y) <= math.hypot(x, z):
+        sine, cosine, degrees = {1: (1, 0, 90), 2: (0, -1, 180), 3: (-1, 0, -90)}[steps]
+        turn = np.eye(4)
+        turn[0, 0], turn[0, 2], turn[2, 0], turn[2, 2] = cosine, sine, -sine, cosine
+        parts = _moved(parts, turn)
+        figure = figure_of(parts, humanoid.bones)
         changes.append(f"a turn by {degrees} degrees about the up axis: VRM's models look along +Z")
-    figure = figure_of(placed, humanoid.bones)
     if stub and not {"leftFoot", "rightFoot"} & {*humanoid.bones}:
-        matrix = np.eye(4)
-        matrix[:3, 3] = standing_place(figure, humanoid.bones.get("hips"))
-        placed = moved(placed, matrix)
-        figure = figure_of(placed, humanoid.bones)
+        # on a body that stands on the ground; sideways only where the whole body is new
+        matrix, hips = np.eye(4), humanoid.bones.get("hips")
+        if hips is None:
+            matrix[:3, 3] = -figure.middle[0], figure.height - figure.high[1], -figure.middle[2]
+        else:
+            matrix[1, 3] = _HIPS * figure.height - figure.joints[hips, 1]
+        parts = _moved(parts, matrix)
+        figure = figure_of(parts, humanoid.bones)
         changes.append(
             f"{1000 * matrix[1, 3]:.0f} mm of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m"
         )
-    return placed, figure, changes
+    return parts, figure, changes
 
 
 def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Literal["bone", "expression"] | None:
@@ -413,11 +390,6 @@ def _gaze(parts: FaceParts, humanoid: Humanoid, expressions: Expressions) -> Lit
     if {humanoid.bones.get("leftEye", -1), humanoid.bones.get("rightEye", -1)} <= weighted:
         return "bone"
     return "expression" if expressions.has("lookUp", "lookDown", "lookLeft", "lookRight") else None
-
-
-def _first_person(tree: NodeTree) -> Json:
-    shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
-    return {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]}
 
 
 def _look_at(tree: NodeTree, bones: Mapping[str, int], eyes: FloatArray, kind: Literal["bone", "expression"]) -> Json:
