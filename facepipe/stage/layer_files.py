@@ -167,10 +167,11 @@ class LayerTable:
                 continue
             for field in (field for field in _LISTS if field in fields):
                 self.has_classes |= _LISTS[field]
+                arcs = self.arcs[path]
                 for item in getattr(prim.GetInfo(field), "GetAddedOrExplicitItems", list)():
                     is_path = isinstance(item, Sdf.Path)
                     arc = Arc("", item, "") if is_path else Arc(item.assetPath, item.primPath, repr(item.layerOffset))
-                    self.arcs[path].append(arc)
+                    arcs.append(arc)
             self.has_classes |= "relocates" in fields
             if "clips" in fields:
                 _check_clips(layer, prim)
