@@ -197,7 +197,7 @@ OPENED = {
         """,
     "it was typed, and is checked by the command line or its reader": """
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
-        facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
+        facepipe.importers.npz:read_arrays
         facepipe.verbs.blend.blend_action:BlendFaces.check
         facepipe.scanning.database.actions:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
@@ -216,7 +216,7 @@ OPENED = {
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
         facepipe.scanning.photos.structure:_set_lenses facepipe.scanning.photos.structure:_triangulated
         facepipe.scanning.photos.surface:_read_mesh facepipe.stage.face:Face.deriving
-        facepipe.stage.files:_without_times facepipe.stage.levels:stage_at facepipe_blender.addon:build
+        facepipe.stage.levels:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.viewer:write_assets facepipe_web.server:_Handler._file
@@ -224,14 +224,14 @@ OPENED = {
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
         facepipe.scanning.rebuild.steps:WorkFolder._read
-        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
-        facepipe.stage.outputs:_check_not_needed facepipe.stage.textures:TextureFolder.write
-        facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
+        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage
+        facepipe.stage.textures:TextureFolder.write
+        facepipe.stage.textures:texture_home
         facepipe.stage.composition:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
         facepipe.cooking.graph:Node.below facepipe.cooking.graph:Node.lost facepipe.hosting.host_face:recipe_from
-        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:_with_relative_sources
+        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:save_parts
         """,
 }
 
