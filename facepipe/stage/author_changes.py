@@ -36,9 +36,9 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     """Author on a face what differs between it and `parts`, compared in float32; one line per thing authored.
 
     `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. A face without joints can
-    get some, one with joints keeps them. What weaker layers have
-    and `parts` lacks is hidden: values are blocked, prims deactivated. Time samples of what changes no longer count.
-    Instances that hold changed prims are no longer instanced.
+    get some, one with joints keeps them. What weaker layers have and `parts` lacks is hidden: values are blocked, prims
+    deactivated. Time samples of what changes no longer count, and instances that hold changed prims are instanced no
+    longer.
 
     :param primvars: more float values (n,) per point of all meshes in stage order, by primvar name; a mesh whose
         values are all NaN gets none

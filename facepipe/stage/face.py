@@ -67,10 +67,10 @@ class Face:
         :raises InputError: more prims than a face can have
         """
         self.stage = stage
-        if prim is None:
+        if not prim:  # none, or one that is not there
             first = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
             prim = next((one for one in (*first, *stage.Traverse()) if is_applied(one, tokens.FACE_API)), None)
-        if prim is None:
+        if not prim:
             file = Path(stage.GetRootLayer().realPath or "stage").name
             what = "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files"
             raise SchemaError(file, what)
