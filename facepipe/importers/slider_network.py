@@ -51,9 +51,7 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
     found = [_output(path, output, joints, shapes) for output in outputs]
     order = [i for i, one in enumerate(found) if isinstance(one, tuple)]
     order += [i for i, one in enumerate(found) if not isinstance(one, tuple)]  # shapes come after bones
-    count = sum(name.endswith(".weight") for name in arrays)
-    weights = [arrays[f"layer{i}.weight"] for i in range(count)]
-    biases = [arrays[f"layer{i}.bias"] for i in range(count)]
+    weights, biases = ([arrays[f"layer{i}.{kind}"] for i in range(layers)] for kind in ("weight", "bias"))
     if weights[-1].shape[0] != len(outputs) or biases[-1].shape != (len(outputs),):
         raise InputError(
             path, f"{weights[-1].shape[0]} rows in the last layer, expected one for each of {len(outputs)}"

@@ -57,12 +57,10 @@ def read(source: Path, options: Options) -> Imported:
         warnings.append(f"{len(changed)} joint paths made identifiers, like '{new}' of '{old}'; the names are kept")
     skeleton, new_names = replace(skeleton, joints=tuple(paths.values())).called(skeleton.names), paths
     _check_transforms(source, parts)
-    animations = tuple(
-        kept
-        for animation in parts.animations
-        if (kept := _kept(animation, new_names, _shape_names(meshes))) is not None
-    )
-    sliders = _kept_sliders(parts.sliders, new_names, _shape_names(meshes), warnings)
+    shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
+    found = (_kept(animation, new_names, shapes) for animation in parts.animations)
+    animations = tuple(animation for animation in found if animation is not None)
+    sliders = _kept_sliders(parts.sliders, new_names, shapes, warnings)
     parts = replace(
         parts,
         meshes=meshes,
@@ -70,16 +68,12 @@ def read(source: Path, options: Options) -> Imported:
         animations=animations,
         played=parts.played if any(animation.name == parts.played for animation in animations) else None,
         sliders=sliders,
-        slider_network=_kept_network(parts.slider_network, sliders, new_names, _shape_names(meshes), warnings),
+        slider_network=_kept_network(parts.slider_network, sliders, new_names, shapes, warnings),
         materials=_distinct_textures(parts.materials),
         recipe=import_recipe("usd", {source: files}, options),
     )
     parts = with_units(parts, options.meters_per_unit, options.up_axis)
     return Imported(parts=parts, warnings=tuple(warnings))
-
-
-def _shape_names(meshes: tuple[Mesh, ...]) -> set[str]:
-    return {shape.name for mesh in meshes for shape in mesh.blendshapes}
 
 
 def _normalised(source: Path, mesh: Mesh, warnings: list[str]) -> Mesh:

@@ -9,11 +9,10 @@ from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Animation
-from facepipe.stage.animations import author_source
 from facepipe.stage.face import Face, animation_prims
 from facepipe.stage.guard import usd_errors
 from facepipe.stage.prims import editable, prims_below
-from facepipe.stage.skeleton import read_animation
+from facepipe.stage.skeleton import author_source, read_animation
 
 
 def play(face: Face, name: str) -> None:

@@ -15,7 +15,6 @@ from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import FaceParts, Mesh, Recipe, Slider
-from facepipe.stage.animations import author_animation_changes
 from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
 from facepipe.stage.author_mesh import (
     author_mesh,
@@ -28,7 +27,7 @@ from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.read_mesh import read_point_values
-from facepipe.stage.skeleton import author_limits, author_recipe
+from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe
 from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
 from facepipe.stage.values import matrix, require_same, same, to_matrices
 
@@ -37,9 +36,9 @@ def author_changes(face: Face, parts: FaceParts, primvars: Mapping[str, FloatArr
     """Author on a face what differs between it and `parts`, compared in float32; one line per thing authored.
 
     `face` stands over an override layer (`Face.deriving`); what it has read stays as it was. A face without joints can
-    get some, one with joints keeps them. What weaker layers have
-    and `parts` lacks is hidden: values are blocked, prims deactivated. Time samples of what changes no longer count.
-    Instances that hold changed prims are no longer instanced.
+    get some, one with joints keeps them. What weaker layers have and `parts` lacks is hidden: values are blocked, prims
+    deactivated. Time samples of what changes no longer count, and instances that hold changed prims are instanced no
+    longer.
 
     :param primvars: more float values (n,) per point of all meshes in stage order, by primvar name; a mesh whose
         values are all NaN gets none
@@ -137,6 +136,7 @@ def _check(face: Face, old: FaceParts, new: FaceParts) -> None:
         raise TopologyError(face.where, f"meshes {', '.join(names[1])}, expected {', '.join(names[0])}")
     for before, after in zip(old.meshes, new.meshes, strict=True):
         check_mesh_change(f"{face.where} -> {before.name}", before, after)
+    # a face without joints may get some; other joints would leave skins and animations without theirs
     where, skeleton, joints = f"{face.where} -> {old.skeleton.name}", new.skeleton, new.skeleton.joints
     if old.skeleton.joints and old.skeleton.joints != joints:
         raise TopologyError(where, "other joints, expected those of the face")

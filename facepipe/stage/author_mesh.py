@@ -128,7 +128,10 @@ def author_mesh(
     if mesh.colors is not None:
         prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(to_vec3f(mesh.colors))
     author_regions(prim.GetPrim(), mesh)
-    names = _ChildNames(mesh)
+    # names of prims below, all distinct; a subset keeps its own, since the name is all that it has
+    subsets, faces = len(mesh.point_subsets), len(mesh.material_faces)
+    wanted = (*(f"{part.material}_faces" for part in mesh.material_faces), *(shape.name for shape in mesh.blendshapes))
+    names = unique_identifiers([*mesh.point_subsets, *wanted])
 
     def bind(target: Usd.Prim, material: str) -> None:
         if material not in materials:
@@ -139,7 +142,7 @@ def author_mesh(
         bind(prim.GetPrim(), mesh.material)
     if mesh.material_faces:
         api = UsdShade.MaterialBindingAPI.Apply(prim.GetPrim())
-        for name, part in zip(names.material_faces, mesh.material_faces, strict=True):
+        for name, part in zip(names[subsets : subsets + faces], mesh.material_faces, strict=True):
             bind(api.CreateMaterialBindSubset(name, to_ints(part.faces)).GetPrim(), part.material)
         whole = sum(len(part.faces) for part in mesh.material_faces) == len(mesh.face_vertex_counts)
         api.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition if whole else UsdGeom.Tokens.nonOverlapping)
@@ -149,23 +152,11 @@ def author_mesh(
         if mesh.skin and joints:
             author_skin(prim.GetPrim(), mesh.skin, joints)
         if mesh.blendshapes:
-            author_blendshapes(prim.GetPrim(), mesh.blendshapes, names.blendshapes)
-    for name, subset in zip(names.point_subsets, mesh.point_subsets.values(), strict=True):
+            author_blendshapes(prim.GetPrim(), mesh.blendshapes, names[subsets + faces :])
+    for name, subset in zip(names[:subsets], mesh.point_subsets.values(), strict=True):
         UsdGeom.Subset.CreateGeomSubset(prim, name, UsdGeom.Tokens.point, to_ints(subset), SUBSET_FAMILY)
     author_landmarks(prim.GetPrim(), mesh)
     return prim
-
-
-class _ChildNames:
-    """Prim names below a mesh, all distinct; a subset keeps its own, since the name is all that it has."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        faces = [f"{material_face.material}_faces" for material_face in mesh.material_faces]
-        subsets, shapes = list(mesh.point_subsets), [shape.name for shape in mesh.blendshapes]
-        names = unique_identifiers([*subsets, *faces, *shapes])
-        self.point_subsets = names[: len(subsets)]
-        self.material_faces = names[len(subsets) : len(subsets) + len(faces)]
-        self.blendshapes = names[len(subsets) + len(faces) :]
 
 
 def author_landmarks(prim: Usd.Prim, mesh: Mesh) -> None:

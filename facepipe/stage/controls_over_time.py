@@ -142,7 +142,7 @@ def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tu
             tracks += map(_track, numbers)
         if tracks:
             return tuple(tracks)
-        sliders, driven = _sliders(stage)
+        sliders, driven = _sliders(stage)  # a shape that one drives moves by it, not by itself
         playing = _playing(stage)
         shapes = _clip(playing).tracks if playing else ()
         return (*sliders, *(track for track in shapes if track.name not in driven))

@@ -67,10 +67,10 @@ class Face:
         :raises InputError: more prims than a face can have
         """
         self.stage = stage
-        if prim is None:
+        if not prim:  # none, or one that is not there
             first = [stage.GetDefaultPrim()] if stage.GetDefaultPrim() else []
             prim = next((one for one in (*first, *stage.Traverse()) if is_applied(one, tokens.FACE_API)), None)
-        if prim is None:
+        if not prim:
             file = Path(stage.GetRootLayer().realPath or "stage").name
             what = "no prim with FacepipeFaceAPI; `facepipe import usd` makes a face of other UsdSkel files"
             raise SchemaError(file, what)
@@ -256,7 +256,7 @@ class Face:
         with errors_below(self.where):
             limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
             recipe = read_recipe(self.prim)
-        parts = FaceParts(
+        parts = FaceParts(  # without levels, which are faces of their own
             name=self.name,
             meters_per_unit=self.meters_per_unit,
             up_axis="Z" if self.up_axis == "Z" else "Y",
@@ -370,12 +370,28 @@ class Face:
         :param pose: who it is, as of `person`
         :raises InputError: no such pose
         """
-        from facepipe.stage.to_trimesh import scene_of
+        import trimesh
+
+        from facepipe.geometry.colors import to_srgb
+        from facepipe.geometry.polygons import point_triangles
 
         points = self.evaluate(pose=pose) * self.meters_per_unit
         if self.up_axis == "Z":
             points = points[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-        return scene_of(self.meshes, self.split(points), self.skeleton)
+        scene, split = trimesh.Scene(), self.split(points)
+        for mesh in self.meshes:
+            to_world = mesh.transform if mesh.skin is None else self.skeleton.transform @ mesh.skin.geom_bind_transform
+            triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
+            if np.linalg.det(to_world[:3, :3]) < 0:  # a mirror turns them inside out
+                triangles = triangles[:, ::-1]
+            a, b, c = triangles.T
+            triangles = triangles[(a != b) & (b != c) & (c != a)]
+            if len(triangles):
+                colors = None if mesh.colors is None else np.rint(to_srgb(mesh.colors) * 255).astype(np.uint8)
+                surface = trimesh.Trimesh(split[mesh.name], triangles, vertex_colors=colors, process=False)
+                scene.add_geometry(surface, geom_name=mesh.name, node_name=mesh.name)
+        scene.units = "m"
+        return scene
 
     def split(self, points: FloatArray) -> dict[str, FloatArray]:
         """Per-mesh views of (n, ...) values of all points."""
@@ -438,6 +454,7 @@ class Face:
         unknown_names = [material for material in materials if material not in paths]
         if unknown_names:
             raise InputError(self.where, unknown(unknown_names[0], list(paths), "material"))
+        # by its absolute path until the layer is saved: a layer without a file has no folder for relative ones
         asset = self._new_textures.add(name, data)
         for material in materials:
             author_texture(self.stage.GetPrimAtPath(paths[material]), field, asset)

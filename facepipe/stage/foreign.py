@@ -57,6 +57,7 @@ def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) ->
     named = dict.fromkeys(inherited_skeleton(mesh) for mesh in meshes)
     bound = [scene.stage.GetPrimAtPath(path) for path in named if path is not None and path.IsPrimPath()]
     there = [prim for prim in bound if prim and prim.IsA(UsdSkel.Skeleton)]
+    # what no mesh is bound to may be left from a rig: it counts only where nothing is bound
     candidates = there or [prim for prim in scene.prims if prim.IsA(UsdSkel.Skeleton)]
     if len(candidates) > 1:
         listed = ", ".join(str(prim.GetPath()) for prim in candidates)
@@ -222,6 +223,7 @@ def read_foreign(
     with quiet_diagnostics(), errors_below(str(path)):
         scene = Scene(path, root, variants or {})
         meshes = choose_meshes(scene)
+        # the skeleton first: which meshes are the face's depends on it
         prim = choose_skeleton(scene, meshes, skeleton)
         if prim is not None:
             meshes = bind_to(scene, prim, meshes)

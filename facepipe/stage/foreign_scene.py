@@ -252,7 +252,7 @@ def _primvar_problem(mesh: UsdGeom.Mesh, primvar: UsdGeom.Primvar, *, is_color: 
     """Why a primvar is no UV set, and no colour that fits where it may be one; None where it is."""
     interpolation = str(primvar.GetInterpolation())
     points = len(mesh.GetPointsAttr().Get())
-    if is_color:
+    if is_color:  # for all points or one each; per face or corner it would need points of its own
         count = len(primvar.ComputeFlattened() or ())
         if count == 1 or (interpolation in ("vertex", "varying") and count == points):
             return None

@@ -46,7 +46,23 @@ def open_layer(identifier: str) -> Sdf.Layer | None:
     name = str(Ar.GetResolver().Resolve(Sdf.Layer.SplitIdentifier(identifier)[0]))
     if not name:
         return None
-    _check(name, check_regular(name))
+    file, inner = check_regular(name), Ar.SplitPackageRelativePathOuter(name)[1]
+    if not file.stat().st_size:  # which can't be mapped
+        return Sdf.Layer.FindOrOpen(identifier)
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if not inner and file.suffix.lower() == ".usdz":
+            # USD takes the first file in a package for its layer
+            if data[:4] == b"PK\3\4" and len(data) >= 30:
+                (length,) = struct.unpack_from("<H", data, 26)
+                inner = data[30 : 30 + length].decode(errors="replace")
+            name = Ar.JoinPackageRelativePath([str(file), inner])
+        if not inner:
+            check_content(name, data)
+    if inner.lower().endswith((".usdz", "]")):
+        raise InputError(name, "is a package in a package, expected a layer")
+    if inner:
+        asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(name))
+        check_content(name, bytes(asset.GetBuffer()) if asset else b"")
     return Sdf.Layer.FindOrOpen(identifier)
 
 
@@ -60,31 +76,6 @@ def check_regular(name: str) -> Path:
     if file.exists() and not file.is_file():
         raise InputError(file, "is no regular file, expected a USD file")
     return file
-
-
-def _check(name: str, file: Path) -> None:
-    inner = Ar.SplitPackageRelativePathOuter(name)[1]
-    if not file.stat().st_size:
-        return
-    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        if not inner and file.suffix.lower() == ".usdz":
-            inner = _first(data)
-            name = Ar.JoinPackageRelativePath([str(file), inner])
-        if not inner:
-            check_content(name, data)
-            return
-    if inner.lower().endswith((".usdz", "]")):
-        raise InputError(name, "is a package in a package, expected a layer")
-    asset = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(name))
-    check_content(name, bytes(asset.GetBuffer()) if asset else b"")
-
-
-def _first(package: mmap.mmap) -> str:
-    """The name of the first file in a package, which USD takes for its layer."""
-    if package[:4] != b"PK\3\4" or len(package) < 30:
-        return ""
-    (length,) = struct.unpack_from("<H", package, 26)
-    return package[30 : 30 + length].decode(errors="replace")
 
 
 def check_content(where: object, data: bytes | mmap.mmap) -> None:
@@ -102,34 +93,27 @@ def _check_text(where: object, data: bytes | mmap.mmap) -> None:
     if not expressions and marks.count(b"{") <= 2 * MOST_LEVELS and not _DEEP_PATH.search(marks):
         return
     kept = _MARKS + b"\x01\x02\x03" + (b"()" if expressions else b"")
-    text = _without_runs(text, kept + b"\\")
+    # one blank for each run of other bytes: what stood apart still does
+    other = _all_but(kept + b"\\")
+    blanked = np.frombuffer(text.translate(bytes.maketrans(other, b" " * len(other))), np.uint8)
+    needed = blanked != 32
+    needed[1:] |= needed[:-1].copy()
+    text = bytes(blanked[needed])
     for old, new in (*((quote, b"") for quote in _NO_QUOTES), *_LONG_QUOTES):
         text = text.replace(old, new)
     depth = 0
     for match in _WORDS.finditer(text.translate(None, _all_but(kept))):
         word = match[0]
         depth += (word == b"{") - (word == b"}")
-        if max(depth, _levels(word)) > 2 * MOST_LEVELS:  # a prim in a variant has two
+        levels = len(word) if word[:1] == b"<" else 0  # at most, of a path
+        if not levels and word.count(b"(") > MOST_LEVELS:  # of an expression in quotes
+            levels = max(accumulate((byte == 0x28) - (byte == 0x29) for byte in word))
+        if max(depth, levels) > 2 * MOST_LEVELS:  # a prim in a variant has two
             raise InputError(where, f"can't be read as USD: nests more than {2 * MOST_LEVELS} deep")
-
-
-def _without_runs(text: bytes, kept: bytes) -> bytes:
-    """The text with one blank for each run of other bytes: what stood apart still does."""
-    blanked = np.frombuffer(text.translate(bytes(byte if byte in kept else 32 for byte in range(256))), np.uint8)
-    needed = blanked != 32
-    needed[1:] |= needed[:-1].copy()
-    return bytes(blanked[needed])
 
 
 def _all_but(kept: bytes) -> bytes:
     return bytes(set(range(256)) - set(kept))
-
-
-def _levels(word: bytes) -> int:
-    """Most levels that a path, or an expression in quotes, may nest."""
-    if word[:1] == b"<":
-        return len(word)
-    return max(accumulate((byte == 0x28) - (byte == 0x29) for byte in word)) if word.count(b"(") > MOST_LEVELS else 0
 
 
 def _check_counts(where: object, data: bytes | mmap.mmap) -> None:
@@ -179,17 +163,18 @@ class LayerTable:
             path = prim.path.StripAllVariantSelections()
             self._prims.append(path)
             fields = prim.ListInfoKeys()
-            if not _FIELDS.isdisjoint(fields):
-                self._add(path, prim, fields)
-
-    def _add(self, path: Sdf.Path, prim: Sdf.PrimSpec, fields: list[str]) -> None:
-        for field, of_classes in _LISTS.items():
-            if field in fields:
-                self.arcs[path].extend(_arcs(prim.GetInfo(field)))
-                self.has_classes |= of_classes
-        self.has_classes |= "relocates" in fields
-        if "clips" in fields:
-            _check_clips(self.layer, prim)
+            if _FIELDS.isdisjoint(fields):
+                continue
+            for field in (field for field in _LISTS if field in fields):
+                self.has_classes |= _LISTS[field]
+                arcs = self.arcs[path]
+                for item in getattr(prim.GetInfo(field), "GetAddedOrExplicitItems", list)():
+                    is_path = isinstance(item, Sdf.Path)
+                    arc = Arc("", item, "") if is_path else Arc(item.assetPath, item.primPath, repr(item.layerOffset))
+                    arcs.append(arc)
+            self.has_classes |= "relocates" in fields
+            if "clips" in fields:
+                _check_clips(layer, prim)
 
     @cached_property
     def sizes(self) -> dict[Sdf.Path, int]:
@@ -233,14 +218,6 @@ def _prims(layer: Sdf.Layer) -> Iterator[Sdf.PrimSpec]:
         for variants in prim.variantSets.values():
             found = variants.variants.values() if variants else (None,)
             todo.extend(one.primSpec if one else None for one in found)
-
-
-def _arcs(edits: Any) -> Iterator[Arc]:
-    for item in getattr(edits, "GetAddedOrExplicitItems", list)():
-        if isinstance(item, Sdf.Path):
-            yield Arc("", item, "")
-        else:
-            yield Arc(item.assetPath, item.primPath, repr(item.layerOffset))
 
 
 def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:

@@ -46,6 +46,7 @@ def flattened(stage: Usd.Stage) -> Sdf.Layer:
     spec.variantSetNameList.prependedItems = [tokens.LEVELS]
     levels_of = Sdf.VariantSetSpec(spec, tokens.LEVELS)
     Sdf.VariantSpec(levels_of, names[0])
+    # `Flatten` keeps the selected variant alone: of the others what they turn off and what they add is written anew
     for name, level in zip(names[1:], lower_levels(stage), strict=True):
         place, flat = Sdf.VariantSpec(levels_of, name).primSpec, level.Flatten()
         for full in Usd.PrimRange(prim):

@@ -212,7 +212,7 @@ def author_materials(
         for field, name in _USD_NAMES.items():
             value = getattr(material, field)
             if value == getattr(default, field):
-                continue
+                continue  # the shader has the same
             kind = Sdf.ValueTypeNames.Normal3f if field == "normal" else Sdf.ValueTypeNames.Float
             given = surface.CreateInput(name, Sdf.ValueTypeNames.Color3f if field in _COLOR_FIELDS else kind)
             if isinstance(value, TextureInput):

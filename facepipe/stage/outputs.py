@@ -30,7 +30,7 @@ def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> No
         raise InputError(output, "is an input, expected another output file")
     if output.exists() and not overwrite:
         raise InputError(output, "exists, expected a new file (or --force)")
-    if output.exists():
+    if output.exists():  # with --force a layer below an input would be lost, and the result with it
         for stage in inputs:
             if stage.is_file() and stage.suffix.lower() in SUFFIXES:
                 for needed in dependencies(stage):

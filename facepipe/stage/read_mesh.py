@@ -114,11 +114,10 @@ def _uv_sets(prim: Usd.Prim, points: int, corners: int) -> tuple[UvSet, ...]:
         if indices is not None:
             check_inside(where, "indices", indices, len(values))
         if per_point:
-            uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values if indices is None else values[indices]))
-        else:
-            # per corner the indices stay: corners of a point with different ones are a seam
-            corner = np.arange(corners, dtype=np.int32) if indices is None else indices
-            uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=corner))
+            values, indices = values if indices is None else values[indices], None
+        elif indices is None:  # else they stay: corners of a point with different ones are a seam
+            indices = np.arange(corners, dtype=np.int32)
+        uv_sets.append(UvSet(name=primvar.GetPrimvarName(), values=values, indices=indices))
     return tuple(uv_sets)
 
 
@@ -127,10 +126,8 @@ def _skin(where: str, points: int, binding: Binding) -> Skin | None:
     if not query.HasJointInfluences() or not joints:
         return None
     width = query.GetNumInfluencesPerComponent()
-    indices, weights = (
-        ints(query.GetJointIndicesPrimvar().ComputeFlattened()),
-        floats(query.GetJointWeightsPrimvar().ComputeFlattened()),
-    )
+    indices = ints(query.GetJointIndicesPrimvar().ComputeFlattened())
+    weights = floats(query.GetJointWeightsPrimvar().ComputeFlattened())
     if len(indices) != len(weights):
         raise TopologyError(where, f"{len(indices)} joint indices and {len(weights)} joint weights, expected as many")
     indices, weights = indices.reshape(-1, width), weights.reshape(-1, width)

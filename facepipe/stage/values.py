@@ -18,6 +18,7 @@ AnyArray = npt.NDArray[Any]
 
 def same(first: object, second: object) -> bool:
     """Whether two parts, or fields of them, are equal in float32; mappings in any order."""
+    # in float32, as stages hold them: what was read is the same as what it was made from
     if first is second:
         return True
     if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
