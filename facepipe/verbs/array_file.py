@@ -44,8 +44,21 @@ def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapp
     :param kind: the format, with its version
     :raises InputError: NaN, infinity or a number too large, or a file that can't be written
     """
-    stored = {name: _stored(f"{path} -> {name}", arrays[name]) for name in sorted(arrays)}
-    head = _header(kind, content, stored)
+    stored: dict[str, AnyArray] = {}
+    places: dict[str, Any] = {}
+    end = 0
+    for name in sorted(arrays):
+        of_kind = {"f": "<f8", "i": "<i4"}[arrays[name].dtype.kind] if arrays[name].dtype != np.float32 else "<f4"
+        array = np.ascontiguousarray(arrays[name], dtype=of_kind)
+        _check_numbers(f"{path} -> {name}", array)
+        # plus 0 there is no -0: the same content, the same bytes
+        stored[name] = array = array + array.dtype.type(0) if array.dtype.kind == "f" else array
+        places[name] = {"data_offsets": [end, end + array.nbytes], "dtype": _CODES[array.dtype.str]}
+        places[name]["shape"] = list(array.shape)
+        end += array.nbytes
+    text = _json({"__metadata__": {"content": _json(content), "format": kind, "sha256": _NO_SUM}, **places}).encode()
+    text += b" " * (-len(text) % 8)
+    head = _SIZE.pack(len(text)) + text
     digest = hashlib.sha256(head)
     for array in stored.values():
         digest.update(array.reshape(-1).data)
@@ -57,28 +70,9 @@ def write_arrays(path: Path, kind: str, content: Mapping[str, Any], arrays: Mapp
             file.write(array.reshape(-1).data)
 
 
-def _header(kind: str, content: Mapping[str, Any], arrays: Mapping[str, AnyArray]) -> bytes:
-    places: dict[str, Any] = {"__metadata__": {"content": _json(content), "format": kind, "sha256": _NO_SUM}}
-    end = 0
-    for name, array in arrays.items():
-        places[name] = {"data_offsets": [end, end + array.nbytes], "dtype": _CODES[array.dtype.str]}
-        places[name]["shape"] = list(array.shape)
-        end += array.nbytes
-    text = _json({"__metadata__": places.pop("__metadata__"), **places}).encode()
-    text += b" " * (-len(text) % 8)
-    return _SIZE.pack(len(text)) + text
-
-
 def _json(value: Mapping[str, Any]) -> str:
     plain = np.generic.item  # numbers of numpy
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False, default=plain)
-
-
-def _stored(where: str, array: AnyArray) -> AnyArray:
-    kind = {"f": "<f8", "i": "<i4"}[array.dtype.kind] if array.dtype != np.float32 else "<f4"
-    found = np.ascontiguousarray(array, dtype=kind)
-    _check_numbers(where, found)
-    return found + found.dtype.type(0) if found.dtype.kind == "f" else found  # no -0: the same content, the same bytes
 
 
 def read_arrays(path: Path, kind: str) -> Content:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,13 +14,15 @@ from facepipe.core.reports import Report
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.similarity import fit_similarities, fit_similarity
 from facepipe.geometry.vectors import group_sums, transformed
-from facepipe.parts import Blendshape, FaceParts, Mesh, Recipe, Skeleton
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Recipe, Skeleton
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.blend.result import blend_normals, normal_offsets
 from facepipe.verbs.blend.rigs import blend_skeletons, rebase_animations
 from facepipe.verbs.whole_faces import check_spaces, to_millimetres
+
+_Shape = TypeVar("_Shape", Blendshape, Inbetween)
 
 _STILL_MM = 1e-4  # points that a shape moves by less stay where they are
 _STILL = 1e-9  # of the face's size: rounding
@@ -57,12 +60,6 @@ class AuthorNeutral:
         :raises InputError: NaN or infinity; nothing is authored then
         """
         parts = face.parts()
-        self._check(face, parts, points)
-        changed = self.settled(self.changed(parts, points))
-        authored = author_changes(face, replace(changed, recipe=recipe), self.primvars)
-        return AuthorNeutralReport(authored=authored, warnings=tuple(self._warnings(parts)))
-
-    def _check(self, face: Face, parts: FaceParts, points: FloatArray) -> None:
         check_spaces(face.where, parts)
         count = parts.point_count
         named = {"points": points, **{f"shape {name}": delta for name, delta in self.shapes.items()}}
@@ -70,17 +67,31 @@ class AuthorNeutral:
             if np.shape(values) != (count, 3):
                 raise TopologyError(f"{face.where} -> {name}", f"shape {np.shape(values)}, expected ({count}, 3)")
             require_finite(values, face.where, name)
+        changed = self.settled(self.changed(parts, points))
+        authored = author_changes(face, replace(changed, recipe=recipe), self.primvars)
+        own = (shape for mesh in parts.meshes for shape in mesh.blendshapes)
+        lost = sorted({shape.name for shape in own if shape.inbetweens and shape.name in self.shapes})
+        warnings = (f"inbetweens of {', '.join(lost)} are left out",) if lost else ()
+        return AuthorNeutralReport(authored=authored, warnings=warnings)
 
     def changed(self, parts: FaceParts, points: FloatArray) -> FaceParts:
         """The face with whole `points` (n, 3), for who authors more beside them."""
         cuts = np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1]
         points_by_mesh = np.split(np.asarray(points, np.float64), cuts)
         deltas = {name: np.split(np.asarray(delta, np.float64), cuts) for name, delta in self.shapes.items()}
-        meshes, skeleton_space, still = [], [], self._still(parts)
+        meshes, skeleton_space = [], []
+        # shapes that move no point -> meshes that hold them all the same, so that what drives them finds them
+        still: dict[str, list[str]] = {}
+        for name, delta in self.shapes.items():
+            if np.linalg.norm(delta, axis=1).max(initial=0.0) < _STILL_MM:
+                holding = [mesh.name for mesh in parts.meshes if any(one.name == name for one in mesh.blendshapes)]
+                still[name] = holding or [parts.meshes[0].name]
         spaces = zip(parts.meshes, to_millimetres(parts), mesh_spaces(parts), strict=True)
         for number, (mesh, to, space) in enumerate(spaces):
             back = np.linalg.inv(to)
-            local = _unless_same(transformed(points_by_mesh[number], back), mesh.points)
+            local, before = transformed(points_by_mesh[number], back), mesh.points
+            if np.array_equal(local.astype(np.float32), np.asarray(before, np.float32)):
+                local = before  # the same as files hold them: what hangs on the mesh's own points stays too
             new = {name: (one[number], mesh.name in still.get(name, ())) for name, one in deltas.items()}
             # deltas are differences of points: the translation cancels, so the linear part alone takes them back
             shapes = _mesh_shapes(mesh, local, new, back[:3, :3])
@@ -94,30 +105,6 @@ class AuthorNeutral:
             animations=rebase_animations(parts.animations, parts.skeleton, skeleton),
             photos=(),
         )
-
-    def _still(self, parts: FaceParts) -> dict[str, tuple[str, ...]]:
-        """Shapes that move no point -> meshes that hold them all the same, so that what drives them finds them."""
-        still = {}
-        for name, delta in self.shapes.items():
-            if np.linalg.norm(delta, axis=1).max(initial=0.0) < _STILL_MM:
-                holding = [
-                    mesh.name
-                    for mesh in parts.meshes
-                    if any(blendshape.name == name for blendshape in mesh.blendshapes)
-                ]
-                still[name] = tuple(holding or [parts.meshes[0].name])
-        return still
-
-    def _warnings(self, parts: FaceParts) -> Iterator[str]:
-        own = (shape for mesh in parts.meshes for shape in mesh.blendshapes)
-        lost = sorted({shape.name for shape in own if shape.inbetweens and shape.name in self.shapes})
-        if lost:
-            yield f"inbetweens of {', '.join(lost)} are left out"
-
-
-def _unless_same(points: FloatArray, before: FloatArray) -> FloatArray:
-    """`before` itself where points (n, 3) are the same as files hold them: what hangs on them stays too."""
-    return before if np.array_equal(points.astype(np.float32), np.asarray(before, np.float32)) else points
 
 
 def _normals(mesh: Mesh, points: FloatArray) -> FloatArray | None:
@@ -146,29 +133,20 @@ def _mesh_shapes(
         old = before.get(name)
         if name not in deltas and old is not None:
             # normal offsets are from the normals of the old points: on new ones they lead elsewhere
-            shapes.append(old if points is mesh.points else _kept_shape(old, points, triangles))
+            if points is not mesh.points:
+                between = tuple(_with_normals(one, old.point_indices, points, triangles) for one in old.inbetweens)
+                old = replace(_with_normals(old, old.point_indices, points, triangles), inbetweens=between)
+            shapes.append(old)
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
         shape = _new_shape(name, delta, back, triangles if with_normals else None, held=held)
         if shape is not None:
-            shapes.append(_with_normals(shape, points, triangles) if with_normals else shape)
+            if with_normals:
+                turned = _shape_normals(shape.point_indices, shape.offsets, points, triangles)
+                shape = replace(shape, normal_offsets=turned)
+            shapes.append(shape)
     return tuple(shapes)
-
-
-def _kept_shape(shape: Blendshape, points: FloatArray, triangles: IntArray) -> Blendshape:
-    """A shape with the same offsets from other points."""
-    if shape.normal_offsets is not None:
-        shape = _with_normals(shape, points, triangles)
-    between = tuple(
-        inbetween
-        if inbetween.normal_offsets is None
-        else replace(
-            inbetween, normal_offsets=_shape_normals(shape.point_indices, inbetween.offsets, points, triangles)
-        )
-        for inbetween in shape.inbetweens
-    )
-    return replace(shape, inbetweens=between)
 
 
 def _new_shape(
@@ -190,8 +168,11 @@ def _new_shape(
     return Blendshape(name=name, point_indices=indices.astype(np.int32), offsets=offsets)
 
 
-def _with_normals(shape: Blendshape, points: FloatArray, triangles: IntArray) -> Blendshape:
-    return replace(shape, normal_offsets=_shape_normals(shape.point_indices, shape.offsets, points, triangles))
+def _with_normals(shape: _Shape, indices: IntArray, points: FloatArray, triangles: IntArray) -> _Shape:
+    """The shape with its offsets of normals as they are on `points`, where it had some."""
+    if shape.normal_offsets is None:
+        return shape
+    return replace(shape, normal_offsets=_shape_normals(indices, shape.offsets, points, triangles))
 
 
 def _shape_normals(indices: IntArray, offsets: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:

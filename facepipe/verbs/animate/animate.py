@@ -14,7 +14,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
-from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton, Slider
+from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
 from facepipe.rig.sliders import slide
@@ -43,38 +43,21 @@ def joint_of(where: str, skeleton: Skeleton, part: str, wanted: str | None) -> i
     :param wanted: its path or last name, or `NONE`
     :raises InputError: no such joint, or several
     """
-    if wanted is not None:
-        return None if wanted == NONE else _asked(where, skeleton, part, wanted)
-    found = [i for i, joint in enumerate(skeleton.joints) if _name(joint) in _NAMES[part]]
-    return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
-
-
-def _asked(where: str, skeleton: Skeleton, part: str, wanted: str) -> int:
+    if wanted == NONE:
+        return None
+    names = [joint.rpartition("/")[2] for joint in skeleton.joints]
+    if wanted is None:
+        found = [i for i, name in enumerate(names) if shape_key(_PREFIX.sub("", name)) in _NAMES[part]]
+        return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
     paths = [i for i, joint in enumerate(skeleton.joints) if joint == wanted]
-    last = [i for i, joint in enumerate(skeleton.joints) if joint.rpartition("/")[2].casefold() == wanted.casefold()]
-    matches = paths or last
+    matches = paths or [i for i, name in enumerate(names) if name.casefold() == wanted.casefold()]
     if len(matches) != 1:
         problem = (
             f"{len(matches)} joints '{wanted[:60]}' for {part}" if matches else f"no joint '{wanted[:60]}' for {part}"
         )
-        names = [one.rpartition("/")[2] for one in skeleton.joints]
         some = first_names(names, 4) or "none, there are none"
         raise InputError(where, f"{problem}, expected a path or name of one: {some}{did_you_mean(wanted, names)}")
     return matches[0]
-
-
-def _name(joint: str) -> str:
-    return shape_key(_PREFIX.sub("", joint.rpartition("/")[2]))
-
-
-def turned_by_sliders(sliders: Sequence[Slider], joint: str, chosen: Collection[str]) -> str | None:
-    """A slider of those `chosen` that moves the joint."""
-    found = (
-        slider.name
-        for slider in sliders
-        if slider.name in chosen and any(joint == path for path, _, _ in slider.channels)
-    )
-    return next(found, None)
 
 
 def turned_by_shapes(meshes: Sequence[Mesh], joint: int, side: str, shapes: Collection[str]) -> str | None:
@@ -100,20 +83,16 @@ def turns(skeleton: Skeleton, up_axis: str, joint: int, angles: FloatArray) -> F
     if up_axis == "Z":  # what is (x, y, z) with Y up is (x, -z, y)
         axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
         world = axes @ world @ axes.T
-    rest = rotation_matrices(decompose(_rest_world(skeleton, joint)).rotation)
+    stands, above = np.eye(4), joint
+    while above >= 0:
+        stands = np.asarray(skeleton.rest_transforms[above], dtype=np.float64) @ stands
+        above = int(skeleton.parents[above])
+    rest = rotation_matrices(decompose(np.asarray(skeleton.transform) @ stands).rotation)
     matrices = np.tile(np.eye(4), (len(angles), 1, 1))
     matrices[:, :3, :3] = rest.T @ world @ rest
     found = np.repeat(rest_coefficients(1), len(angles), axis=0)
     found[:, 3:6] = matrix_coefficients(matrices)[:, 3:6]
     return found
-
-
-def _rest_world(skeleton: Skeleton, joint: int) -> FloatArray:
-    world = np.eye(4)
-    while joint >= 0:
-        world = np.asarray(skeleton.rest_transforms[joint], dtype=np.float64) @ world
-        joint = int(skeleton.parents[joint])
-    return np.asarray(skeleton.transform) @ world
 
 
 def _about(angle: FloatArray, axis: int) -> FloatArray:
@@ -165,11 +144,6 @@ def driven(
         coefficients = matrix_coefficients(matrices)
     moved = np.asarray(weights.any(axis=0))
     return Driven(coefficients, {name: weights[:, i] for i, name in enumerate(names) if moved[i]})
-
-
-def turned(first: FloatArray, then: FloatArray) -> FloatArray:
-    """(T, 9) coefficients of the motion `then` within the turn `first`, both (T, 9)."""
-    return matrix_coefficients(coefficient_matrices(first) @ coefficient_matrices(then))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,8 +278,16 @@ def _turned(
         why = "left out" if wanted[part] else "no such joint"
         # an eye that shapes or sliders turn already would turn twice by its joint as well
         if joint is not None and wanted[part] is None and part != "Head":
+            path = parts.skeleton.joints[joint]
             by = turned_by_shapes(parts.meshes, joint, part.removesuffix("Eye"), targets.weights)
-            by = by or turned_by_sliders(parts.sliders, parts.skeleton.joints[joint], targets.sliders)
+            by = by or next(
+                (
+                    slider.name
+                    for slider in parts.sliders
+                    if slider.name in targets.sliders and any(path == moved for moved, _, _ in slider.channels)
+                ),
+                None,
+            )
             joint, why = (joint, "") if by is None else (None, f"{by} and its like turn this eye")
         if not angles.any():
             continue
@@ -325,7 +307,9 @@ def _moved(
     """The joints that leave rest, and their (T, joints, 9) coefficients."""
     coefficients = np.array(by_sliders)
     for joint, turn in turns.items():
-        coefficients[:, joint] = turned(turn, coefficients[:, joint])
+        # T C: what sliders do to the joint is motion within its turn
+        matrices = coefficient_matrices(turn) @ coefficient_matrices(coefficients[:, joint])
+        coefficients[:, joint] = matrix_coefficients(matrices)
     moving = (coefficients != rest_coefficients(1)).any(axis=(0, 2)) if len(skeleton.joints) else np.zeros(0, bool)
     used = np.flatnonzero(moving)
     return tuple(skeleton.joints[i] for i in used), coefficients[:, used] if used.size else None

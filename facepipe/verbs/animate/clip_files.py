@@ -215,7 +215,19 @@ def _read_csv(path: Path, fps: float | None, *, degrees: bool) -> Performance:
     if not columns:
         raise InputError(table.where(1), "no columns of weights, expected names of shapes")
     values = _numbers(table, columns)
-    rate, frames = _clock(table, clock, fps)
+    rate = fps or FPS
+    frames: FloatArray = np.arange(len(table.lines), dtype=np.float64)
+    if clock is not None and keys[clock] == "timecode":
+        short = next((line for line, cells in table.lines if len(cells) <= clock), None)
+        if short is not None:
+            raise InputError(table.where(short), "no timecode, expected HH:MM:SS:FF")
+        where = [table.where(line) for line, _ in table.lines]
+        frames = _timecode_frames(where, [cells[clock] for _, cells in table.lines], rate)
+    elif clock is not None:
+        times = _numbers(table, [clock])[:, 0]
+        # a column Frame counts frames, the others seconds
+        rate = rate if keys[clock] == "frame" else fps or _rate_of(times)
+        frames = (times - times[0]) * (1.0 if keys[clock] == "frame" else rate)
     names = [table.header[i] for i in columns]
     return steady(str(path), frames, rate, names, in_radians(values, names, degrees=degrees))
 
@@ -247,24 +259,6 @@ def _bad_cell(table: _Table, line: int, cells: Sequence[str], columns: Sequence[
         return InputError(table.where(line), f"{len(cells)} cells, expected {len(table.header)}")
     wrong = next(i for i in columns if not _is_number(cells[i]) or not abs(float(cells[i])) <= LARGEST)
     return InputError(table.where(line), f"{table.header[wrong][:60]} '{cells[wrong][:40]}', expected a number")
-
-
-def _clock(table: _Table, column: int | None, fps: float | None) -> tuple[float, FloatArray]:
-    """Frames per second, and the time of each line in frames."""
-    if column is None:
-        return fps or FPS, np.arange(len(table.lines), dtype=np.float64)
-    name = shape_key(table.header[column])
-    if name == "timecode":
-        short = next((line for line, cells in table.lines if len(cells) <= column), None)
-        if short is not None:
-            raise InputError(table.where(short), "no timecode, expected HH:MM:SS:FF")
-        where = [table.where(line) for line, _ in table.lines]
-        return fps or FPS, _timecode_frames(where, [cells[column] for _, cells in table.lines], fps or FPS)
-    times = _numbers(table, [column])[:, 0]
-    if name == "frame":
-        return fps or FPS, times - times[0]
-    rate = fps or _rate_of(times)
-    return rate, (times - times[0]) * rate
 
 
 def _rate_of(seconds: FloatArray) -> float:
@@ -363,7 +357,19 @@ def _timecode_frames(where: Sequence[str], codes: Sequence[str], fps: float) -> 
     :raises InputError: no timecode, or frames that show another rate
     """
     nominal = round(fps)
-    parsed = [_parsed(one, code, nominal) for one, code in zip(where, codes, strict=True)]
+    parsed = []
+    for trail, code in zip(where, codes, strict=True):
+        match = _CODE.fullmatch(code.strip())
+        if match is None:
+            raise InputError(trail, f"timecode '{code[:40]}', expected HH:MM:SS:FF or HH:MM:SS:FF.sub")
+        hour, minute, second = (int(group) for group in match.groups()[:3])
+        frame = float(match.group(4))
+        if hour > 23 or minute > 59 or second > 59:
+            raise InputError(trail, f"timecode '{code[:40]}', expected a time of day")
+        if frame >= nominal:
+            what = f"frame {int(frame)} of a second, expected 0 to {nominal - 1} at {nominal} fps (--fps?)"
+            raise InputError(trail, what)
+        parsed.append((hour * 3600 + minute * 60 + second, frame))
     seconds, frames = np.array([one[0] for one in parsed]), np.array([one[1] for one in parsed])
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     counted = seconds * nominal + frames
@@ -372,18 +378,3 @@ def _timecode_frames(where: Sequence[str], codes: Sequence[str], fps: float) -> 
         shown = f"frames 0 to {highest} in every second"
         raise InputError(where[0], f"{shown}, expected up to {nominal - 1} at {fps:g} fps (--fps {highest + 1}?)")
     return np.asarray(counted - counted[0])
-
-
-def _parsed(where: str, code: str, nominal: int) -> tuple[int, float]:
-    """Seconds of the day, and the frame."""
-    match = _CODE.fullmatch(code.strip())
-    if match is None:
-        raise InputError(where, f"timecode '{code[:40]}', expected HH:MM:SS:FF or HH:MM:SS:FF.sub")
-    hours, minutes, seconds = (int(group) for group in match.groups()[:3])
-    frame = float(match.group(4))
-    if hours > 23 or minutes > 59 or seconds > 59:
-        raise InputError(where, f"timecode '{code[:40]}', expected a time of day")
-    if frame >= nominal:
-        what = f"frame {int(frame)} of a second, expected 0 to {nominal - 1} at {nominal} fps (--fps?)"
-        raise InputError(where, what)
-    return hours * 3600 + minutes * 60 + seconds, frame

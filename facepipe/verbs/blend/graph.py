@@ -48,7 +48,13 @@ def build_graph(sources: Sources, edge_weights: EdgeWeights, smoothing_mm: float
     :raises InputError: no such point, one of a loose part, or no anchor and no open border to take one from
     """
     mean = sources.points.mean(axis=0)
-    mesh_edges, triangles = _topology(sources)
+    placed = [
+        (mesh.face_vertex_counts, mesh.face_vertex_indices, start)
+        for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True)
+    ]
+    triangles = np.concatenate([point_triangles(counts, indices) + start for counts, indices, start in placed])
+    mesh_edges = np.concatenate([edges(counts, indices)[0] + start for counts, indices, start in placed])
+    mesh_edges = mesh_edges[mesh_edges[:, 0] != mesh_edges[:, 1]]
     component = components(len(mean), mesh_edges)
     held, guessed = find_anchor(sources, anchor, component)
     main = component == component[held]
@@ -80,16 +86,6 @@ def joint_worlds(sources: Sources) -> FloatArray:
     ]
     stacked = np.array(binds, dtype=np.float64).reshape(len(binds), -1, 4, 4)
     return np.asarray(np.einsum("kab,kjbc->kjac", sources.to_base, stacked))
-
-
-def _topology(sources: Sources) -> tuple[IntArray, IntArray]:
-    meshes, starts = sources.base.meshes, sources.mesh_offsets[:-1]
-    pairs = [edges(m.face_vertex_counts, m.face_vertex_indices)[0] + at for m, at in zip(meshes, starts, strict=True)]
-    corners = [
-        point_triangles(m.face_vertex_counts, m.face_vertex_indices) + at for m, at in zip(meshes, starts, strict=True)
-    ]
-    edge_points = np.concatenate(pairs)
-    return edge_points[edge_points[:, 0] != edge_points[:, 1]], np.concatenate(corners)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +136,9 @@ def find_anchor(sources: Sources, given: int | None, component: IntArray) -> tup
     :param component: (n,) number of the connected component
     :raises InputError: one of a loose part, or none given or authored and no open border to take one from
     """
-    anchor, notes = _authored(sources), tuple[str, ...]()
+    starts = zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True)
+    anchor = next((int(start + mesh.anchor) for mesh, start in starts if mesh.anchor is not None), None)
+    notes = tuple[str, ...]()
     if anchor is None:
         # even where a point is given: by this one alone can be told that the given one lies on a loose part
         number = _face_mesh(sources.base)
@@ -160,13 +158,6 @@ def find_anchor(sources: Sources, given: int | None, component: IntArray) -> tup
         where = f"{sources.names[0]} -> {sources.base.meshes[_face_mesh(sources.base)].name}"
         raise InputError(where, "no anchor and no open border to take one from, expected an anchor point (--anchor)")
     return anchor, notes
-
-
-def _authored(sources: Sources) -> int | None:
-    for mesh, start in zip(sources.base.meshes, sources.mesh_offsets[:-1], strict=True):
-        if mesh.anchor is not None:
-            return int(start + mesh.anchor)
-    return None
 
 
 def _face_mesh(base: FaceParts) -> int:
@@ -194,9 +185,20 @@ def region_masks(
     names = tuple(sorted({name for mesh in sources.base.meshes for name in mesh.regions}))
     if RESERVED in names:
         raise InputError(f"{sources.names[0]} -> {RESERVED}", "a region of that name, which stands for all others")
-    masks = _stacked(sources, names)
+    authored = list(all_regions(sources.base.meshes).values()) if names else []
+    masks = np.stack(authored).astype(np.float64) if names else np.zeros((0, sources.points.shape[1]))
+    for row, point in np.argwhere(masks < 0)[:1]:
+        where = f"{sources.names[0]} -> region {names[row]} -> {_name(sources, int(point))}"
+        raise InputError(where, f"mask {masks[row, point]:g}, expected 0 or more")
     bare = np.concatenate([np.full(len(mesh.points), not mesh.regions) for mesh in sources.base.meshes])
-    notes = _notes(sources, masks[:, ~bare]) if names else ()
+    total, notes = masks[:, ~bare].sum(axis=0), []
+    for some, what in (
+        (total > 1 + _OFF, "the regions of {:,} points sum to more than 1, normalised to 1"),
+        ((total < 1 - _OFF) & (total > 0), "the regions of {:,} points sum to less than 1, the rest is default"),
+        (total <= 0, "{:,} points are in no region, they take the default weights"),
+    ):
+        if names and some.any():
+            notes.append(f"{sources.names[0]}: {what.format(int(some.sum()))}")
     normalised, rest = normalise_masks(masks)[:2]
     full = np.concatenate([normalised, rest[None]])
     if smoothing > 0 and names:
@@ -204,31 +206,4 @@ def region_masks(
     # after the smoothing, so that followers have the masks that their leaders end with
     following = bare[bridges.followers]
     full[:, bridges.followers[following]] = full[:, bridges.leaders[following]]
-    return names, full, notes
-
-
-def _stacked(sources: Sources, names: tuple[str, ...]) -> FloatArray:
-    """(regions, n) masks as authored."""
-    if not names:
-        return np.zeros((0, sources.points.shape[1]))
-    masks = np.stack(list(all_regions(sources.base.meshes).values())).astype(np.float64)
-    for row, point in np.argwhere(masks < 0)[:1]:
-        number = int(np.searchsorted(sources.mesh_offsets, point, side="right")) - 1
-        place = f"{sources.base.meshes[number].name}:{point - sources.mesh_offsets[number]}"
-        where = f"{sources.names[0]} -> region {names[row]} -> {place}"
-        raise InputError(where, f"mask {masks[row, point]:g}, expected 0 or more")
-    return masks
-
-
-def _notes(sources: Sources, masks: FloatArray) -> tuple[str, ...]:
-    total = masks.sum(axis=0)
-    over, under = int((total > 1 + _OFF).sum()), int(((total < 1 - _OFF) & (total > 0)).sum())
-    none = int((total <= 0).sum())
-    lines = []
-    if over:
-        lines.append(f"{sources.names[0]}: the regions of {over:,} points sum to more than 1, normalised to 1")
-    if under:
-        lines.append(f"{sources.names[0]}: the regions of {under:,} points sum to less than 1, the rest is default")
-    if none:
-        lines.append(f"{sources.names[0]}: {none:,} points are in no region, they take the default weights")
-    return tuple(lines)
+    return names, full, tuple(notes)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import FitError
 from facepipe.core.reports import Report, table
 from facepipe.core.threads import one_thread
@@ -48,8 +48,15 @@ class LidContact:
 
 def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidContact]:
     """The contact at every kept part that is round and belongs to a mesh named like an eye."""
-    contacts = {}
-    for name, part in _eye_parts(session):
+    contacts, kept, offsets = {}, session.kept, session.sources.mesh_offsets
+    eyes: list[tuple[str, IntArray]] = []
+    for number, mesh in enumerate(session.sources.base.meshes):
+        inside = (kept.points >= offsets[number]) & (kept.points < offsets[number + 1])
+        parts = np.unique(kept.part[inside])
+        for count, part in enumerate(parts if "eye" in mesh.name.lower() else (), 1):
+            name = mesh.name if len(parts) == 1 else f"{mesh.name} {count}"
+            eyes.append((name, kept.points[kept.part == part]))
+    for name, part in eyes:
         # points (s,) and triangles (t, 3), into them, of the outermost of a part's large components. Eyeballs are
         # modelled as one shell around another; small components are irises, lenses and caps.
         graph, points = session.graph, session.sources.points[0]
@@ -66,18 +73,6 @@ def lid_contacts(session: BlendSession, solution: Solution) -> dict[str, LidCont
         if len(surfaces) == len(stands):
             contacts[name] = _Eye(session, solution, part, surfaces).contact()
     return contacts
-
-
-def _eye_parts(session: BlendSession) -> Iterator[tuple[str, IntArray]]:
-    """Name and points of the kept parts of meshes named like an eye, numbered where a mesh has several."""
-    kept, offsets = session.kept, session.sources.mesh_offsets
-    for number, mesh in enumerate(session.sources.base.meshes):
-        inside = (kept.points >= offsets[number]) & (kept.points < offsets[number + 1])
-        if "eye" not in mesh.name.lower():
-            continue
-        parts = np.unique(kept.part[inside])
-        for count, part in enumerate(parts, 1):
-            yield mesh.name if len(parts) == 1 else f"{mesh.name} {count}", kept.points[kept.part == part]
 
 
 def _surface(points: FloatArray, shell: tuple[IntArray, IntArray]) -> RadialSurface | None:
@@ -140,20 +135,17 @@ class _Eye:
         posed = list(rest)
         for k, offsets in enumerate((*sculpt.offsets, self._solution.offsets[number])):
             if eye.any():
-                posed[k] = self._turned(k, (on_face[skin], offsets[skin]), (on_part[eye], offsets[eye]))
+                # the eyeball moves too: the face is seen from it
+                face, part = self._face[k].copy(), self._part[k].copy()
+                face[on_face[skin]] += offsets[skin]
+                part[on_part[eye]] += offsets[eye]
+                motion = fit_similarity(self._part[k], part)
+                posed[k] = motion.scale * self._surfaces[k].depths(motion.undo(face))
             elif skin.any():
                 posed[k] = rest[k].copy()
                 moved = self._face[k][on_face[skin]] + offsets[skin]
                 posed[k][on_face[skin]] = self._surfaces[k].depths(moved)
         return posed
-
-    def _turned(self, k: int, skin: tuple[IntArray, FloatArray], eye: tuple[IntArray, FloatArray]) -> FloatArray:
-        """Depths where the eyeball moves too: the face is seen from the eyeball."""
-        face, part = self._face[k].copy(), self._part[k].copy()
-        face[skin[0]] += skin[1]
-        part[eye[0]] += eye[1]
-        motion = fit_similarity(self._part[k], part)
-        return motion.scale * self._surfaces[k].depths(motion.undo(face))
 
 
 def _places(points: IntArray, count: int) -> IntArray:
@@ -187,36 +179,26 @@ def match(session: BlendSession, target: Face, locked: Mapping[str, int] | None 
     (_, wanted) = stack([session.faces[0], target]).points
     edges = graph.edges[~np.isin(graph.edges, session.kept.points).any(axis=1)]
     goal = edge_vectors(wanted, edges).ravel()
-    basis = np.stack([edge_vectors(points, edges).ravel() for points in _responses(session)], axis=1)
-    rows = len(graph.regions) + 1
-    locks = {graph.regions.index(name): np.eye(count)[number - 1] for name, number in _checked(session, locked).items()}
+    # points that each region's whole weight on each source gives, region by region, with the anchor at 0
+    responses, bridges = [], graph.bridges
+    for mask in graph.masks:
+        along = mean_of_ends(mask[:, None], graph.edges[:, 0], graph.edges[:, 1])
+        across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
+        for edge, bridge in zip(session.edge_vectors, session.bridge_vectors, strict=True):
+            points = session.system.solve(along * edge, across * bridge, np.zeros(3))
+            responses.append(edge_vectors(points, edges).ravel())
+    basis = np.stack(responses, axis=1)
+    rows, locked = len(graph.regions) + 1, locked or {}
+    Weights(locked=locked).shares(graph.regions, count)  # checks them
+    locks = {graph.regions.index(name): np.eye(count)[number - 1] for name, number in locked.items()}
     # shares sum to 1 in each region: only what differs from its mean counts, and rounding is relative to that
     means = np.repeat(basis.reshape(len(basis), rows, count).mean(axis=2), count, axis=1)
     basis, goal = basis - means, goal - means.sum(axis=1) / count
     fitted = fit_simplex(basis.T @ basis, basis.T @ goal, rows, count, locked=locks)
     off = np.linalg.norm((basis @ fitted.weights.ravel() - goal).reshape(-1, 3), axis=1) * session.sources.mm_per_unit
     table = [tuple(map(float, row)) for row in np.round(fitted.weights, 9)]  # last bits differ with the threads of BLAS
-    weights = Weights(
-        regions=dict(zip(graph.regions, table[:-1], strict=True)), default=table[-1], locked=dict(locked or {})
-    )
+    weights = Weights(regions=dict(zip(graph.regions, table[:-1], strict=True)), default=table[-1], locked=dict(locked))
     return MatchReport(weights=weights, rms_mm=float(np.sqrt((off**2).mean())), max_mm=float(off.max(initial=0.0)))
-
-
-def _responses(session: BlendSession) -> list[FloatArray]:
-    """(n, 3) points that each region's whole weight on each source gives, region by region, with the anchor at 0."""
-    graph, responses = session.graph, []
-    bridges = graph.bridges
-    for mask in graph.masks:
-        along = mean_of_ends(mask[:, None], graph.edges[:, 0], graph.edges[:, 1])
-        across = mean_of_ends(mask[:, None], bridges.followers, bridges.leaders)
-        for edge, bridge in zip(session.edge_vectors, session.bridge_vectors, strict=True):
-            responses.append(session.system.solve(along * edge, across * bridge, np.zeros(3)))
-    return responses
-
-
-def _checked(session: BlendSession, locked: Mapping[str, int] | None) -> Mapping[str, int]:
-    Weights(locked=locked or {}).shares(session.graph.regions, len(session.sources.points))
-    return locked or {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,16 +247,27 @@ class BlendReport(Report):
 
     def as_text(self, out: Path) -> str:
         """What was made, and how near it came to the edges that were asked for."""
+        rows: list[list[object]] = [["edges off what was asked for, mm", "edges", "RMS", "p95", "max"]]
+        for name, one in (*self.regions.items(), ("all", self.deviation)):
+            rows.append([name, f"{one.edges:,}", *(f"{mm:.4f}" for mm in (one.rms_mm, one.p95_mm, one.max_mm))])
+        steps = [(shape.border_step_mm, name) for name, shape in self.shapes.items()]
+        worst = [max(steps, key=lambda step: step[0])] if steps else []
+        lids = []
+        for name, contact in self.lids.items():
+            lids.append(f"{name}: lids cut in by {_depth(contact.depth_mm, contact.sources_mm)}")
+            if contact.worst_shape is not None:
+                depth = _depth(contact.worst_depth_mm, contact.worst_sources_mm)
+                lids[-1] += f"; at worst {depth} with {contact.worst_shape}"
         lines = [
             *([] if self.match is None else [_match(self.match, self.sources)]),
             f"{out}: {len(self.sources)} source{'s' * (len(self.sources) != 1)}, {self.points:,} points, "
             f"{len(self.shapes)} shapes and inbetweens in {self.seconds:.2f} s",
-            _deviations(self),
-            *_shapes(self),
+            table(rows),
+            *(f"worst step at the border of a shape: {mm:.4f} mm ({name})" for mm, name in worst),
             f"flipped triangles: {self.flipped_triangles} in the neutral, "
             f"{sum(shape.flipped_triangles for shape in self.shapes.values())} in shapes",
             f"loose parts: {self.loose_parts}; parts that keep their shape: {self.kept_parts}",
-            *(_lids(name, contact) for name, contact in self.lids.items()),
+            *lids,
             *_names("shapes transferred", self.transferred),
             *_names("shapes left out, as some source lacks them", self.skipped),
         ]
@@ -289,7 +282,12 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
     region = np.argmax(graph.masks[:, graph.edges[:, 0]] + graph.masks[:, graph.edges[:, 1]], axis=0)
     names = (*graph.regions, "default")
     normals = _triangle_mix(neutral.shares, sources.points, graph.triangles)
-    count = len(neutral.points)
+    count, warnings = len(neutral.points), []
+    if len(sources.points) == 1:
+        warnings.append("one source: the result is that face")
+    short = int((_lengths(edge_vectors(sources.points, graph.edges), 1.0) <= 0).any(axis=0).sum())
+    if short:
+        warnings.append(f"{short} edges without length in some source: they stay as short as their blended vectors")
     report = BlendReport(
         sources=sources.names,
         points=count,
@@ -303,7 +301,7 @@ def measure(session: BlendSession, solution: Solution) -> tuple[BlendReport, Flo
         flipped_triangles=int(turned_triangles(normals, neutral.points, graph.triangles).sum()),
         skipped=session.skipped,
         transferred=tuple(f"{shape}: {name}" for shape, name in session.transferred),
-        warnings=(*sources.warnings, *graph.notes, *neutral.notes, *_warnings(session)),
+        warnings=(*sources.warnings, *graph.notes, *neutral.notes, *warnings),
     )
     ends = graph.edges.ravel()
     squares = np.bincount(ends, np.repeat(lengths**2, 2), minlength=count)
@@ -321,41 +319,24 @@ def _shape(session: BlendSession, solution: Solution, number: int) -> ShapeQuali
     ends = graph.edges[edges]
     lengths = _lengths(edge_vectors(offsets, ends) - wanted, mm)
     border = moving[ends[:, 0]] != moving[ends[:, 1]]
+    # triangles that the shape turns over, beyond what it does in the sources
+    touched = graph.triangles[moving[graph.triangles].any(axis=1)]
+    sculpted = session.sources.points.copy()
+    sculpted[:, sculpt.points] += sculpt.offsets
+    expected = _triangle_mix(neutral.shares, sculpted, touched)
     return ShapeQuality(
         moving=len(sculpt.points),
         static=len(offsets) - len(sculpt.points),
         deviation=_deviation(lengths[moving[ends].any(axis=1)]),
         border_step_mm=float(lengths[border].max(initial=0.0)),
-        flipped_triangles=_flipped(session, solution, number, moving, offsets),
+        flipped_triangles=int(turned_triangles(expected, neutral.points + offsets, touched).sum()),
         largest_offset_mm=float(_lengths(solution.offsets[number], mm).max(initial=0.0)),
     )
-
-
-def _flipped(session: BlendSession, solution: Solution, number: int, moving: BoolArray, offsets: FloatArray) -> int:
-    """Triangles that the shape turns over, beyond what it does in the sources."""
-    triangles = session.graph.triangles
-    touched = triangles[moving[triangles].any(axis=1)]
-    sculpt = solution.sculpts[number]
-    sculpted = session.sources.points.copy()
-    sculpted[:, sculpt.points] += sculpt.offsets
-    expected = _triangle_mix(solution.neutral.shares, sculpted, touched)
-    return int(turned_triangles(expected, solution.neutral.points + offsets, touched).sum())
 
 
 def _triangle_mix(shares: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:
     """(t, 3) mean normals of the triangles over the sources' points (K, n, 3): wherever these lie, and however far."""
     return mix(shares[triangles].mean(axis=1), np.stack([triangle_normals(point, triangles) for point in points]))
-
-
-def _warnings(session: BlendSession) -> list[str]:
-    lines = []
-    if len(session.sources.points) == 1:
-        lines.append("one source: the result is that face")
-    short = _lengths(edge_vectors(session.sources.points, session.graph.edges), 1.0)
-    count = int((short <= 0).any(axis=0).sum())
-    if count:
-        lines.append(f"{count} edges without length in some source: they stay as short as their blended vectors")
-    return lines
 
 
 def _lengths(vectors: FloatArray, mm_per_unit: float) -> FloatArray:
@@ -386,28 +367,6 @@ def _match(match: MatchReport, sources: Sequence[str]) -> str:
         rows.append([name, *(f"{one:.3f}" for one in row), *([f"locked to {lock}"] if lock else [])])
     rows.append(["default", *(f"{one:.3f}" for one in match.weights.default or ())])
     return f"{table(rows)}\nedges differ from the target's by {match.rms_mm:.4f} mm RMS, {match.max_mm:.4f} mm at most"
-
-
-def _deviations(report: BlendReport) -> str:
-    rows: list[list[object]] = [["edges off what was asked for, mm", "edges", "RMS", "p95", "max"]]
-    for name, one in (*report.regions.items(), ("all", report.deviation)):
-        numbers = (f"{value:.4f}" for value in (one.rms_mm, one.p95_mm, one.max_mm))
-        rows.append([name, f"{one.edges:,}", *numbers])
-    return table(rows)
-
-
-def _shapes(report: BlendReport) -> list[str]:
-    if not report.shapes:
-        return []
-    name, worst = max(report.shapes.items(), key=lambda item: item[1].border_step_mm)
-    return [f"worst step at the border of a shape: {worst.border_step_mm:.4f} mm ({name})"]
-
-
-def _lids(name: str, contact: LidContact) -> str:
-    text = f"{name}: lids cut in by {_depth(contact.depth_mm, contact.sources_mm)}"
-    if contact.worst_shape is None:
-        return text
-    return f"{text}; at worst {_depth(contact.worst_depth_mm, contact.worst_sources_mm)} with {contact.worst_shape}"
 
 
 def _depth(depth: float, sources: Sequence[float]) -> str:

@@ -14,7 +14,7 @@ from facepipe.core.threads import one_thread
 from facepipe.core.tokens import SEAM_RESIDUAL
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.vectors import group_sums, transformed, unit_vectors
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe, SliderNetwork
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe
 from facepipe.rig import mesh_spaces
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
@@ -82,37 +82,37 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
     """
     sources, neutral = session.sources, solution.neutral
     base = sources.base
-    meshes = tuple(_mesh(sources, solution, number) for number in range(len(base.meshes)))
+    meshes = []
+    for number, (mesh, space) in enumerate(zip(base.meshes, mesh_spaces(base), strict=True)):
+        sculpted = [parts.meshes[number] for parts in sources.parts]
+        span, back = slice(*sources.mesh_offsets[number : number + 2]), np.linalg.inv(space)
+        points, shares = transformed(neutral.points[span], back), neutral.shares[span]
+        meshes.append(
+            replace(
+                mesh,
+                points=points,
+                normals=_normals(sources, shares, number, points),
+                skin=blend_skins([one.skin for one in sculpted], shares, sources.joint_maps),
+                blendshapes=_blendshapes(sculpted, points, solution, span, back[:3, :3]),
+            )
+        )
     skeleton = blend_skeletons(
         [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
     )
-    gone = set(session.skipped)
+    gone, network = set(session.skipped), base.slider_network
     return replace(
         base,
-        meshes=meshes,
+        meshes=tuple(meshes),
         skeleton=skeleton,
         animations=tuple(
             _without_tracks(animation, gone)
             for animation in rebase_animations(base.animations, base.skeleton, skeleton)
         ),
         sliders=tuple(kept(slider, lambda joint: True, lambda shape: shape not in gone) for slider in base.sliders),
-        slider_network=_network_without(base.slider_network, gone),
+        slider_network=None
+        if network is None
+        else kept_outputs(network, lambda _: True, lambda shape: shape not in gone),
         photos=(),  # they show the person of one source
-    )
-
-
-def _mesh(sources: Sources, solution: Solution, number: int) -> Mesh:
-    meshes = [parts.meshes[number] for parts in sources.parts]
-    base, span = meshes[0], slice(*sources.mesh_offsets[number : number + 2])
-    back = np.linalg.inv(mesh_spaces(sources.base)[number])
-    points = transformed(solution.neutral.points[span], back)
-    shares = solution.neutral.shares[span]
-    return replace(
-        base,
-        points=points,
-        normals=_normals(sources, shares, number, points),
-        skin=blend_skins([parts.meshes[number].skin for parts in sources.parts], shares, sources.joint_maps),
-        blendshapes=_blendshapes(meshes, points, solution, span, back[:3, :3]),
     )
 
 
@@ -128,19 +128,15 @@ def _normals(sources: Sources, shares: FloatArray, number: int, points: FloatArr
     rows = np.arange(len(points)) if len(base.normals) == len(points) else corners
     authored: list[FloatArray | None] = []
     for parts, to_base in zip(sources.parts, sources.to_base, strict=True):
-        given = _in_rows(parts.meshes[number].normals, corners, len(points), per_point=len(rows) == len(points))
+        given = parts.meshes[number].normals
+        if given is not None and (len(given) == len(points)) != (len(rows) == len(points)):
+            # a source gives them per point, the base per corner, or the other way round
+            given = group_sums(corners, given, len(points)) if len(rows) == len(points) else given[corners]
         turn = back[:3, :3] @ to_base[:3, :3] @ mesh_spaces(parts)[number][:3, :3]
         side = np.sign(np.linalg.det(turn))
         authored.append(None if given is None else side * (given @ np.linalg.inv(turn)))  # the inverse transpose
     surface = point_normals(points, triangles)
     return blend_normals(authored, np.stack(surfaces)[:, rows], surface[rows], shares[rows])
-
-
-def _in_rows(normals: FloatArray | None, corners: IntArray, count: int, *, per_point: bool) -> FloatArray | None:
-    """Normals per point or corner, whichever way they are given."""
-    if normals is None or (len(normals) == count) == per_point:
-        return normals
-    return group_sums(corners, normals, count) if per_point else normals[corners]
 
 
 def _blendshapes(
@@ -172,16 +168,11 @@ def _blendshapes(
         elif not len(indices) and name in still:
             indices = np.zeros(1, dtype=np.int32)  # USD reads a shape without indices as one over all points
         if len(indices):
-            spread = {key: _spread(indices, *sculpt) for key, sculpt in sculpts.items()}
+            spread = {key: np.zeros((len(indices), 3)) for key in sculpts}
+            for key, (places, offsets) in sculpts.items():
+                spread[key][np.searchsorted(indices, places)] = offsets
             shapes.append(_shape(name, indices, spread, (points, triangles) if name in with_normals else None))
     return tuple(shapes)
-
-
-def _spread(indices: IntArray, places: IntArray, offsets: FloatArray) -> FloatArray:
-    """(k, 3) offsets at `indices`, 0 where the sculpt moves nothing."""
-    full = np.zeros((len(indices), 3))
-    full[np.searchsorted(indices, places)] = offsets
-    return full
 
 
 def _shape(
@@ -208,10 +199,6 @@ def _shape(
     return Blendshape(
         name=name, point_indices=indices, offsets=whole, normal_offsets=normals(whole), inbetweens=inbetweens
     )
-
-
-def _network_without(network: SliderNetwork | None, gone: set[str]) -> SliderNetwork | None:
-    return None if network is None else kept_outputs(network, lambda _: True, lambda shape: shape not in gone)
 
 
 def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:

@@ -39,13 +39,20 @@ def blend_skeletons(
         return base
     places = [_places(skeleton, base, number) for number, skeleton in enumerate(skeletons)]
     binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
-    rests = np.stack([_worlds(one)[at] for one, at in zip(skeletons, places, strict=True)])
+    rests = np.empty(binds.shape)
+    for own, skeleton, at in zip(rests, skeletons, places, strict=True):
+        worlds = _float64(skeleton.rest_transforms).copy()  # in skeleton space
+        for joint, parent in enumerate(skeleton.parents):
+            if parent >= 0:
+                worlds[joint] = worlds[parent] @ worlds[joint]
+        own[:] = worlds[at]
     moved = _float64(bind_worlds) @ _inverse(binds, base)  # (K, j, 4, 4) a source's space -> the base's bind space
     # a change of unit is one of places: a joint's axes stay as long as in its own file
     units = np.cbrt(np.abs(np.linalg.det(moved[:, :1, :3, :3])))[..., None]
     linear = blend_linear(_float64(bind_worlds)[..., :3, :3] / units[..., None], weights)
     bind = _transforms(linear, positions)
-    relative = _relative(binds, rests, base)
+    # (K, j, 4, 4) what takes each joint from bind to rest in its own axes, both relative to the joint's parent
+    relative = np.stack([_inverse(_local(a, base), base) @ _local(b, base) for a, b in zip(binds, rests, strict=True)])
     relative[..., :3, 3] *= units
     roots = base.parents < 0
     relative[:, roots] = (moved @ rests @ _inverse(binds, base) @ _inverse(moved, base))[:, roots]
@@ -75,27 +82,11 @@ def blend_linear(matrices: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(rotation_matrices(mean) @ np.einsum("jk,kjab->jab", weights, stretches))
 
 
-def _relative(binds: FloatArray, rests: FloatArray, base: Skeleton) -> FloatArray:
-    """(K, j, 4, 4) what takes each joint from bind to rest in its own axes, both relative to the joint's parent."""
-    return np.stack(
-        [_inverse(_local(bind, base), base) @ _local(rest, base) for bind, rest in zip(binds, rests, strict=True)]
-    )
-
-
 def _local(worlds: FloatArray, base: Skeleton) -> FloatArray:
     """(j, 4, 4) transforms relative to the parent joint; those of roots as they are."""
     parents = base.parents
     above = np.where((parents < 0)[:, None, None], np.eye(4), _inverse(worlds, base)[parents])
     return np.asarray(above @ worlds)
-
-
-def _worlds(skeleton: Skeleton) -> FloatArray:
-    """(j, 4, 4) rest transforms in skeleton space."""
-    worlds = _float64(skeleton.rest_transforms).copy()
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            worlds[joint] = worlds[parent] @ worlds[joint]
-    return worlds
 
 
 def _places(skeleton: Skeleton, base: Skeleton, number: int) -> IntArray:
@@ -162,7 +153,12 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
         for k, skin in given
     ]
     width = max(skin.joint_indices.shape[1] for _, skin in given)
-    agreed = _agreed([_sorted(*one, width) for one in merged])
+    # points where all sources have the same influences, in float32
+    first, *others = (_sorted(*one, width) for one in merged)
+    agreed = np.ones(len(first[0]), dtype=bool)
+    for other_joints, other_weights in others:
+        agreed &= (first[0] == other_joints).all(axis=1)
+        agreed &= (first[1].astype(np.float32) == other_weights.astype(np.float32)).all(axis=1)
     if agreed.all():
         return base
     joints = np.concatenate([numbers for numbers, _ in merged], axis=1)
@@ -172,7 +168,7 @@ def blend_skins(skins: Sequence[Skin | None], weights: FloatArray, joint_maps: S
     total = blended.sum(axis=1, keepdims=True)
     blended = blended / np.where(total > 0, total, 1.0)
     # sum_k a_k w equals w only up to rounding: put back, the weights that all agree on keep every digit
-    indices[agreed], blended[agreed] = (one[agreed] for one in _sorted(*merged[0], width))
+    indices[agreed], blended[agreed] = (one[agreed] for one in first)
     return replace(base, joint_indices=indices, joint_weights=blended)
 
 
@@ -196,16 +192,6 @@ def _sorted(joints: IntArray, weights: FloatArray, width: int) -> tuple[IntArray
     order = np.argsort(-weights, axis=1, kind="stable")[:, :width]
     joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
     return np.where(weights > 0, joints, 0).astype(np.int32), weights
-
-
-def _agreed(sources: Sequence[tuple[IntArray, FloatArray]]) -> BoolArray:
-    """(n,) whether all have the same influences, in float32."""
-    joints, weights = sources[0]
-    same = np.ones(len(joints), dtype=bool)
-    for other_joints, other_weights in sources[1:]:
-        same &= (joints == other_joints).all(axis=1)
-        same &= (weights.astype(np.float32) == other_weights.astype(np.float32)).all(axis=1)
-    return same
 
 
 def rebase_animations(animations: Sequence[Animation], old: Skeleton, new: Skeleton) -> tuple[Animation, ...]:
@@ -242,21 +228,18 @@ def _rebased(animation: Animation, old: Skeleton, new: Skeleton) -> Animation:
     was = decompose(before)
     kept = (rest_old.astype(np.float32) == rest_new.astype(np.float32)).all(axis=(1, 2))
     values = [one if part is None else np.asarray(part) for part, one in zip(given, was[:3], strict=True)]
+    # signs of quaternions flip where those before do: samples are interpolated as they stand
+    flips = np.ones(after.rotation.shape[:2])
+    for one in (after.rotation, np.asarray(values[1], dtype=np.float64)):
+        flips[1:] *= np.where(np.einsum("tjc,tjc->tj", one[1:], one[:-1]) < 0, -1.0, 1.0)
+    rotations = after.rotation * np.cumprod(flips, axis=0)[..., None]
     return replace(
         animation,
         translations=_where(kept, values[0], after.translation),
-        rotations=_where(kept, values[1], _continuous(after.rotation, values[1])),
+        rotations=_where(kept, values[1], rotations),
         scales=_where(kept, values[2], after.scale),
     )
 
 
 def _where(kept: BoolArray, before: FloatArray, after: FloatArray) -> FloatArray:
     return np.where(kept[None, :, None], before, after)
-
-
-def _continuous(rotations: FloatArray, before: FloatArray) -> FloatArray:
-    """(T, j, 4) quaternions with signs that flip where those before do: samples are interpolated as they stand."""
-    flips = np.ones(rotations.shape[:2])
-    for one in (rotations, np.asarray(before, dtype=np.float64)):
-        flips[1:] *= np.where(np.einsum("tjc,tjc->tj", one[1:], one[:-1]) < 0, -1.0, 1.0)
-    return np.asarray(rotations * np.cumprod(flips, axis=0)[..., None])

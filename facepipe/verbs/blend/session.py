@@ -65,7 +65,12 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
     """
     shapes = tuple(dict.fromkeys(name for own in sources.shapes for name in own))
     lacking = {shape: [k for k, own in enumerate(sources.shapes) if shape not in own] for shape in shapes}
-    _require(sources, lacking, missing)
+    lost = {shape: lack for shape, lack in lacking.items() if lack}
+    if lost and missing == "error":
+        shape, lack = next(iter(lost.items()))
+        more = f" (and {len(lost) - 1} more shapes)" if len(lost) > 1 else ""
+        what = f"no shape '{shape}', which other sources have{more}; expected it in all (or --missing transfer|skip)"
+        raise InputError(sources.names[lack[0]], what)
     sculpts, skipped, transferred = [], [], []
     transfer = _Transfers(sources, triangles)
     for shape in shapes:
@@ -92,34 +97,15 @@ def pair_sculpts(sources: Sources, triangles: IntArray, missing: Missing, thresh
     return Sculpts(tuple(sculpts), tuple(skipped), tuple(transferred))
 
 
-def _require(sources: Sources, lacking: dict[str, list[int]], missing: Missing) -> None:
-    lost = {shape: lack for shape, lack in lacking.items() if lack}
-    if lost and missing == "error":
-        shape, lack = next(iter(lost.items()))
-        more = f" (and {len(lost) - 1} more shapes)" if len(lost) > 1 else ""
-        what = f"no shape '{shape}', which other sources have{more}; expected it in all (or --missing transfer|skip)"
-        raise InputError(sources.names[lack[0]], what)
-
-
 def _weights(parts: Sequence[FaceParts], shape: str) -> list[tuple[float, str | None]]:
     """Every weight that some source has a sculpt at, with its name in the first that has it; names are unique."""
     named: dict[float, str] = {}
-    for one in _shapes(parts, shape):
-        for inbetween in one.inbetweens:
+    for one in (blendshape for face in parts for mesh in face.meshes for blendshape in mesh.blendshapes):
+        for inbetween in one.inbetweens if one.name == shape else ():
             named.setdefault(float(inbetween.weight), inbetween.name)
     ordered = sorted(named.items())
     names = unique_identifiers(name for _, name in ordered)
     return [(1.0, None), *((weight, name) for (weight, _), name in zip(ordered, names, strict=True))]
-
-
-def _shapes(parts: Sequence[FaceParts], shape: str) -> list[Blendshape]:
-    return [
-        blendshape
-        for face in parts
-        for mesh in face.meshes
-        for blendshape in mesh.blendshapes
-        if blendshape.name == shape
-    ]
 
 
 def _at(shape: Blendshape, weight: float) -> FloatArray:
@@ -327,7 +313,13 @@ class BlendSession:
         points = self.system.solve(wanted, bridged, self.sources.points[0, graph.anchor])
         # after the solve, which bends loose parts as it does skin: their blended shape is laid on what it made of them
         points[self.kept.points] = self.kept.fit(points, shares)
-        joint_shares, joints = self._joints(points, shares)
+        # shares (j, K) and places (j, 3) of the joints: weighted means over their bridges
+        bridges, places = self.graph.joint_bridges, self.joint_worlds[:, :, :3, 3]
+        joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
+        total = np.bincount(joint, bridges.weights, minlength=count)[:, None]
+        joint_shares = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
+        vectors = mix(0.5 * (joint_shares[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
+        joints = group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
         return Neutral(
             table=table,
             shares=shares,
@@ -355,15 +347,6 @@ class BlendSession:
     def expression(self, number: int) -> Expression:
         """The solve of one sculpt."""
         return self._expressions[number]
-
-    def _joints(self, points: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Shares (j, K) and places (j, 3) of the joints: weighted means over their bridges."""
-        bridges, places = self.graph.joint_bridges, self.joint_worlds[:, :, :3, 3]
-        joint, point, count = bridges.followers, bridges.leaders, places.shape[1]
-        total = np.bincount(joint, bridges.weights, minlength=count)[:, None]
-        joint_shares = group_sums(joint, shares[point] * bridges.weights[:, None], count) / total
-        vectors = mix(0.5 * (joint_shares[joint] + shares[point]), places[:, joint] - self.sources.points[:, point])
-        return joint_shares, group_sums(joint, (points[point] + vectors) * bridges.weights[:, None], count) / total
 
 
 class Expression:
@@ -394,7 +377,10 @@ class Expression:
         bridges = graph.bridges
         along = shared.between(bridges.leaders[prepared.bridges], bridges.followers[prepared.bridges])
         wanted = mix(shared.edge_shares[prepared.edges], prepared.edge_vectors)
-        bridged, anchored = mix(along, prepared.bridge_vectors), self._anchored(shared.shares)
+        bridged, anchored = mix(along, prepared.bridge_vectors), np.zeros(3)
+        if self._moving[graph.anchor]:
+            moved = self.sculpt.offsets[:, np.searchsorted(points, graph.anchor)]
+            anchored = np.asarray(shared.shares[graph.anchor] @ moved)
         offsets = np.zeros((len(self._moving), 3))
         if prepared.held:
             offsets[prepared.held.points] = prepared.held.solve(wanted, bridged, anchored)
@@ -431,13 +417,6 @@ class Expression:
             edge_vectors=self._vectors(ends[:, 0], ends[:, 1]),
             bridge_vectors=self._vectors(bridges.leaders[across], bridges.followers[across]),
         )
-
-    def _anchored(self, shares: FloatArray) -> FloatArray:
-        anchor = self._graph.anchor
-        if not self._moving[anchor]:
-            return np.zeros(3)
-        offsets = self.sculpt.offsets[:, np.searchsorted(self.sculpt.points, anchor)]
-        return np.asarray(shares[anchor] @ offsets)
 
     def _vectors(self, start: IntArray, end: IntArray) -> FloatArray:
         """(K, q, 3) vectors of the sources' offsets from points to points."""

@@ -13,7 +13,7 @@ from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.polygons import point_triangles
 from facepipe.geometry.similarity import fit_similarity
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, TextureInput
+from facepipe.parts import FaceParts, Mesh, TextureInput
 from facepipe.rig import build, mesh_spaces, set_face
 from facepipe.stage import Face
 from facepipe.verbs.whole_faces import check_same_faces, check_spaces, in_order, world_to_world
@@ -64,7 +64,14 @@ def stack(faces: Sequence[Face]) -> Sources:
     parts, warnings = [base], []
     for name, face in zip(names[1:], faces[1:], strict=True):
         source = set_face(face.parts()).parts
-        _check_joints(f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints, names[0])
+        where, joints, base_joints = f"{name} -> {source.skeleton.name}", source.skeleton.joints, base.skeleton.joints
+        for joint in base_joints:
+            if joint not in joints:
+                raise TopologyError(where, f"no joint '{joint}', expected the {len(base_joints)} joints of {names[0]}")
+        for joint in joints:
+            if joint not in base_joints:
+                what = f"joint '{joint}', which {names[0]} lacks, expected its {len(base_joints)} joints"
+                raise TopologyError(where, what)
         source, worn = with_cards(base, source, _to_base(source, base))
         if worn:
             warnings.append(f"{name}: wears {', '.join(worn)} of {names[0]}: its own is another, or none")
@@ -76,7 +83,7 @@ def stack(faces: Sequence[Face]) -> Sources:
         check_spaces(name, face_parts)
     rigs = [replace(build(part), targets=()) for part in parts]  # offsets are read from the parts, once
     to_base = np.array([_to_base(part, base) for part in parts])
-    base_joints = {joint: number for number, joint in enumerate(base.skeleton.joints)}
+    numbers = {joint: number for number, joint in enumerate(base.skeleton.joints)}
     warnings += _losses(names, parts)
     moved = [transformed(rig.points, matrix) for rig, matrix in zip(rigs, to_base, strict=True)]
     warnings += _placements(names, moved)
@@ -91,7 +98,7 @@ def stack(faces: Sequence[Face]) -> Sources:
         * 1000.0
         * float(np.cbrt(np.abs(np.linalg.det(base.skeleton.transform[:3, :3])))),
         joint_maps=tuple(
-            np.array([base_joints[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
+            np.array([numbers[joint] for joint in part.skeleton.joints], dtype=np.int32) for part in parts
         ),
         warnings=tuple(warnings),
     )
@@ -146,16 +153,6 @@ def _to_base(parts: FaceParts, base: FaceParts) -> FloatArray:
     return np.asarray(np.linalg.inv(base.skeleton.transform) @ world)
 
 
-def _check_joints(where: str, joints: Sequence[str], base: Sequence[str], base_name: str) -> None:
-    """:raises TopologyError: the first joint that only one of the two has"""
-    for joint in base:
-        if joint not in joints:
-            raise TopologyError(where, f"no joint '{joint}', expected the {len(base)} joints of {base_name}")
-    for joint in joints:
-        if joint not in base:
-            raise TopologyError(where, f"joint '{joint}', which {base_name} lacks, expected its {len(base)} joints")
-
-
 def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple[FaceParts, tuple[str, ...]]:
     """`source` with the cards that `base` wears and it does not, on its own skin; and what these are called.
 
@@ -175,8 +172,36 @@ def with_cards(base: FaceParts, source: FaceParts, to_base: FloatArray) -> tuple
     worn = {}
     for mesh in missing:
         space = back @ _space(base, mesh)
-        points = _carried(_bound(base, mesh), _bound(base, skin), _bound(source, named[skin.name]), skin, back)
-        worn[mesh.name] = _placed(mesh, source, points, space[:3, :3], joints)
+        points = _bound(base, mesh)
+        surface = _bound(base, skin)
+        other = _bound(source, named[skin.name])
+        # the points (m, 3) as far from the places that they are nearest to, now on the other surface
+        triangles = point_triangles(skin.face_vertex_counts, skin.face_vertex_indices)
+        nearest = closest_places(points, surface, triangles)
+        shares = place_shares(nearest, surface, triangles)
+        places = np.einsum("mk,mkc->mc", shares, other[triangles[nearest.triangles]])
+        points = np.asarray(places + (points - nearest.places) @ back[:3, :3].T)
+        turn = space[:3, :3].T
+        shapes = [
+            replace(
+                shape,
+                offsets=shape.offsets @ turn,
+                normal_offsets=None,
+                inbetweens=tuple(
+                    replace(one, offsets=one.offsets @ turn, normal_offsets=None) for one in shape.inbetweens
+                ),
+            )
+            for shape in mesh.blendshapes
+        ]
+        worn[mesh.name] = replace(
+            mesh,
+            points=points,
+            transform=source.skeleton.transform,
+            skin=mesh.skin
+            and replace(mesh.skin, joint_indices=joints[mesh.skin.joint_indices], geom_bind_transform=np.eye(4)),
+            normals=None,
+            blendshapes=tuple(shapes),
+        )
     kept = [mesh for mesh in source.meshes if mesh.name not in worn]
     return replace(source, meshes=(*kept, *worn.values())), tuple(worn)
 
@@ -207,35 +232,3 @@ def _space(parts: FaceParts, mesh: Mesh) -> FloatArray:
 def _bound(parts: FaceParts, mesh: Mesh) -> FloatArray:
     """(n, 3) points in bind space."""
     return transformed(mesh.points, _space(parts, mesh))
-
-
-def _carried(points: FloatArray, surface: FloatArray, other: FloatArray, mesh: Mesh, back: FloatArray) -> FloatArray:
-    """The points (m, 3) as far from the places that they are nearest to, now on the other surface."""
-    triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
-    nearest = closest_places(points, surface, triangles)
-    shares = place_shares(nearest, surface, triangles)
-    places = np.einsum("mk,mkc->mc", shares, other[triangles[nearest.triangles]])
-    return np.asarray(places + (points - nearest.places) @ back[:3, :3].T)
-
-
-def _placed(mesh: Mesh, other: FaceParts, points: FloatArray, turn: FloatArray, joints: IntArray) -> Mesh:
-    """The mesh with points in bind space, on the joints of another skeleton."""
-    skin = mesh.skin and replace(
-        mesh.skin, joint_indices=joints[mesh.skin.joint_indices], geom_bind_transform=np.eye(4)
-    )
-    return replace(
-        mesh,
-        points=points,
-        transform=other.skeleton.transform,
-        skin=skin,
-        normals=None,
-        blendshapes=tuple(_turned(shape, turn) for shape in mesh.blendshapes),
-    )
-
-
-def _turned(shape: Blendshape, turn: FloatArray) -> Blendshape:
-    def one(inbetween: Inbetween) -> Inbetween:
-        return replace(inbetween, offsets=inbetween.offsets @ turn.T, normal_offsets=None)
-
-    inbetweens = tuple(map(one, shape.inbetweens))
-    return replace(shape, offsets=shape.offsets @ turn.T, normal_offsets=None, inbetweens=inbetweens)

@@ -63,9 +63,17 @@ class Weights:
         gains = np.ones(sources) if self.gains is None else _checked("gains", self.gains, sources)
         notes = [note for name, row in given.items() for note in _note(name, row)]
         notes += _note("default", default) if self.default is not None else []
-        rows = [_normalised(name, given.get(name, default), gains) for name in (*regions, "default")]
+        rows = []
+        for name in (*regions, "default"):
+            row = given.get(name, default)
+            together = (row / row.max()) * (gains / gains.max())  # products and sums of huge weights would overflow
+            if not together.max() > 0:
+                raise InputError(f"weights -> {name}", "the gains leave all weights at 0, expected one above 0")
+            rows.append(together / together.sum())
         for name, number in self.locked.items():
-            rows[list(regions).index(name)] = _one_hot(name, number, sources)
+            if not (isinstance(number, int) and 1 <= number <= sources):
+                raise InputError(f"lock -> {name}", f"source {number}, expected a number from 1 to {sources}")
+            rows[list(regions).index(name)] = np.eye(sources)[number - 1]
         return Shares(np.array(rows), tuple(notes))
 
 
@@ -82,22 +90,9 @@ def _checked(name: str, values: Sequence[float] | FloatArray, sources: int) -> F
     return np.array(values, dtype=np.float64)
 
 
-def _normalised(name: str, row: FloatArray, gains: FloatArray) -> FloatArray:
-    together = (row / row.max()) * (gains / gains.max())  # products and sums of huge weights would overflow
-    if not together.max() > 0:
-        raise InputError(f"weights -> {name}", "the gains leave all weights at 0, expected one above 0")
-    return np.asarray(together / together.sum())
-
-
 def _note(name: str, row: FloatArray) -> list[str]:
     total = sum(row.tolist())  # infinite where huge weights overflow
     return [] if abs(total - 1.0) < 1e-6 else [f"weights of {name} sum to {total:g}, normalised to 1"]
-
-
-def _one_hot(name: str, number: int, sources: int) -> FloatArray:
-    if not (isinstance(number, int) and 1 <= number <= sources):
-        raise InputError(f"lock -> {name}", f"source {number}, expected a number from 1 to {sources}")
-    return np.asarray(np.eye(sources)[number - 1])
 
 
 @dataclass(frozen=True, kw_only=True)
