@@ -49,6 +49,7 @@ class _Key(NamedTuple):
 
 @dataclass
 class _View:
+    number: int
     chunks: list[Chunk] = field(default_factory=list)
     size: int = 0
 
@@ -78,7 +79,6 @@ class Buffers:
         self.accessors: list[Json] = []
         self.sparse_count = 0
         self._views: dict[_Key, _View] = {}
-        self._index: dict[_Key, int] = {}
         self._zeros: dict[tuple[int, int, str], int] = {}
 
     def add(self, array: Array, use: Use, *, normalized: bool = False, bounds: bool = False) -> int:
@@ -174,10 +174,8 @@ class Buffers:
         return accessor
 
     def _append(self, key: _Key, data: Chunk) -> tuple[int, int]:
-        if key not in self._views:
-            self._index[key] = len(self._views)
-            self._views[key] = _View()
-        return self._index[key], self._views[key].append(data)
+        view = self._views.setdefault(key, _View(len(self._views)))
+        return view.number, view.append(data)
 
     def _push(self, accessor: Json) -> int:
         self.accessors.append(accessor)

@@ -31,8 +31,8 @@ from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
 from facepipe_gltf.read.meshopt import EXTENSION
-from facepipe_gltf.record import record_of, written
-from facepipe_gltf.record_format import Record
+from facepipe_gltf.record import record_of
+from facepipe_gltf.record_format import Record, packed
 
 _WHERE = "--meshopt"
 _VERTICES, _INDICES = 34962, 34963
@@ -92,7 +92,7 @@ def _streams(json_: Json, binary: bytes) -> dict[int, _Stream]:
     return streams
 
 
-def _packed(streams: Sequence[_Stream]) -> Iterator[bytes]:
+def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
     """Each stream compressed, and checked with the package's decoder."""
     header = json.dumps([{"count": one.elements, "size": one.size, "mode": one.mode} for one in streams]).encode()
     answer = _run(b"".join([struct.pack("<I", len(header)), header, *(one.data for one in streams)]))
@@ -168,13 +168,13 @@ def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (
     # extension's mode for triangles would rotate their corners, and change the polygons that readers make of them.
     binary = b"".join(document.binary)
     streams = _streams(document.json, binary)
-    packed = _packed([*streams.values()])
+    compressed = _compressed([*streams.values()])
     views: list[Json] = []
     chunks: list[bytes] = []
     size = whole = 0
     for number, view in enumerate(document.json.get("bufferViews", [])):
-        stream = streams.get(number)
-        data = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]] if stream is None else next(packed)
+        stream, start = streams.get(number), view["byteOffset"]
+        data = binary[start : start + view["byteLength"]] if stream is None else next(compressed)
         place: Json = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
         if stream is not None:
             own = place | {"byteStride": stream.size, "count": stream.elements, "mode": stream.mode}
@@ -322,7 +322,10 @@ class _Writer:
         textures = self.materials.textures
         uncolored = f"display colours of {listed_meshes(self.uncolored)}: the materials' colours are shown"
         # before the buffers are finished: the record puts a view of its own into them
-        extras = None if self.record is None else {"facepipe": written(self.record, self.buffers)}
+        extras = None
+        if self.record is not None:
+            entry, block = packed(self.record)
+            extras = {"facepipe": entry | {"bufferView": self.buffers.add_bytes(block)}}
         views, binary = self.buffers.finish()
         asset = {"version": "2.0", "generator": f"facepipe {__version__}"}
         if self.parts.attribution:

@@ -47,7 +47,7 @@ def check(parts: FaceParts) -> None:
     for name in ("bind_transforms", "rest_transforms"):
         _array(f"{where} -> {name}", getattr(skeleton, name), (len(skeleton.joints), 4, 4))
     singular = np.flatnonzero(_singular(np.asarray(skeleton.bind_transforms, dtype=np.float64)))
-    if len(singular):
+    if len(singular):  # all at once, and the first by name: most skeletons have none
         _invertible(
             f"{where} -> {skeleton.joints[singular[0]]} -> bind transform", skeleton.bind_transforms[singular[0]]
         )

@@ -7,7 +7,7 @@ import io
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -55,7 +55,11 @@ class Textures:
 
         :raises InputError: one that may not be copied
         """
-        if self._open(texture, decode=False) is None:
+        data = texture.image()
+        try:
+            open_image(data, texture.name, decode=False)
+        except InputError as error:
+            self._unreadable(texture, error)
             return None
         if texture.data.startswith(_PNG):
             return self._image(Image(_stem(texture), "image/png", _without_ignored_chunks(texture.data)))
@@ -74,11 +78,9 @@ class Textures:
 
     def pixels(self, texture: Texture) -> Pixels | None:
         """(h, w, 4) pixels of a texture; None (and a warning) where unreadable."""
-        opened = self._open(texture)
-        if opened is None:
-            return None
+        data = texture.image()
         try:
-            return decoded(opened, "RGBA", texture.name)
+            return decoded(open_image(data, texture.name), "RGBA", texture.name)
         except InputError as error:
             self._unreadable(texture, error)
             return None
@@ -98,14 +100,6 @@ class Textures:
         """Add a warning, once."""
         if line not in self.warnings:
             self.warnings.append(line)
-
-    def _open(self, texture: Texture, *, decode: bool = True) -> Any | None:
-        data = texture.image()
-        try:
-            return open_image(data, texture.name, decode=decode)
-        except InputError as error:
-            self._unreadable(texture, error)
-            return None
 
     def _unreadable(self, texture: Texture, error: InputError) -> None:
         self.warn(f"{texture.name}: texture left out, it {error.what}")

@@ -108,6 +108,7 @@ def joint_order(document: RawDocument) -> Iterator[Problem]:
         joints, matrices = joints_of(skin), _inverse_binds(document, skin)
         if min(joints, default=-1) < 0 or max(joints) >= len(document.items("nodes")):
             continue
+        # the matrices alone can't tell joints apart that rest in one place
         if by_facepipe and sorted(joints) != joints:
             late = next(a for a, b in zip(joints[1:], joints, strict=False) if a < b)
             yield f"/skins/{i}/joints", f"node {late} stands after a later one, expected the order they were written in"

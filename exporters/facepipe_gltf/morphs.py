@@ -249,6 +249,7 @@ def blocks(sculpts: Sequence[Sculpt], placement: Placement, normals: FloatArray)
     rows = 0
     for sculpt in sculpts:
         rows += len(sculpt.point_indices)
+        # a sculpt is never parted, however large: a block is then larger
         if rows > _BLOCK or not every:
             every.append([])
             rows = len(sculpt.point_indices)

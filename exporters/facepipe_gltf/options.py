@@ -67,21 +67,17 @@ ENGINES: Mapping[str, Engine] = {
 
 def check_engine(options: Options) -> None:
     """:raises InputError: an option that the engine can't read"""
-    engine = options.reader
-    if options.most_influences > engine.influences:
-        raise _refused("--influences 8", engine, f"reads {engine.influences} joints a vertex")
-    if not options.is_dense and not engine.sparse:
-        raise _refused("--no-dense", engine, "gets sparse morph targets wrong")
-    if options.quantize and not engine.quantized:
-        raise _refused("--quantize", engine, "reads no quantised attributes reliably")
-    if options.lods and not engine.lods:
-        raise _refused("--lods", engine, "shows all levels at once")
-    if options.meshopt and not engine.meshopt:
-        raise _refused("--meshopt", engine, "reads no EXT_meshopt_compression")
-
-
-def _refused(flag: str, engine: Engine, why: str) -> InputError:
-    return InputError(flag, f"{engine.title} {why}, expected an export without it or another --engine")
+    engine, more = options.reader, options.most_influences > options.reader.influences
+    unread = (
+        ("--influences 8", more, f"reads {engine.influences} joints a vertex"),
+        ("--no-dense", not (options.is_dense or engine.sparse), "gets sparse morph targets wrong"),
+        ("--quantize", options.quantize and not engine.quantized, "reads no quantised attributes reliably"),
+        ("--lods", options.lods and not engine.lods, "shows all levels at once"),
+        ("--meshopt", options.meshopt and not engine.meshopt, "reads no EXT_meshopt_compression"),
+    )
+    for flag, asked, why in unread:
+        if asked:
+            raise InputError(flag, f"{engine.title} {why}, expected an export without it or another --engine")
 
 
 def engine_warnings(

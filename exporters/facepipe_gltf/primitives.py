@@ -131,6 +131,7 @@ class PrimitiveWriter:
             attributes["COLOR_0"] = self._add(encoding.colors(np.asarray(baked.mesh.colors)[vertices.points]))
         if baked.influences is not None:
             joints, weights, _ = baked.influences
+            # a second set only where a vertex needs it: not every engine reads JOINTS_1
             sets = 1 if (weights > 0).sum(axis=1).max(initial=1) <= 4 else 2
             padded = [np.zeros((len(points), 4 * sets)), np.zeros((len(points), 4 * sets))]
             for target, source in zip(padded, (joints, weights), strict=True):

@@ -10,11 +10,9 @@ import numpy as np
 
 from facepipe.core.arrays import IntArray
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton, UvSet
-from facepipe.records import Json
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
 from facepipe_gltf.baking import Baked
-from facepipe_gltf.buffers import Buffers
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Space
 from facepipe_gltf.primitives import by_material
@@ -24,7 +22,6 @@ from facepipe_gltf.record_format import (
     MeshRecord,
     Record,
     image_digest,
-    packed,
     points_back,
     shape_names,
     steps_between,
@@ -46,6 +43,7 @@ def record_of(
     """
     if options.mode == "morph" or any(len(mesh.placement.matrices) > 1 for mesh in meshes):
         return None
+    # joints and shapes of animations by number: faces have hundreds of poses that name the same hundreds
     face = _husk(parts, meshes, animations, colored)
     joints, shapes = list(face.skeleton.joints), shape_names(face.meshes)
     return Record(
@@ -56,12 +54,6 @@ def record_of(
         axes=space.axes,
         placement=space.placement,
     )
-
-
-def written(record: Record, buffers: Buffers) -> Json:
-    """The record in the buffers, for ``extras.facepipe`` of the document."""
-    result, block = packed(record)
-    return result | {"bufferView": buffers.add_bytes(block)}
 
 
 def _husk(

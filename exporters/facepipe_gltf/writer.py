@@ -147,6 +147,7 @@ def export(
     options = options or Options()
     delivered = set_face(face.parts(), options.pose)
     levels: tuple[FaceParts, ...] = lower_levels(face) if options.lods else ()
+    # levels are set as the face is: a template's would show as another person from afar
     document = write(delivered.parts, options, levels=[set_face(level, options.pose).parts for level in levels])
     return report_of(document, save(document, target, on_document=on_document), delivered, start)
 
@@ -195,6 +196,7 @@ def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDoc
         name = _sidecar_name(target, data, "", ".bin")
         sidecars[name] = data
         result["buffers"] = [{"byteLength": len(data), "uri": name}, *result["buffers"][1:]]
+    # beside the file, never as data: URIs, a third larger and decoded by readers in one piece
     images = []
     for entry, image in zip(result.get("images", []), document.images, strict=True):
         name = _sidecar_name(target, image.data, image.name, image.extension)

@@ -148,6 +148,7 @@ class Document:
                 return base64.b64decode(text[head.end() :], validate=True)
             except (binascii.Error, ValueError) as error:
                 raise uri.error(f"data URI with bad base64: {error}") from None
+        # each once, by the identity of the file and not by its name: hundreds of links may lead to one
         path = _beside(uri, text, self.path)
         if path not in self.files:
             self.files.append(path)
@@ -168,6 +169,7 @@ def open_document(source: Path) -> Document:
     version = asset.require("version")
     if version.text().split(".")[0] != "2":
         raise version.error(f"{quote(version.text())}, expected glTF 2.0")
+    # who reads 2.0 reads any 2.x, unless minVersion says otherwise (section 3.2)
     minimum = asset.get("minVersion")
     if minimum is not None and minimum.text() != "2.0":
         raise minimum.error(f"{quote(minimum.text())}, expected 2.0")

@@ -110,6 +110,7 @@ class _Textures:
                 data = bytes(buffer[start : start + length])
             else:
                 raise value.error("neither uri nor bufferView, expected one")
+            # by what it begins with: mimeType and the suffix may say otherwise
             kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
             if kind is None:
                 raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")

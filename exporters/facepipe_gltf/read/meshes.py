@@ -250,6 +250,7 @@ def _marks(document: Document, geometry: Geometry, weld: Weld) -> dict[str, Any]
     if numbers is None:
         document.warn(ours, "no _FACEPIPE_POINT in the file any more: landmarks and anchor are left out")
         return {}
+    # by the file's own numbers of points: welding closes the gaps of points in no triangle
     place = dict(zip(numbers[weld.vertices].tolist(), range(len(weld.vertices)), strict=True))
 
     def warn(value: Value, error: InputError | KeyError) -> None:

@@ -77,6 +77,7 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         colors = colors[:, :3]
     if (point := attributes.get("_FACEPIPE_POINT")) is not None:
         values = accessors.floats(document, point, "SCALAR", count=count)[:, 0]
+        # glTF has no integers of 32 bits for attributes, so numbers are floats
         if values.min() < 0.0 or values.max() > _LARGEST_NUMBER or np.any(values != np.floor(values)):
             raise point.error("point numbers that are no whole numbers from 0 to 2^24")
         numbers = values.astype(np.int64)

@@ -164,6 +164,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
         size = float(np.abs(skeleton.rest_transforms).max())
         if float(np.abs(found - skeleton.rest_transforms).max()) > _SAME * size:
             raise InputError("facepipe", "joints moved by another program since facepipe wrote the file")
+    # what fits in number is taken by place: names are the file's, and may have been made distinct on reading
     pairs = [*zip(face.meshes, record.meshes, read.meshes, strict=True)]
     meshes = tuple(_mesh(*pair) for pair in pairs)
     renamed = {
@@ -312,14 +313,13 @@ def _uv_sets(
     if len(husk.uv_sets) != len(read.uv_sets):
         raise _misfit(f"{len(read.uv_sets)} UV sets of {husk.name}, expected {len(husk.uv_sets)}")
     result = []
+    places: IntArray | None
     for husk_set, read_set in zip(husk.uv_sets, read.uv_sets, strict=True):
         if read_set.indices is not None:
-            result.append(UvSet(name=husk_set.name, values=read_set.values, indices=read_set.indices[corners]))
+            values, places = read_set.values, read_set.indices[corners]
         else:
-            values = _spread(read_set.values, numbers, count)
-            result.append(
-                UvSet(name=husk_set.name, values=values, indices=None if husk_set.indices is None else indices)
-            )
+            values, places = _spread(read_set.values, numbers, count), None if husk_set.indices is None else indices
+        result.append(UvSet(name=husk_set.name, values=values, indices=places))
     return tuple(result)
 
 
@@ -375,6 +375,7 @@ def _turned_offsets(
 
 def _check_points(mesh: Mesh) -> None:
     """:raises InputError: data of the record that don't fit the points or faces"""
+    # a record is bytes of a file: what it says of points that the file doesn't have must not reach a stage
     count = len(mesh.points)
     for name, mask in mesh.regions.items():
         if np.shape(mask) != (count,) or not np.isfinite(mask).all():

@@ -12,9 +12,7 @@ from facepipe.core import names
 from facepipe.core.errors import InputError
 from facepipe.core.reading import check_values
 
-LARGEST = (
-    1e18  # the largest number believed: products of two still fit in float32, which is what files and engines hold
-)
+LARGEST = 1e18  # number that is believed: products of two still fit in float32, which files and engines hold
 _LONGEST = 80  # characters of a name that is made of another
 
 _TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or false", type(None): "null"}

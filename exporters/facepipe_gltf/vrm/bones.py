@@ -148,6 +148,7 @@ def _given_bones(text: str, skeleton: Skeleton) -> dict[str, int]:
         if bone not in PARENTS:
             known = did_you_mean(bone, PARENTS) or ", expected one like hips, spine, head, jaw, leftEye"
             raise InputError(where, f"'{bone}' is no human bone of VRM{known}")
+        # paths are distinct, names need not be
         pairs = zip(skeleton.joints, skeleton.names, strict=True)
         places = [i for i, names in enumerate(pairs) if joint in names]
         if not places:

@@ -78,6 +78,7 @@ def _bones(document: RawDocument, vrm: Json) -> Iterator[Problem]:
             yield f"{where}/{bone}/node", f"{node} is another human bone too, expected each node once"
         else:
             known[bone] = node
+    # of a node that several name the first parent counts: the check of the tree has reported it
     above = parents(document)
     wrong = misplaced(known, lambda node: path_above(node, lambda child: above.get(child, [None])[0]))
     if wrong is not None:
@@ -123,6 +124,7 @@ def _expressions(document: RawDocument, vrm: Json) -> Iterator[Problem]:
     """Binds name morph targets that are there, presets are VRM's and other names are not."""
     expressions = as_object(vrm.get("expressions"))
     presets = table()["preset"]
+    # of a mesh whose primitives differ, which another check reports, the fewest
     counts = [
         min((len(targets(one)) for _, one in primitives_of(mesh)), default=None) for mesh in document.items("meshes")
     ]

@@ -311,6 +311,7 @@ def _human_nodes(
     bones = {bone: skins[0]["joints"][joint] for bone, joint in humanoid.bones.items()}
     missing = _missing([*bones])
     if missing:
+        # the face's own joints hang on the added ones: its roots, before any is added
         roots = [root for root in tree.roots if "mesh" not in tree.nodes[root]]
         own_torso = [bone for bone in TORSO if bone in bones]
         if "hips" not in bones:
