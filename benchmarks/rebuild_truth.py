@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,17 +84,18 @@ class Actor:
         from scan_actors import Actor
         from scan_simulator import simulate
 
-        from facepipe.scanning.rebuild import RegisterScans
-        from facepipe.scanning.rebuild.scan_check import ScanChecks, misfits
+        from facepipe.scanning.rebuild import register_scan
+        from facepipe.scanning.rebuild.scan_check import misfits, scan_checks
 
-        other, checks = Actor(self._seed + 1), ScanChecks(self._template, base.points, shapes)
+        other = Actor(self._seed + 1)
         truths = {"person": other.composite(self._composites[_WRONG]), "neutral": self._who.neutral}
         rows, self._place = {}, base.place
         for kind, truth in truths.items():
             given = self._given(_WRONG, simulate(truth, 100 * self._seed + 99))
-            found = registered | {_WRONG: RegisterScans()(self._template, base, shapes, given)}
+            found = registered | {_WRONG: register_scan(self._template, base, shapes, given)}
             composites = self._given_weights(found)
-            judged = {name: checks.check(composites[name], vars(one.report.fit)) for name, one in found.items()}
+            fits = {name: vars(report.fit) for name, (_, _, report) in found.items()}
+            judged = scan_checks(self._template, base.points, shapes, composites, fits)
             left_out = misfits(judged, {name: one.weights for name, one in composites.items()})
             print(f"{self._seed}: {kind}: left out: {left_out}", file=sys.stderr)
             rows[f"wrong {kind}"] = self._row(base, shapes, found)
@@ -103,24 +105,24 @@ class Actor:
 
     def _expressions(self, base: Any) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         """The personal template, and what was registered from it."""
-        from facepipe.scanning.rebuild import PersonalTemplate, RegisterScans
+        from facepipe.scanning.rebuild import register_scan, starting_shapes
 
-        shapes = PersonalTemplate()(self._template, base.points)
-        return shapes, {name: RegisterScans()(self._template, base, shapes, self._given(name)) for name in self._scans}
+        shapes = starting_shapes(self._template, base.points)
+        return shapes, {name: register_scan(self._template, base, shapes, self._given(name)) for name in self._scans}
 
     def _together(
         self, scan: Any, base: Any, coefficients: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> Any:
         """The neutral refined on all scans."""
-        from facepipe.scanning.rebuild import FitTogether, NeutralScan, PlacedExpression
+        from facepipe.scanning.rebuild import NeutralScan, fit_together
 
-        placed = [PlacedExpression(expression=self._given(name), place=one.place) for name, one in registered.items()]
-        fit = FitTogether()(self._template, scan, base, coefficients, self._database, shapes, placed).neutral
+        placed = [replace(self._given(name), place=place) for name, (_, place, _) in registered.items()]
+        fit, _, _ = fit_together(self._template, scan, base, coefficients, self._database, shapes, placed)
         return NeutralScan(points=fit.points, place=fit.place, landmarks=base.landmarks)
 
     def _row(self, base: Any, shapes: dict[str, FloatArray], registered: dict[str, Any]) -> dict[str, float]:
         self._place = base.place
-        rows = [self._expression(name, base, shapes, one.points) for name, one in registered.items()]
+        rows = [self._expression(name, base, shapes, one.points) for name, (one, _, _) in registered.items()]
         found = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
         found |= self._neutral(base.points) | self._split(base.points, shapes, registered)
         return {key: float(value) for key, value in found.items()}
@@ -161,9 +163,9 @@ class Actor:
     def _split(
         self, neutral: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> dict[str, float]:
-        from facepipe.scanning.rebuild.split_expressions import SplitExpressions
+        from facepipe.scanning.rebuild.split_expressions import split_expressions
 
-        found = SplitExpressions()(self._template, neutral, shapes, self._given_weights(registered)).shapes
+        found, _ = split_expressions(self._template, neutral, shapes, self._given_weights(registered))
         errors = np.array([[self._off(one, name) for name in self._model.names] for one in (found, shapes)])
         worse = int((errors[0] > errors[1] * (1.0 + 1e-6)).sum())
         worst = float((errors[0] / errors[1]).max())
@@ -179,7 +181,7 @@ class Actor:
                 weights={_ours(shape): weight for shape, weight in self._composites[name].items()},
                 matched=one.matched,
             )
-            for name, one in registered.items()
+            for name, (one, _, _) in registered.items()
         }
 
     def _off(self, shapes: Any, name: str) -> float:

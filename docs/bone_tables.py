@@ -20,7 +20,7 @@ from facepipe.importers import ict, load, makehuman
 from facepipe.parts import FloatArray
 from facepipe.payload import PayloadContent, Precision
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.apply_bones import PayloadReport, write_payload
+from facepipe.verbs.bone_payload import PayloadReport, write_payload
 from facepipe.verbs.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
 from facepipe.verbs.skin import SkinFace, SkinReport
 

@@ -157,7 +157,7 @@ FIELDS = (
     FileField("folder of masks", "masks", "facepipe.scanning.photos.photos:_mask", "file_beside", _FOUND),
     FileField("folder of people", "photos", "facepipe.photo.fit.train_photo_action:_photos", "files_in", _FOUND),
     FileField("photo", "*.landmarks.json", "facepipe.photo.fit.train_photo_action:_photos", "file_beside", _FOUND),
-    FileField("scan", "*.landmarks.json", "facepipe.scanning.rebuild.scan_input:landmark_file", "file_beside", _FOUND),
+    FileField("scan", "*.landmarks.json", "facepipe.scanning.rebuild.declared:landmark_file", "file_beside", _FOUND),
     FileField(
         "scan of a project", "*.landmarks.json", "facepipe.scanning.rebuild.project:_scan", "file_beside", _FOUND
     ),

@@ -40,22 +40,22 @@ from facepipe.scanning.database.database_report import DatabaseReport
 from facepipe.scanning.database.info_action import DatabaseInfoReport
 from facepipe.scanning.landmarks.find import ScanLandmarksReport
 from facepipe.scanning.photos.scan import ScanPhotosReport
-from facepipe.scanning.rebuild.action_reports import FitNeutralReport
-from facepipe.scanning.rebuild.action_reports import RebuildReport
-from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-from facepipe.scanning.rebuild.action_reports import RegisterScanReport
-from facepipe.scanning.rebuild.action_reports import SplitShapesReport
+from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
 from facepipe.scanning.rebuild.personal_template import PersonalReport
+from facepipe.scanning.rebuild.rebuild_report import RebuildReport
+from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport
+from facepipe.scanning.rebuild.register_scans import RegisterScanReport
+from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
 from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
 from facepipe.verbs.animate.animate import AnimateReport
 from facepipe.verbs.apply_bones import ApplyBonesReport
 from facepipe.verbs.blend.quality import BlendReport
 from facepipe.verbs.blend.weights import Weights
-from facepipe.verbs.eval_action import EvalReport
+from facepipe.verbs.eval import EvalReport
 from facepipe.verbs.fit_bones.limits import LimitRules
 from facepipe.verbs.fit_bones.report import FitBonesReport
-from facepipe.verbs.inspect_action import InspectReport
+from facepipe.verbs.inspect import InspectReport
 from facepipe.verbs.landmarks import LandmarksReport
 from facepipe.verbs.lod.levels import LodReport
 from facepipe.verbs.regions import RegionsReport

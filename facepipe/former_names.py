@@ -18,7 +18,6 @@ _MOVED = {
     "facepipe.learn": (),
     "facepipe.learn.features.crops": ("facepipe.networks.crops",),
     "facepipe.processors": ("facepipe.verbs",),
-    "facepipe.processors.bone_payload": ("facepipe.verbs.apply_bones",),
 }
 _STARTS = ("facepipe.core.trust", "facepipe.learn", "facepipe.processors", "facepipe.photo_options")
 

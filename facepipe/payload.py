@@ -135,8 +135,7 @@ def encode(content: PayloadContent) -> Encoded:
     sizes = (count, len(exact), stored.shape[1])
     parts = [HEADER.pack(MAGIC, VERSION, flags, *sizes, content.meters_per_unit, joints_hash(content.joints))]
     parts += [] if content.times is None else [np.asarray(content.times).astype("<f4").tobytes()]
-    mask = np.zeros(count, np.uint8)
-    mask[moving] = 1
+    mask = np.isin(np.arange(count), moving)
     parts += [stored.tobytes(), np.packbits(mask, bitorder="little").tobytes() if is_sparse else b""]
     body = b"".join(parts)
     kept = rounded.astype(np.float64)
@@ -240,14 +239,13 @@ def decode(data: bytes, joints: Sequence[str], where: object) -> PayloadContent:
     stored = np.frombuffer(data[header.values : header.mask], DTYPES[header.precision])
     if not (np.isfinite(stored) & (np.abs(stored.astype(np.float64)) <= LARGEST)).all():
         raise InputError(where, f"NaN, infinity or a number above {LARGEST:g}, expected finite coefficients")
-    values = np.zeros((header.frames, header.joints, 9))
-    places = np.arange(header.joints)
+    values, places = np.zeros((header.frames, header.joints, 9)), np.arange(header.joints)
     if header.is_sparse:
         bits = np.unpackbits(np.frombuffer(data[header.mask : header.end], np.uint8), bitorder="little")
         places = np.flatnonzero(bits)
         if len(places) != header.stored or places[-1] >= header.joints:
-            what = f"joint mask of {len(places)} joints"
-            raise InputError(where, f"{what}, expected {header.stored} among {header.joints}")
+            expected = f"expected {header.stored} among {header.joints}"
+            raise InputError(where, f"joint mask of {len(places)} joints, {expected}")
     values[:, places] = stored.reshape(header.frames, header.stored, 9)
     values[..., 6:] += 1.0
     times = None

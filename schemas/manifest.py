@@ -27,7 +27,7 @@ from facepipe.declare import Field, fields_of
 from facepipe.kinds import Action, StageAction
 
 FOLDER = Path(__file__).resolve().parents[1] / "facepipe"
-ENDING = "_action.py"  # of the files that declare actions
+DECLARED = "\n@action("  # in the text of files that declare actions
 _PATH = "str | os.PathLike[str]"
 
 
@@ -40,10 +40,12 @@ def made() -> dict[Path, str]:
 def actions() -> dict[str, type[Action[Any]]]:
     """Verb -> action, of all files of this checkout that declare some.
 
-    :raises SystemExit: a file that declares none, or a verb that is declared twice
+    :raises SystemExit: a verb that is declared twice
     """
     found: dict[str, type[Action[Any]]] = {}
-    for file in sorted(FOLDER.rglob(f"*{ENDING}")):
+    for file in sorted(FOLDER.rglob("*.py")):
+        if DECLARED not in file.read_text(encoding="utf-8"):
+            continue
         name = ".".join(("facepipe", *file.relative_to(FOLDER).with_suffix("").parts))
         module = importlib.import_module(name)
         kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and "verb" in vars(kind)]
@@ -51,8 +53,6 @@ def actions() -> dict[str, type[Action[Any]]]:
         for kind in own:
             if found.setdefault(kind.verb, kind) is not kind:
                 raise SystemExit(f"{file}: declares '{kind.verb}' as {found[kind.verb].__module__} does")
-        if not own:
-            raise SystemExit(f"{file}: declares no action, expected one of a file *{ENDING}")
     return dict(sorted(found.items()))
 
 

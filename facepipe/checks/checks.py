@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,9 +12,7 @@ from pxr import Sdf, Usd
 
 from facepipe.checks import control_checks as control
 from facepipe.checks import layout_checks as layout
-from facepipe.checks import layout_checks as photos
 from facepipe.checks import point_checks as points
-from facepipe.checks import skeleton_checks as deformation
 from facepipe.checks import skeleton_checks as skeleton
 from facepipe.checks.views import FaceView, Problem
 from facepipe.core.reports import Finding
@@ -86,14 +84,14 @@ CHECKS: tuple[Check, ...] = (
     Check("MeshTopology", points.topology),
     Check("PrimvarCount", points.primvar_count),
     Check("NormalCount", points.normal_count),
-    Check("SkinElementSize", deformation.element_size),
-    Check("SkinInfluenceCount", deformation.influence_count),
-    Check("SkinJointIndices", deformation.joint_indices),
-    Check("SkinWeightsSum", deformation.weights_sum),
-    Check("SkinWeightsNegative", deformation.weights_negative),
-    Check("SkinMeshJoints", deformation.mesh_joints),
-    Check("GeomBindTransformAuthored", deformation.geom_bind_authored, "warning"),
-    Check("GeomBindTransformSingular", deformation.geom_bind_invertible),
+    Check("SkinElementSize", skeleton.element_size),
+    Check("SkinInfluenceCount", skeleton.influence_count),
+    Check("SkinJointIndices", skeleton.joint_indices),
+    Check("SkinWeightsSum", skeleton.weights_sum),
+    Check("SkinWeightsNegative", skeleton.weights_negative),
+    Check("SkinMeshJoints", skeleton.mesh_joints),
+    Check("GeomBindTransformAuthored", skeleton.geom_bind_authored, "warning"),
+    Check("GeomBindTransformSingular", skeleton.geom_bind_invertible),
     Check("JointTransformCount", skeleton.transform_count),
     Check("JointOrder", skeleton.joint_order),
     Check("JointNames", skeleton.joint_names),
@@ -105,14 +103,14 @@ CHECKS: tuple[Check, ...] = (
     Check("AnimationTransforms", skeleton.animation_transforms),
     Check("AnimationNames", skeleton.animation_names, "warning"),
     Check("AnimationRotations", skeleton.rotations_unit, "warning"),
-    Check("BlendshapeTargetCount", deformation.target_count),
-    Check("BlendshapeTargetDangling", deformation.target_dangling),
-    Check("BlendshapeNames", deformation.shape_names),
-    Check("BlendshapePointIndices", deformation.point_indices),
-    Check("BlendshapePointTwice", deformation.point_indices_twice),
-    Check("BlendshapePointsUnsorted", deformation.point_indices_sorted, "warning"),
-    Check("BlendshapeOffsetCount", deformation.offset_count),
-    Check("InbetweenWeight", deformation.inbetween_weight),
+    Check("BlendshapeTargetCount", skeleton.target_count),
+    Check("BlendshapeTargetDangling", skeleton.target_dangling),
+    Check("BlendshapeNames", skeleton.shape_names),
+    Check("BlendshapePointIndices", skeleton.point_indices),
+    Check("BlendshapePointTwice", skeleton.point_indices_twice),
+    Check("BlendshapePointsUnsorted", skeleton.point_indices_sorted, "warning"),
+    Check("BlendshapeOffsetCount", skeleton.offset_count),
+    Check("InbetweenWeight", skeleton.inbetween_weight),
     Check("RegionCount", points.region_count),
     Check("RegionRange", points.region_range),
     Check("RegionSum", points.region_sum),
@@ -130,10 +128,10 @@ CHECKS: tuple[Check, ...] = (
     Check("NeuralRigFile", control.neural_rig_file),
     Check("NeuralRigDigest", control.neural_rig_digest),
     Check("NeuralRigTopology", control.neural_rig_topology),
-    Check("PhotoCameras", photos.photo_cameras),
-    Check("PhotoLight", photos.photo_light),
-    Check("PhotoKeyLight", photos.photo_key),
-    Check("PhotoPoses", photos.photo_poses, "warning"),
+    Check("PhotoCameras", layout.photo_cameras),
+    Check("PhotoLight", layout.photo_light),
+    Check("PhotoKeyLight", layout.photo_key),
+    Check("PhotoPoses", layout.photo_poses, "warning"),
     Check("PersonPose", control.person_pose),
     Check("RecipeOptions", control.recipe_options),
     Check("RecipeDigests", control.recipe_digests, "warning"),
@@ -145,9 +143,11 @@ def check_stage(stage: Usd.Stage) -> list[Finding]:
     with usd_errors(stage.GetRootLayer().realPath), np.errstate(all="ignore"):  # NaN is what some checks look for
         face = FaceView(stage)
         return [
-            Finding(check=check.full_name, severity=check.severity, where=trail(stage, path), message=_line(message))
-            for check in CHECKS
-            for path, message in problems(check, face)
+            Finding(
+                check=one.full_name, severity=one.severity, where=trail(stage, path), message=" ".join(text.split())
+            )
+            for one in CHECKS
+            for path, text in problems(one, face)
         ]
 
 
@@ -165,10 +165,6 @@ def trail(stage: Usd.Stage, path: str) -> str:
     """File and path for a finding."""
     file = stage.GetRootLayer().realPath
     return f"{Path(file).name} -> <{path}>" if file else f"<{path}>"
-
-
-def _line(message: str) -> str:
-    return " ".join(message.split())
 
 
 def available() -> bool:
@@ -223,34 +219,18 @@ def check_built_in(stage: Usd.Stage) -> list[Finding]:
     validators = [registry.GetOrLoadValidatorByName(name) for name in BUILT_IN if registry.HasValidator(name)]
     if not validators:
         return []
+    kinds, findings = UsdValidation.ValidationErrorType, []
+    severities: dict[Any, Severity] = {kinds.Error: "error", kinds.Warn: "warning"}
     with quiet_diagnostics():
         try:
-            errors = UsdValidation.ValidationContext(validators).Validate(stage)
-            findings = [_finding(stage, error) for error in errors]
+            for error in UsdValidation.ValidationContext(validators).Validate(stage):
+                sites = [one for one in error.GetSites() if one.IsPrim() or one.IsProperty()]
+                first = (sites[0].GetPrim() if sites[0].IsPrim() else sites[0].GetProperty()) if sites else None
+                where = trail(stage, "/" if first is None else str(first.GetPath()))
+                name, message = str(error.GetIdentifier()), " ".join(str(error.GetMessage()).split())
+                severity = severities.get(error.GetType(), "info")
+                findings.append(Finding(check=name, severity=severity, where=where, message=message))
         except USD_ERRORS as error:
-            message = f"USD's own validators could not be run: {reason(error)}"
-            return [
-                Finding(check="facepipe:ReadableValues", severity="error", where=trail(stage, "/"), message=message)
-            ]
+            message, where = f"USD's own validators could not be run: {reason(error)}", trail(stage, "/")
+            return [Finding(check="facepipe:ReadableValues", severity="error", where=where, message=message)]
     return sorted(findings, key=lambda one: (one.check, one.where, one.message))
-
-
-def _finding(stage: Usd.Stage, error: Any) -> Finding:
-    from pxr import UsdValidation
-
-    kinds = UsdValidation.ValidationErrorType
-    severities: dict[Any, Severity] = {kinds.Error: "error", kinds.Warn: "warning"}
-    return Finding(
-        check=str(error.GetIdentifier()),
-        severity=severities.get(error.GetType(), "info"),
-        where=trail(stage, next(_paths(error), "/")),
-        message=" ".join(str(error.GetMessage()).split()),
-    )
-
-
-def _paths(error: Any) -> Iterator[str]:
-    for site in error.GetSites():
-        if site.IsPrim():
-            yield str(site.GetPrim().GetPath())
-        elif site.IsProperty():
-            yield str(site.GetProperty().GetPath())

@@ -79,14 +79,15 @@ def slider_curves(face: FaceView) -> Iterator[Problem]:
 
 def _curves_fault(prim: Usd.Prim | None, name: str) -> str | None:
     fields = ("channelKnots", "shapeKnots", "knotValues", "knotAmounts")
-    channels, shapes, values, amounts = (_numbers(prim, name, field) for field in fields)
+    found = (array(value(_attribute(prim, name, field))) for field in fields)
+    channels, shapes, values, amounts = ([] if one is None else one.tolist() for one in found)
     for field, counts, beside in (("channelKnots", channels, "joints"), ("shapeKnots", shapes, "shapes")):
         if counts and len(counts) != _length(prim, name, beside):
             return f"{len(counts)} {field}, expected none or as many as {beside}"
     counts = [*channels, *shapes]
     if not all(count >= 0 for count in counts) or not sum(counts) == len(values) == len(amounts):
-        found = f"{len(values)} knotValues and {len(amounts)} knotAmounts"
-        return f"{found}, expected as many of each as channelKnots and shapeKnots say"
+        have = f"{len(values)} knotValues and {len(amounts)} knotAmounts"
+        return f"{have}, expected as many of each as channelKnots and shapeKnots say"
     knots = iter(zip(values, amounts, strict=True))
     return next(filter(None, (curve_fault(tuple(islice(knots, int(count)))) for count in counts if count)), None)
 
@@ -148,11 +149,6 @@ def _path(prim: Usd.Prim | None, slider: str) -> str:
 def _length(prim: Usd.Prim | None, slider: str, field: str) -> int:
     found = value(_attribute(prim, slider, field))
     return len(found) if hasattr(found, "__len__") else 0
-
-
-def _numbers(prim: Usd.Prim | None, slider: str, field: str) -> list[float]:
-    found = array(value(_attribute(prim, slider, field)))
-    return [] if found is None else found.tolist()
 
 
 def _number(prim: Usd.Prim | None, slider: str, field: str) -> float:

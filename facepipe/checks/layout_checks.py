@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel
@@ -226,9 +226,13 @@ def readable_values(face: FaceView) -> Iterator[Problem]:
 def finite(face: FaceView) -> Iterator[Problem]:
     """No number is NaN or infinite, at any time."""
     for attribute in _attributes(face):
-        samples = [Usd.TimeCode(code) for code in attribute.GetTimeSamples()]
-        for time in [Usd.TimeCode.Default(), *samples]:
-            values = _floats(attribute, time)
+        kind = str(attribute.GetTypeName())
+        numeric = not kind.startswith(("token", "string", "asset", "int", "uint", "bool", "path", "uchar"))
+        for time in (Usd.TimeCode.Default(), *map(Usd.TimeCode, attribute.GetTimeSamples())) if numeric else ():
+            try:
+                values = array(attribute.Get(time))
+            except (*UNREADABLE, RuntimeError):
+                continue  # the check of readable values reports it
             if values is not None and not np.isfinite(values).all():
                 wrong = int(np.count_nonzero(~np.isfinite(values)))
                 when = "" if time.IsDefault() else f" at time {time.GetValue():g}"
@@ -239,13 +243,3 @@ def finite(face: FaceView) -> Iterator[Problem]:
 def _attributes(face: FaceView) -> Iterator[Usd.Attribute]:
     for prim in face.prims:
         yield from (attribute for attribute in prim.GetAuthoredAttributes() if attribute.HasAuthoredValue())
-
-
-def _floats(attribute: Usd.Attribute, time: Usd.TimeCode) -> Any:
-    kind = str(attribute.GetTypeName())
-    if kind.startswith(("token", "string", "asset", "int", "uint", "bool", "path", "uchar")):
-        return None
-    try:
-        return array(attribute.Get(time))
-    except (*UNREADABLE, RuntimeError):
-        return None

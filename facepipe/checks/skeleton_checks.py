@@ -1,4 +1,4 @@
-"""Checks of skeletons, their limits and their animations."""
+"""Checks of skins, of blendshapes, and of skeletons, their limits and their animations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Sdf, UsdGeom, UsdSkel
 
 from facepipe.checks.views import (
     FaceView,
@@ -195,21 +195,17 @@ def offset_count(face: FaceView) -> Iterator[Problem]:
     """Offsets, normal offsets and inbetweens are parallel to pointIndices, or to the points where there are none."""
     for mesh, shape, indices in _shapes(face):
         expected = mesh.count if indices is None else len(indices)
-        for attribute, required in _offsets(shape):
+        # with whether they must be there
+        attributes = [(shape.GetOffsetsAttr(), True), (shape.GetNormalOffsetsAttr(), False)]
+        for inbetween in shape.GetInbetweens():
+            attributes.append((inbetween.GetAttr(), True))
+            if inbetween.GetNormalOffsetsAttr():
+                attributes.append((inbetween.GetNormalOffsetsAttr(), False))
+        for attribute, required in attributes:
             count = length(numbers(attribute, 3))
             empty = indices is None and count == 0  # a shape that moves nothing
             if count != expected and not empty and (required or count):
                 yield at(attribute, f"{count} offsets, expected {expected}")
-
-
-def _offsets(shape: UsdSkel.BlendShape) -> Iterator[tuple[Usd.Attribute, bool]]:
-    """Offset attributes, and whether they must be there."""
-    yield shape.GetOffsetsAttr(), True
-    yield shape.GetNormalOffsetsAttr(), False
-    for inbetween in shape.GetInbetweens():
-        yield inbetween.GetAttr(), True
-        if inbetween.GetNormalOffsetsAttr():
-            yield inbetween.GetNormalOffsetsAttr(), False
 
 
 def inbetween_weight(face: FaceView) -> Iterator[Problem]:
@@ -246,11 +242,12 @@ def joint_order(face: FaceView) -> Iterator[Problem]:
     """Joints stand parent first."""
     for skeleton in face.skeletons:
         place = {joint: i for i, joint in reversed(list(enumerate(skeleton.joints)))}
-        late = [
-            joint
-            for i, joint in enumerate(skeleton.joints)
-            if any(place.get(above, -1) > i for above in _ancestors(joint))
-        ]
+        late = []
+        for i, joint in enumerate(skeleton.joints):
+            above = joint.rpartition("/")[0]
+            while above and place.get(above, -1) <= i:
+                above = above.rpartition("/")[0]
+            late += [joint] if above else []
         if late:
             yield at(f"{skeleton.path}.joints", f"{some(late)} before a parent, expected parents first")
 
@@ -270,13 +267,6 @@ def joint_names(face: FaceView) -> Iterator[Problem]:
         ]
         if wrong:
             yield at(f"{skeleton.path}.joints", f"{some(map(repr, wrong))}: no path, expected names joined by /")
-
-
-def _ancestors(joint: str) -> Iterator[str]:
-    above = joint.rpartition("/")[0]
-    while above:
-        yield above
-        above = above.rpartition("/")[0]
 
 
 def transforms_invertible(face: FaceView) -> Iterator[Problem]:

@@ -95,11 +95,6 @@ def times(attributes: list[Usd.Attribute]) -> list[Usd.TimeCode]:
     return [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
 
 
-def targets(relationship: Usd.Relationship | None) -> list[Sdf.Path]:
-    """Targets of a relationship, forwarded."""
-    return list(relationship.GetForwardedTargets()) if relationship else []
-
-
 class MeshView:
     """A Mesh prim and the skel properties that hold for it, its own or those of a prim above."""
 
@@ -161,7 +156,8 @@ class MeshView:
     @cached_property
     def shape_targets(self) -> list[Sdf.Path]:
         """skel:blendShapeTargets."""
-        return targets(self.prim.GetRelationship("skel:blendShapeTargets"))
+        relationship = self.prim.GetRelationship("skel:blendShapeTargets")
+        return list(relationship.GetForwardedTargets()) if relationship else []
 
     @cached_property
     def shapes(self) -> list[UsdSkel.BlendShape]:

@@ -11,7 +11,7 @@ from facepipe.cli.action_line import ActionLine, action_of
 from facepipe.cli.parser import Parser, output_of
 from facepipe.cli.show import emit, progress, warn
 from facepipe.core.errors import InputError
-from facepipe.verbs.apply_bones_action import ApplyCoefficients
+from facepipe.verbs.apply_bones import ApplyCoefficients
 
 _LINE = ActionLine(ApplyCoefficients)
 __doc__ = _LINE.__doc__  # of --help
@@ -44,7 +44,7 @@ def _points(action: ApplyCoefficients, arguments: argparse.Namespace) -> int:
     import facepipe
     from facepipe.core.atomic import write_bytes
     from facepipe.payload import decode
-    from facepipe.verbs.apply_bones import (
+    from facepipe.verbs.bone_payload import (
         beyond_limits,
         check_fits,
         limit_warnings,
@@ -78,7 +78,7 @@ def _info(action: ApplyCoefficients, *, as_json: bool) -> int:
 
     import facepipe
     from facepipe.payload import decode, joints_hash, read_header
-    from facepipe.verbs.apply_bones import beyond_limits, limit_warnings, payload_bytes
+    from facepipe.verbs.bone_payload import beyond_limits, limit_warnings, payload_bytes
 
     where = action.coefficients
     face, data = facepipe.read(action.face), payload_bytes(where)

@@ -14,7 +14,7 @@ from facepipe import registry
 from facepipe.cli.show import progress
 from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_written
-from facepipe.verbs.inspect_action import report_of
+from facepipe.verbs.inspect import report_of
 
 TEXTURES = "head_textures"  # the folder beside head.usda
 FILES = ("head.usda", "head.glb", "head.onnx", "head.onnx.json", "points.npz", "sheet.png")
@@ -79,7 +79,7 @@ def _made(folder: Path, seed: int) -> int:
     from facepipe.core.atomic import write_bytes
     from facepipe.performing import perform
     from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
-    from facepipe.verbs.sample_action import Sample
+    from facepipe.verbs.sample import Sample
 
     path = {name: folder / name for name in FILES}
     with progress("demo", 5) as bar:

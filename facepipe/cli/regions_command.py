@@ -10,7 +10,7 @@ from facepipe.cli.action_line import ActionLine
 from facepipe.cli.parser import output_of
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
-from facepipe.verbs.regions_action import AuthorRegions
+from facepipe.verbs.regions import AuthorRegions
 
 if TYPE_CHECKING:
     from facepipe.verbs.regions import RegionCount

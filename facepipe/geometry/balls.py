@@ -50,46 +50,31 @@ def fit_ball(points: FloatArray, weights: FloatArray | None = None) -> Ball:
     spread = np.linalg.svd(local, compute_uv=False)
     if not spread[2] > _PLANE_THICKNESS * spread[0]:
         raise FitError("ball", "all points lie in one plane, expected points around it")
-    # an eye of 12 mm, 6 % of it cornea: the centre is 0.15 mm off by the algebraic fit, 0.14 by plain steps, exact by
-    # Tukey's weights
-    centre, radius = _geometric(local, shares, *_algebraic(local, shares))
-    residuals = np.linalg.norm(local - centre, axis=1) - radius
-    return Ball(centre + middle, radius, float(np.sqrt(shares @ residuals**2)))
-
-
-def _algebraic(points: FloatArray, shares: FloatArray) -> tuple[FloatArray, float]:
-    """Least squares of ``|p|^2 = 2 c.p + (r^2 - c.c)``."""
-    root = np.sqrt(shares)
-    system = np.column_stack([2.0 * points, np.ones(len(points))])
-    found = np.linalg.lstsq(system * root[:, None], (points**2).sum(axis=1) * root, rcond=None)[0]
+    # least squares of ``|p|^2 = 2 c.p + (r^2 - c.c)``: weighs residuals by about twice the radius, and is drawn in by
+    # points that lie inside
+    root, ones = np.sqrt(shares), np.ones(len(local))
+    system = np.column_stack([2.0 * local, ones])
+    found = np.linalg.lstsq(system * root[:, None], (local**2).sum(axis=1) * root, rcond=None)[0]
     centre = found[:3]
-    return centre, float(np.sqrt(max(found[3] + centre @ centre, 0.0)))
-
-
-def _geometric(points: FloatArray, shares: FloatArray, centre: FloatArray, radius: float) -> tuple[FloatArray, float]:
-    """Gauss-Newton steps on ``sum w t (|p - c| - r)^2`` with shares w and trust t.
-
-    The algebraic fit weighs residuals by about twice the radius, and is drawn in by points that lie inside.
-    """
+    radius = float(np.sqrt(max(found[3] + centre @ centre, 0.0)))
+    # then Gauss-Newton steps on ``sum w t (|p - c| - r)^2`` with shares w and Tukey's weights
+    # ``t = (1 - (residual / reach)^2)^2``. An eye of 12 mm, 6 % of it cornea: the centre is 0.15 mm off by the
+    # algebraic fit, 0.14 by plain steps, exact by these
     for _ in range(_MOST_STEPS):
-        offsets = points - centre
+        offsets = local - centre
         distances = np.linalg.norm(offsets, axis=1)
         residuals = distances - radius
-        root = np.sqrt(shares) * _trust(residuals, shares, radius)
-        slopes = np.column_stack([-offsets / np.maximum(distances, radius * 1e-12)[:, None], -np.ones(len(points))])
-        step = np.linalg.lstsq(slopes * root[:, None], -residuals * root, rcond=None)[0]
+        order = np.argsort(np.abs(residuals), kind="stable")
+        median = abs(float(residuals[order[np.searchsorted(np.cumsum(shares[order]), 0.5 - 1e-12)]]))
+        reach = _TUKEY_REACH * max(_MEDIAN_TO_DEVIATION * median, _EXACT_RESIDUAL * radius)
+        trusted = root * np.maximum(1.0 - (residuals / reach) ** 2, 0.0)
+        slopes = np.column_stack([-offsets / np.maximum(distances, radius * 1e-12)[:, None], -ones])
+        step = np.linalg.lstsq(slopes * trusted[:, None], -residuals * trusted, rcond=None)[0]
         centre, radius = centre + step[:3], radius + float(step[3])
         if np.abs(step).max() <= _SETTLED_STEP * radius:
             break
-    return centre, radius
-
-
-def _trust(residuals: FloatArray, shares: FloatArray, radius: float) -> FloatArray:
-    """Square roots of Tukey's weights ``(1 - (residual / reach)^2)^2``: 1 on the ball, 0 beyond the reach."""
-    order = np.argsort(np.abs(residuals), kind="stable")
-    middle = np.searchsorted(np.cumsum(shares[order]), 0.5 - 1e-12)
-    reach = _TUKEY_REACH * max(_MEDIAN_TO_DEVIATION * float(np.abs(residuals[order[middle]])), _EXACT_RESIDUAL * radius)
-    return np.asarray(np.maximum(1.0 - (residuals / reach) ** 2, 0.0))
+    residuals = np.linalg.norm(local - centre, axis=1) - radius
+    return Ball(centre + middle, radius, float(np.sqrt(shares @ residuals**2)))
 
 
 class RadialSurface:

@@ -57,15 +57,32 @@ class SurfaceSearch:
         self._corners = surface_points[triangles]
         centres = self._corners.mean(axis=1)
         sizes = np.sqrt(((self._corners - centres[:, None]) ** 2).sum(axis=2).max(axis=1))
-        self._groups = [_Group(members, sizes[members], cKDTree(centres[members])) for members in _by_size(sizes)]
+        # groups of like size, the most numerous first: one large triangle widens the search for no others
+        steps = np.floor(np.log(np.maximum(sizes, sizes.max() * 1e-6 + 1e-300)) / np.log(_SIZE_STEP))
+        values, counts = np.unique(steps, return_counts=True)
+        groups = [np.flatnonzero(steps == value) for value in values[np.argsort(-counts, kind="stable")]]
+        self._groups = [_Group(members, sizes[members], cKDTree(centres[members])) for members in groups]
 
     def closest(self, points: FloatArray) -> ClosestPlaces:
         """The nearest place to each of `points` (m, 3)."""
         points = np.asarray(points, np.float64)
         nearest = _nothing(len(points))
-        if len(points):
-            for group in self._groups:
-                _search(nearest, points, self._corners, group)
+        for group in self._groups if len(points) else ():
+            # more and more triangles of the group, for the points where a nearer one may still come
+            members, largest = group.members, float(group.sizes.max())
+            open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
+            while len(open_points):
+                reached = np.empty(len(open_points))
+                for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS_AT_ONCE)):
+                    numbers = open_points[part]
+                    far, near = group.tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
+                    reached[part] = far[:, -1]
+                    row, column = np.nonzero(far - group.sizes[near] <= nearest.distances[numbers, None])
+                    _improve(nearest, points, self._corners, numbers[row], members[near[row, column]])
+                if count == len(members):
+                    break
+                open_points = open_points[reached - largest <= nearest.distances[open_points]]
+                tried, count = count, min(4 * count, len(members))
         return nearest
 
 
@@ -123,36 +140,37 @@ def _nothing(count: int) -> ClosestPlaces:
     return ClosestPlaces(np.full(count, np.inf), numbers[0], np.zeros((count, 3)), numbers[1])
 
 
-def _by_size(sizes: FloatArray) -> list[IntArray]:
-    """Triangles in groups of like size, the most numerous first: one large one widens the search for no others."""
-    steps = np.floor(np.log(np.maximum(sizes, sizes.max() * 1e-6 + 1e-300)) / np.log(_SIZE_STEP))
-    values, counts = np.unique(steps, return_counts=True)
-    return [np.flatnonzero(steps == value) for value in values[np.argsort(-counts, kind="stable")]]
-
-
-def _search(nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArray, group: _Group) -> None:
-    """Try the triangles of a group, more and more of them for the points where a nearer one may still come."""
-    members, sizes, tree, largest = group.members, group.sizes, group.tree, float(group.sizes.max())
-    open_points, tried, count = np.arange(len(points)), 0, min(_FIRST_NEIGHBOURS, len(members))
-    while len(open_points):
-        reached = np.empty(len(open_points))
-        for part in np.array_split(np.arange(len(open_points)), -(-len(open_points) * count // _PAIRS_AT_ONCE)):
-            numbers = open_points[part]
-            far, near = tree.query(points[numbers], k=np.arange(tried + 1, count + 1))
-            reached[part] = far[:, -1]
-            row, column = np.nonzero(far - sizes[near] <= nearest_places.distances[numbers, None])
-            _improve(nearest_places, points, corners, numbers[row], members[near[row, column]])
-        if count == len(members):
-            return
-        open_points = open_points[reached - largest <= nearest_places.distances[open_points]]
-        tried, count = count, min(4 * count, len(members))
-
-
 def _improve(
     nearest_places: ClosestPlaces, points: FloatArray, corners: FloatArray, numbers: IntArray, triangles: IntArray
 ) -> None:
     """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far."""
-    squares, places, features = _nearest_on(points[numbers], corners[triangles])
+    wanted = points[numbers]
+    tried = corners[triangles]
+    # squared distance, place and feature on triangles (p, 3, 3), each with its own point (p, 3). The foot of the
+    # perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where ``(side x (p - start)) .
+    # n > 0`` at all three sides; otherwise the nearest place on the three edges.
+    starts, ends = tried, tried[:, [1, 2, 0]]
+    sides = ends - starts
+    lengths = np.einsum("pei,pei->pe", sides, sides)
+    offsets = wanted[:, None] - starts
+    along = np.einsum("pei,pei->pe", offsets, sides) / np.where(lengths > 0, lengths, 1.0)
+    along = np.clip(along, 0.0, 1.0)
+    on_edges = starts + along[..., None] * sides
+    edge_squares = ((wanted[:, None] - on_edges) ** 2).sum(axis=2)
+    edge = edge_squares.argmin(axis=1)
+    rows = np.arange(len(wanted))
+    squares, places, share = edge_squares[rows, edge], on_edges[rows, edge], along[rows, edge]
+    features = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
+    normals = np.cross(sides[:, 0], sides[:, 1])
+    areas = np.einsum("pi,pi->p", normals, normals)
+    # without area the normal is 0 and nothing lies inside: the edges have the place
+    above = np.einsum("pei,pi->pe", np.cross(sides, offsets), normals)
+    inside = (above > 0).all(axis=1) & (areas > 0)
+    lift = np.einsum("pi,pi->p", offsets[:, 0], normals)[inside] / areas[inside]
+    places[inside] = wanted[inside] - lift[:, None] * normals[inside]
+    # not |p - place|^2: far from the origin, near the surface, that difference is rounding
+    squares[inside] = np.einsum("p,p,p->p", lift, lift, areas[inside])
+    features[inside] = INSIDE
     order = np.lexsort((triangles, squares, numbers))
     first = order[np.concatenate([[True], np.diff(numbers[order]) > 0])] if len(order) else order
     distances = np.sqrt(squares[first])
@@ -163,34 +181,3 @@ def _improve(
     nearest_places.triangles[point] = triangles[first]
     nearest_places.places[point] = places[first]
     nearest_places.features[point] = features[first]
-
-
-def _nearest_on(points: FloatArray, corners: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Squared distance, place and feature on triangles (p, 3, 3), each with its own point (p, 3).
-
-    The foot of the perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where
-    ``(side x (p - start)) . n > 0`` at all three sides; otherwise the nearest place on the three edges.
-    """
-    starts, ends = corners, corners[:, [1, 2, 0]]
-    sides = ends - starts
-    lengths = np.einsum("pei,pei->pe", sides, sides)
-    offsets = points[:, None] - starts
-    along = np.einsum("pei,pei->pe", offsets, sides) / np.where(lengths > 0, lengths, 1.0)
-    along = np.clip(along, 0.0, 1.0)
-    on_edges = starts + along[..., None] * sides
-    squares = ((points[:, None] - on_edges) ** 2).sum(axis=2)
-    edge = squares.argmin(axis=1)
-    rows = np.arange(len(points))
-    best, places, share = squares[rows, edge], on_edges[rows, edge], along[rows, edge]
-    features = np.where(share <= 0, CORNER + edge, np.where(share >= 1, CORNER + (edge + 1) % 3, EDGE + edge))
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    areas = np.einsum("pi,pi->p", normals, normals)
-    # without area the normal is 0 and nothing lies inside: the edges have the place
-    above = np.einsum("pei,pi->pe", np.cross(sides, offsets), normals)
-    inside = (above > 0).all(axis=1) & (areas > 0)
-    lift = np.einsum("pi,pi->p", offsets[:, 0], normals)[inside] / areas[inside]
-    places[inside] = points[inside] - lift[:, None] * normals[inside]
-    # not |p - place|^2: far from the origin, near the surface, that difference is rounding
-    best[inside] = np.einsum("p,p,p->p", lift, lift, areas[inside])
-    features[inside] = INSIDE
-    return best, places, features

@@ -80,11 +80,6 @@ def gradient_operator(points: FloatArray, triangles: IntArray) -> tuple[Any, Flo
     return csr_array((slopes.ravel(), columns, starts), shape=(2 * len(triangles), len(points))), areas
 
 
-def pieces(count: int, triangles: IntArray) -> IntArray:
-    """(count,) number of the piece that each point belongs to, connected through triangles."""
-    return components(count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
-
-
 @dataclass(frozen=True, kw_only=True)
 class TriangleChanges:
     """Changes of t triangles from rest."""
@@ -154,11 +149,21 @@ class Neighbours:
         apex = ~alike.any(axis=2)
         proper = apex.sum(axis=1) == 1  # twice the same triangle has no apex
         last = second_triangles[np.arange(len(second_triangles)), apex.argmax(axis=1)]
+        # (p,) ``l h / max(|c1 - c2|^2, h^2)``: the area at an edge of length l between two centroids c, times the
+        # inverse square of their distance, with their distance across the edge ``h = (A1 + A2) / 1.5 l``. These areas
+        # cover the surface twice, and differences along one direction see half of a gradient's square: the sum of
+        # weighted squared differences is about the integral of ``|grad T|^2``.
+        tiny = np.finfo(np.float64).tiny
+        length = np.maximum(np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1), np.sqrt(tiny))
+        across = areas[pairs].sum(axis=1) / (1.5 * length)
+        centroids = points[triangles].mean(axis=1)
+        apart = ((centroids[pairs[:, 0]] - centroids[pairs[:, 1]]) ** 2).sum(axis=1)
+        # at a fold the straight distance is too short
         return cls(
             pairs=pairs[proper],
             points=np.concatenate([first_triangles, last[:, None]], axis=1)[proper],
             second=np.where(apex, 3, alike.argmax(axis=2))[proper],
-            weights=_weights(points, triangles, areas, pairs, ends)[proper],
+            weights=np.asarray(length * across / np.maximum(apart, across**2))[proper],
         )
 
     def where(self, points: BoolArray) -> Neighbours:
@@ -181,21 +186,6 @@ class Neighbours:
         for corner in range(3):
             slopes[rows, :, self.second[:, corner]] -= other[:, :, corner]
         return slopes.reshape(-1, 9, 12)
-
-
-def _weights(points: FloatArray, triangles: IntArray, areas: FloatArray, pairs: IntArray, ends: IntArray) -> FloatArray:
-    """(p,) ``l h / max(|c1 - c2|^2, h^2)``: the area at an edge of length l between two centroids c, times the inverse
-    square of their distance, with their distance across the edge ``h = (A1 + A2) / 1.5 l``.
-
-    These areas cover the surface twice, and differences along one direction see half of a gradient's square: the sum
-    of weighted squared differences is about the integral of ``|grad T|^2``.
-    """
-    tiny = np.finfo(np.float64).tiny
-    length = np.maximum(np.linalg.norm(points[ends[:, 0]] - points[ends[:, 1]], axis=1), np.sqrt(tiny))
-    across = areas[pairs].sum(axis=1) / (1.5 * length)
-    centroids = points[triangles].mean(axis=1)
-    apart = ((centroids[pairs[:, 0]] - centroids[pairs[:, 1]]) ** 2).sum(axis=1)
-    return np.asarray(length * across / np.maximum(apart, across**2))  # at a fold the straight distance is too short
 
 
 def _crossing(vectors: FloatArray) -> FloatArray:
@@ -229,19 +219,20 @@ class Transfer:
     """
 
     def __init__(self, points: FloatArray, triangles: IntArray, fixed: BoolArray) -> None:
+        from scipy.sparse import coo_array
+
         self._points = finite("points", points)
         self._triangles, self._fixed = np.asarray(triangles, np.int64), fixed
         self._hats, self._areas = hat_gradients(self._points, self._triangles)
-        self._pieces = pieces(len(self._points), self._triangles[self._areas > 0])
+        used = self._triangles[self._areas > 0]
+        self._pieces = components(len(self._points), np.concatenate([used[:, :2], used[:, 1:]]))
         anchored = np.bincount(self._pieces, self._fixed) > 0
         self._floating = ~anchored[self._pieces]
         first = np.unique(self._pieces, return_index=True)[1]  # holds a floating piece while it is solved for
         held = self._fixed.copy()
         held[first] |= self._floating[first]
         self._free = np.flatnonzero(~held)
-        # (n, n) sparse, the hat functions' Dirichlet products ``L_ij = sum_t area_t grad_i . grad_j``: cotangents.
-        from scipy.sparse import coo_array
-
+        # the hat functions' Dirichlet products ``L_ij = sum_t area_t grad_i . grad_j``: cotangents
         products = self._areas[:, None, None] * (self._hats @ self._hats.transpose(0, 2, 1))
         rows = np.repeat(self._triangles, 3, axis=1).ravel()
         columns = np.tile(self._triangles, (1, 3)).ravel()
@@ -258,42 +249,31 @@ class Transfer:
         :raises InputError: NaN or infinity
         """
         neutrals, deformed = finite("neutrals", neutrals), finite("deformed", deformed)
-        # (n, 3) displacements of the sources, brought to the size of this face
+        # displacements of the sources, brought to the size of this face, and their gradients S - I
         mean, share = np.zeros_like(self._points), 1.0 / len(neutrals)
+        gradients, total = np.zeros((len(self._triangles), 3, 3)), np.zeros(len(self._triangles))
         for neutral, shape in zip(neutrals, deformed, strict=True):
             size = spread(neutral)
             mean += share * (spread(self._points) / size if size > 0 else 1.0) * (shape - neutral)
-        gradients = self._gradients(neutrals, deformed, mean)
+            rest = frames(neutral, self._triangles)
+            rows, areas = duals(rest)
+            change = frames(shape, self._triangles) - rest  # exactly 0 where nothing moves
+            gradients += share * (change.transpose(0, 2, 1) @ rows)
+            total += share * (areas > 0)
+        unknown = total <= 0
+        gradients[~unknown] /= total[~unknown, None, None]
+        gradients[unknown] = mean[self._triangles[unknown]].transpose(0, 2, 1) @ self._hats[unknown]
         # (n, 3) right-hand side of the normal equations, ``b_i = sum_t area_t G_t grad_i`` with gradients G
         flux = self._areas[:, None, None] * (self._hats @ gradients.transpose(0, 2, 1))
         divergence = group_sums(self._triangles.ravel(), flux.reshape(-1, 3), len(self._points))
         moved = np.zeros_like(self._points)
         moved[self._free] = self._factor.solve(divergence[self._free])
-        moved[self._floating] += self._piece_means(mean - moved)[self._floating]
+        counts = np.bincount(self._pieces)
+        piece_means = group_sums(self._pieces, mean - moved, len(counts)) / counts[:, None]
+        moved[self._floating] += piece_means[self._pieces][self._floating]
         result = self._points + moved
         result[self._fixed] = self._points[self._fixed]
         return np.asarray(result)
-
-    def _gradients(self, neutrals: FloatArray, deformed: FloatArray, mean: FloatArray) -> FloatArray:
-        """(t, 3, 3) gradients of the displacements: the sources' mean S - I."""
-        summed = np.zeros((len(self._triangles), 3, 3))
-        total, share = np.zeros(len(self._triangles)), 1.0 / len(neutrals)
-        for neutral, shape in zip(neutrals, deformed, strict=True):
-            rest = frames(neutral, self._triangles)
-            rows, areas = duals(rest)
-            change = frames(shape, self._triangles) - rest  # exactly 0 where nothing moves
-            summed += share * (change.transpose(0, 2, 1) @ rows)
-            total += share * (areas > 0)
-        unknown = total <= 0
-        summed[~unknown] /= total[~unknown, None, None]
-        summed[unknown] = mean[self._triangles[unknown]].transpose(0, 2, 1) @ self._hats[unknown]
-        return summed
-
-    def _piece_means(self, values: FloatArray) -> FloatArray:
-        """(n, 3) the mean of `values` over each point's piece."""
-        counts = np.bincount(self._pieces)
-        sums = group_sums(self._pieces, values, len(counts))
-        return np.asarray((sums / counts[:, None])[self._pieces])
 
 
 def spread(points: FloatArray) -> float:

@@ -48,6 +48,8 @@ def surface_graph(points: FloatArray, cells: IntArray, more_edges: IntArray | No
     :param more_edges: (e, 2) other pairs of points that are joined by the straight line between them, such as the
         edges of polygons that are no surface
     """
+    from scipy.sparse import csr_array
+
     points = np.asarray(points, np.float64)
     cells = np.asarray(cells, np.int64).reshape(-1, 4)
     pairs = np.concatenate([cells[:, [a, b]] for a in range(4) for b in range(a + 1, 4)])
@@ -55,8 +57,7 @@ def surface_graph(points: FloatArray, cells: IntArray, more_edges: IntArray | No
         pairs = np.concatenate([pairs, np.asarray(more_edges, np.int64).reshape(-1, 2)])
     pairs = pairs[(pairs >= 0).all(axis=1)]
     lengths = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1)
-    # pairs of points (m, 2) on either side of an edge that exactly two cells share, and unfolded distances (m,)
-    # edges (e, 2) of every cell, and the cell's other corners (e, 2): -1 for none
+    # the edges that exactly two cells share, and the cells' other corners: -1 for none
     quads, triangles = cells[cells[:, 3] >= 0], cells[cells[:, 3] < 0]
     turns = [np.roll(quads, -i, axis=1) for i in range(4)]
     turns += [triangles[:, [i, (i + 1) % 3, (i + 2) % 3, 3]] for i in range(3)]
@@ -67,13 +68,8 @@ def surface_graph(points: FloatArray, cells: IntArray, more_edges: IntArray | No
     starts = (np.cumsum(uses) - uses)[uses == 2]
     one, other = others[order[starts]], others[order[starts + 1]]
     found = [_lines(points, edges[uses == 2], one[:, i], other[:, k]) for i in range(2) for k in range(2)]
-    across, spans = np.concatenate([pairs for pairs, _ in found]), np.concatenate([spans for _, spans in found])
-    return _symmetric(np.concatenate([pairs, across]), np.concatenate([lengths, spans]), points)
-
-
-def _symmetric(pairs: IntArray, lengths: FloatArray, points: FloatArray) -> Any:
-    from scipy.sparse import csr_array
-
+    pairs = np.concatenate([pairs, *(across for across, _ in found)])
+    lengths = np.concatenate([lengths, *(spans for _, spans in found)])
     proper = pairs[:, 0] != pairs[:, 1]
     pairs, lengths = np.sort(pairs[proper], axis=1), lengths[proper]
     lengths = np.maximum(
@@ -83,8 +79,8 @@ def _symmetric(pairs: IntArray, lengths: FloatArray, points: FloatArray) -> Any:
     pairs, lengths = pairs[order], lengths[order]
     first = np.concatenate([[True], (np.diff(pairs, axis=0) != 0).any(axis=1)]) if len(pairs) else order.astype(bool)
     (a, b), lengths = pairs[first].T, lengths[first]
-    ends = (np.concatenate([a, b]).astype(np.int32), np.concatenate([b, a]).astype(np.int32))
-    return csr_array((np.concatenate([lengths, lengths]), ends), shape=(len(points), len(points)))
+    both = (np.concatenate([a, b]).astype(np.int32), np.concatenate([b, a]).astype(np.int32))
+    return csr_array((np.concatenate([lengths, lengths]), both), shape=(len(points), len(points)))
 
 
 def _lines(points: FloatArray, edges: IntArray, a: IntArray, b: IntArray) -> tuple[IntArray, FloatArray]:

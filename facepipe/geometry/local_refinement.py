@@ -23,7 +23,7 @@ from facepipe.geometry.factor import factorise
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.registration import DeformableSurface, RegistrationOptions, View
 from facepipe.geometry.registration.solve import Stage, in_stages
-from facepipe.geometry.registration.step import Demand, Pull, Registered, ViewState
+from facepipe.geometry.registration.step import Demand, Registered, ViewState
 from facepipe.geometry.registration.surface import means_around
 
 _LEAST_FOLLOW = 1e-6  # a point that follows less counts as this one
@@ -111,22 +111,8 @@ class _State:
         )
         pull = self._view.pull(self._surface, points, demand)
         system = self._smoothness.system(points)
-        blocks, right = self._matched(pull, points)
-        # an anchor counts as far as its points follow: those beside them would else be pushed to make up for held ones
-        anchored = pull.anchor_weights * pull.anchors.places(self._follow)
-        off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
-        system.diagonal += blocks[free]
-        system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
-        shared = self._spread.T @ diags_array(anchored) @ self._spread
-        step = factorise(system.matrix(shared)).solve(system.right.ravel()).reshape(-1, 3)
-        self._moves[free] += step
-        return float(np.sqrt((step**2).sum(axis=1).mean()))
-
-    def _matched(self, pull: Pull, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 3, 3) and (n, 3) of matches, and of what holds points that follow in part.
-
-        The hold is to the match as ``1 - follow`` to ``follow``: a point alone goes the share `follow` of the way.
-        """
+        # (n, 3, 3) and (n, 3) of matches, and of what holds points that follow in part. The hold is to the match as ``1
+        # - follow`` to ``follow``: a point alone goes the share `follow` of the way.
         normals, blocks = pull.matches.normals, np.zeros((len(points), 3, 3))
         follow = np.maximum(self._follow, _LEAST_FOLLOW)
         areas = np.maximum(self._areas, 1e-4 * self._areas.mean())  # points without a triangle stay
@@ -136,4 +122,12 @@ class _State:
         right = -held[:, None] * self._moves
         apart = np.einsum("mi,mi->m", pull.matches.places - points[pull.seen], normals)
         right[pull.seen] += (pull.weights * apart)[:, None] * normals
-        return blocks, right
+        # an anchor counts as far as its points follow: those beside them would else be pushed to make up for held ones
+        anchored = pull.anchor_weights * pull.anchors.places(self._follow)
+        off = pull.anchors.targets - pull.anchors.places(self._surface.base) - self._spread @ self._moves[free]
+        system.diagonal += blocks[free]
+        system.right += right[free] + self._spread.T @ (anchored[:, None] * off)
+        shared = self._spread.T @ diags_array(anchored) @ self._spread
+        step = factorise(system.matrix(shared)).solve(system.right.ravel()).reshape(-1, 3)
+        self._moves[free] += step
+        return float(np.sqrt((step**2).sum(axis=1).mean()))

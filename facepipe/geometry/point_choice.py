@@ -79,14 +79,10 @@ def halved(places: FloatArray) -> IntArray:
     """
     pieces: list[IntArray] = [np.arange(len(places))]
     while any(len(piece) > 1 for piece in pieces):
-        pieces = [half for piece in pieces for half in _halves(places, piece)]
+        whole, pieces = pieces, []
+        for piece in whole:
+            here = places[piece]
+            ordered = piece[np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")]
+            middle = (len(piece) + 1) // 2
+            pieces += [ordered[:middle], ordered[middle:]] if len(piece) > 1 else [piece]
     return np.concatenate(pieces)
-
-
-def _halves(places: FloatArray, piece: IntArray) -> list[IntArray]:
-    if len(piece) < 2:
-        return [piece]
-    here = places[piece]
-    ordered = piece[np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")]
-    middle = (len(piece) + 1) // 2
-    return [ordered[:middle], ordered[middle:]]

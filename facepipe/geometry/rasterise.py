@@ -153,13 +153,18 @@ def spans_of(screen: ScreenTriangles, width: int, top: int, bottom: int) -> Iter
     # the upper corner down, so that both triangles at an edge have the same numbers.
     (x0, x1, x2), (y0, y1, y2) = screen.x, screen.y
     down = np.stack([y2 - y0, y1 - y0, y2 - y1])
-    slope = np.stack([x2 - x0, x1 - x0, x2 - x1]) / np.where(down > 0, down, 1)
-    counts, edges = (last - first)[hit], (np.stack([x0, x0, x1]), np.stack([y0, y0, y1]), slope)
+    slope = (np.stack([x2 - x0, x1 - x0, x2 - x1]) / np.where(down > 0, down, 1)).ravel()
+    x, y, counts = np.concatenate([x0, x0, x1]), np.concatenate([y0, y0, y1]), (last - first)[hit]
     for part in _pieces(counts, ROWS_PER_CHUNK):
         number, step = expand(counts[part])
         owner = hit[part][number]
         row = first[owner] + step
-        start, stop = _columns(screen, edges, owner, (row + 0.5).astype(screen.x.dtype), width)
+        at = (row + 0.5).astype(screen.x.dtype)
+        short = owner + len(screen.ids) * np.where(at < screen.y[1, owner], 1, 2)
+        across = x[owner] + (at - y[owner]) * slope[owner]
+        other = x[short] + (at - y[short]) * slope[short]
+        start = np.clip(np.ceil(np.minimum(across, other) - 0.5), 0, width).astype(np.int64)
+        stop = np.clip(np.ceil(np.maximum(across, other) - 0.5), 0, width).astype(np.int64)
         some = np.flatnonzero(stop > start)
         yield Spans(owner=owner[some], row=row[some], start=start[some], count=(stop - start)[some])
 
@@ -244,23 +249,6 @@ def _cut(a: FloatArray, b: FloatArray) -> FloatArray:
     cut = a + t[:, None] * (b - a)
     cut[:, 3] = NEAR
     return np.asarray(cut)
-
-
-def _columns(
-    screen: ScreenTriangles,
-    edges: tuple[FloatArray, FloatArray, FloatArray],
-    owner: IntArray,
-    at: FloatArray,
-    width: int,
-) -> tuple[IntArray, IntArray]:
-    """First column, and the one after the last, of triangles on the lines y = `at`."""
-    x, y, slope = (each.ravel() for each in edges)
-    short = owner + len(screen.ids) * np.where(at < screen.y[1, owner], 1, 2)
-    across = x[owner] + (at - y[owner]) * slope[owner]
-    other = x[short] + (at - y[short]) * slope[short]
-    start = np.clip(np.ceil(np.minimum(across, other) - 0.5), 0, width).astype(np.int64)
-    stop = np.clip(np.ceil(np.maximum(across, other) - 0.5), 0, width).astype(np.int64)
-    return start, stop
 
 
 def _fragments(

@@ -58,7 +58,7 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     lengths = np.maximum(lengths, max(_SHORTEST_EDGE * float(lengths.mean()), np.finfo(np.float64).tiny))
     # a piece without a held point has the constants as the kernel of its Laplacian: no factor
     # (n,) distance along the edges to the nearest border, which crosses an edge where two regions are equal
-    from scipy.sparse import coo_array
+    from scipy.sparse import coo_array, diags_array
     from scipy.sparse.csgraph import dijkstra
 
     count = smoothed.shape[1]
@@ -85,20 +85,12 @@ def smooth_masks(masks: FloatArray, points: FloatArray, edges: IntArray, width: 
     held[component[~free]] = True
     free = np.asarray(free & held[component])
     if free.any():
-        _relax(smoothed, free, pairs, 1.0 / lengths)
+        rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
+        adjacency = coo_array((np.tile(1.0 / lengths, 2), (rows, columns)), shape=(count, count)).tocsr()[free]
+        laplacian = diags_array(adjacency.sum(axis=1)) - adjacency[:, free]
+        right = np.ascontiguousarray(adjacency[:, ~free] @ smoothed[:, ~free].T)
+        smoothed[:, free] = np.clip(factorise(laplacian).solve(right).T, 0.0, 1.0)
     return smoothed
-
-
-def _relax(masks: FloatArray, free: BoolArray, pairs: IntArray, weights: FloatArray) -> None:
-    """Solve the Laplace equation at the `free` points for all masks, in place."""
-    from scipy.sparse import coo_array, diags_array
-
-    count = len(free)
-    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
-    adjacency = coo_array((np.tile(weights, 2), (rows, columns)), shape=(count, count)).tocsr()[free]
-    laplacian = diags_array(adjacency.sum(axis=1)) - adjacency[:, free]
-    held = adjacency[:, ~free] @ masks[:, ~free].T
-    masks[:, free] = np.clip(factorise(laplacian).solve(np.ascontiguousarray(held)).T, 0.0, 1.0)
 
 
 class RegionMasks(NamedTuple):
@@ -271,7 +263,16 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
     shares = np.where(label[:, None] == UNKNOWN, 0.0, np.eye(count + 1)[label])
     unsure = np.flatnonzero(~exact | (label == count))
     if len(unsure) and palette.edge:
-        around, distance = _neighbours(image.shape, texels[unsure], palette.edge)
+        middles = texels[unsure]
+        edge = palette.edge
+        # texels (m, s) of the square of 2 edge + 1 around each, clamped to the image, and squared distances (m, s)
+        height, width = image.shape[:2]
+        row, column = np.divmod(middles, width)
+        down, right = (axis.ravel() for axis in np.mgrid[-edge : edge + 1, -edge : edge + 1])
+        rows = np.clip(row[:, None] + down, 0, height - 1)
+        columns = np.clip(column[:, None] + right, 0, width - 1)
+        squared = (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2
+        around, distance = rows * width + columns, squared
         distinct, back = np.unique(around, return_inverse=True)
         labels, pure = palette.labels(pixels[distinct])
         near, sure = labels[back.reshape(around.shape)], pure[back.reshape(around.shape)]
@@ -307,44 +308,25 @@ def _settled(
     return shares
 
 
-def _neighbours(shape: tuple[int, ...], texels: IntArray, edge: int) -> tuple[IntArray, IntArray]:
-    """Texels (m, s) of the square of 2 edge + 1 around each, clamped to the image, and squared distances (m, s)."""
-    height, width = shape[:2]
-    row, column = np.divmod(texels, width)
-    down, right = (axis.ravel() for axis in np.mgrid[-edge : edge + 1, -edge : edge + 1])
-    rows = np.clip(row[:, None] + down, 0, height - 1)
-    columns = np.clip(column[:, None] + right, 0, width - 1)
-    squared = (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2
-    return rows * width + columns, squared
-
-
 def _mixes(colors: ByteArray, near: IntArray, palette: Palette) -> FloatArray:
     """Shares (m, k + 1) of the palette's colours and the background in `colors` (m, 3); rows of 0 are no mix.
 
     :param near: (m, s) labels around each; only these colours can be mixed
     """
-    rows = len(palette.known)
-    around = np.stack([(near == number).any(axis=1) for number in range(rows)], axis=1)
+    from scipy.optimize import nnls
+
+    around = np.stack([(near == number).any(axis=1) for number in range(len(palette.known))], axis=1)
     cases, back = np.unique(np.column_stack([colors, around]), axis=0, return_inverse=True)
     shares = np.zeros((len(cases), len(palette.colors) + 1))
     for number, case in enumerate(cases):
-        shares[number, :rows] = _mix(case[:3], np.flatnonzero(case[3:]), palette)
+        color, choice = case[:3], np.flatnonzero(case[3:])
+        if len(choice):
+            known = palette.known[choice]
+            system = np.vstack([known.T, np.full(len(choice), _SUM_WEIGHT)])
+            parts, _ = nnls(system, np.append(color.astype(np.float64), _SUM_WEIGHT))
+            if np.linalg.norm(parts @ known - color) <= palette.tolerance:
+                shares[number, choice] = parts
     return shares[back.ravel()]
-
-
-def _mix(color: ByteArray, choice: IntArray, palette: Palette) -> FloatArray:
-    """Shares of the palette's rows `choice` in one colour; 0 where their nearest mix is beyond the tolerance."""
-    from scipy.optimize import nnls
-
-    shares = np.zeros(len(palette.known))
-    if not len(choice):
-        return shares
-    known = palette.known[choice]
-    system = np.vstack([known.T, np.full(len(choice), _SUM_WEIGHT)])
-    parts, _ = nnls(system, np.append(color.astype(np.float64), _SUM_WEIGHT))
-    if np.linalg.norm(parts @ known - color) <= palette.tolerance:
-        shares[choice] = parts
-    return shares
 
 
 def _nearest(near: IntArray, squared: IntArray, count: int) -> FloatArray:

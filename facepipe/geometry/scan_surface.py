@@ -42,49 +42,38 @@ def cloud_normals(points: FloatArray, neighbours: int = 16) -> CloudNormals:
     count = min(neighbours, len(points) - 1)
     distances, near = cKDTree(points).query(points, k=count + 1)
     spacing = distances[:, 1:].mean(axis=1)
-    flat = _flattest(points, near)
-    normals = _oriented(points, flat, near[:, 1:])
-    return CloudNormals(normals, spacing, spacing > _LONE_DISTANCE * np.median(spacing))
-
-
-def _flattest(points: FloatArray, near: IntArray) -> FloatArray:
-    """(n, 3) direction in which the neighbours (n, k) of each point spread least.
-
-    The eigenvector of least eigenvalue of ``sum (p - mean) (p - mean)^T``: the normal of the plane of least squares.
-    """
-    normals = np.empty((len(points), 3))
+    # (n, 3) direction in which the neighbours (n, k) of each point spread least. The eigenvector of least eigenvalue of
+    # ``sum (p - mean) (p - mean)^T``: the normal of the plane of least squares.
+    flat = np.empty((len(points), 3))
     for start in range(0, len(points), _POINTS_AT_ONCE):
         around = points[near[start : start + _POINTS_AT_ONCE]]
         around = around - around.mean(axis=1, keepdims=True)
         _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
-        normals[start : start + _POINTS_AT_ONCE] = axes[:, :, 0]
-    return normals
-
-
-def _oriented(points: FloatArray, normals: FloatArray, near: IntArray) -> FloatArray:
-    """Signs along the tree over neighbours whose planes turn least, then outward as a whole."""
+        flat[start : start + _POINTS_AT_ONCE] = axes[:, :, 0]
+    linked = near[:, 1:]
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-    count = len(points)
-    first, second = np.repeat(np.arange(count, dtype=np.int32), near.shape[1]), near.ravel().astype(np.int32)
+    size = len(points)
+    first, second = np.repeat(np.arange(size, dtype=np.int32), linked.shape[1]), linked.ravel().astype(np.int32)
     first, second = np.minimum(first, second), np.maximum(first, second)
-    links = np.sort(first.astype(np.int64) * count + second)
+    links = np.sort(first.astype(np.int64) * size + second)
     links = links[np.diff(links, prepend=-1) > 0]
-    first, second = (links // count).astype(np.int32), (links % count).astype(np.int32)
-    turn = 1.0 + _LEAST_TURN_COST - np.abs(np.einsum("ei,ei->e", normals[first], normals[second]))
-    tree = minimum_spanning_tree(coo_array((turn, (first, second)), shape=(count, count)).tocsr()).tocoo()
-    _, piece = connected_components(tree, directed=False)
-    turned = normals * _signs(tree.row, tree.col, piece, normals)[:, None]
+    first, second = (links // size).astype(np.int32), (links % size).astype(np.int32)
+    turn = 1.0 + _LEAST_TURN_COST - np.abs(np.einsum("ei,ei->e", flat[first], flat[second]))
+    tree = minimum_spanning_tree(coo_array((turn, (first, second)), shape=(size, size)).tocsr()).tocoo()
+    piece = connected_components(tree, directed=False)[1]
+    turned = flat * _signs(tree.row, tree.col, piece, flat)[:, None]
     # (p,) 1 for pieces whose normals point away from their middle, -1 for others
     counts = np.bincount(piece)
     middle = np.stack([np.bincount(piece, column) for column in points.T], axis=1) / counts[:, None]
     heights = np.bincount(piece, np.einsum("ni,ni->n", turned, points - middle[piece]))
-    return np.asarray(turned * np.where(heights < 0, -1.0, 1.0)[piece, None])
+    normals = np.asarray(turned * np.where(heights < 0, -1.0, 1.0)[piece, None])
+    return CloudNormals(normals, spacing, spacing > _LONE_DISTANCE * np.median(spacing))
 
 
 def _signs(first: IntArray, second: IntArray, piece: IntArray, normals: FloatArray) -> FloatArray:
-    """(n,) signs along the trees with the edges `one` to `two`, 1 at the first point of each piece."""
+    """(n,) signs along the trees with the edges `first` to `second`, 1 at the first point of each piece."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -165,7 +154,9 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     turned = sheets.turned ^ _inward(merged, sheets)
     oriented = np.where(turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
     piece = _by_area(merged[sheets.source], oriented, sheets.component)
-    border = _border(oriented, len(sheets.source))
+    edges, _, uses = distinct_edges(oriented[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
+    border = np.zeros(len(sheets.source), bool)
+    border[edges[uses == 1]] = True
     report = SurfaceReport(
         merged_points=len(points) - len(first),
         flat_triangles=int((~sound).sum()),
@@ -213,7 +204,20 @@ def _areas(points: FloatArray, triangles: IntArray) -> FloatArray:
 def _inward(points: FloatArray, sheets: Sheets) -> BoolArray:
     """Triangles (t,) of pieces that, turned as `sheets` has them, face inward or against what most of them did."""
     triangles = np.where(sheets.turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
-    bulge = outwardness(points[sheets.source], triangles, sheets.component)
+    placed = points[sheets.source]
+    component = sheets.component
+    # the bulge of each sheet (c,) to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in. ``sum_t
+    # A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of the triangles: the mean
+    # distance of the tangent planes from the sheet's centre, over the root of its area; ``1 / sqrt(4 pi)`` for a
+    # sphere.
+    a, b, c = placed[triangles].transpose(1, 0, 2)
+    area_normals = np.cross(b - a, c - a) / 2
+    areas = np.linalg.norm(area_normals, axis=1)
+    middles = (a + b + c) / 3
+    total = np.bincount(component, areas)
+    centre = np.stack([np.bincount(component, areas * column) for column in middles.T], axis=1) / total[:, None]
+    heights = np.einsum("tc,tc->t", area_normals, middles - centre[component])
+    bulge = np.asarray(np.bincount(component, heights) / total**1.5)
     mostly_turned = np.bincount(sheets.component, np.where(sheets.turned, 1.0, -1.0)) > 0
     inward = np.where(np.abs(bulge) >= _LEAST_BULGE, bulge < 0, mostly_turned)
     return np.asarray(inward[sheets.component])
@@ -227,13 +231,6 @@ def _by_area(points: FloatArray, triangles: IntArray, component: IntArray) -> In
     piece = np.zeros(len(points), np.int64)
     piece[triangles] = rank[component][:, None]
     return piece
-
-
-def _border(triangles: IntArray, count: int) -> BoolArray:
-    edges, _, uses = distinct_edges(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
-    border = np.zeros(count, bool)
-    border[edges[uses == 1]] = True
-    return border
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,7 +270,20 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     component = components(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
     whole = _Pairs(pairs.triangles[~broken], pairs.sides[~broken], pairs.alike[~broken])
-    moved, source = _fan_points(triangles, whole)
+    # triangles (t, 3) on points of which each has one fan of triangles, and the input's point (m,) of each
+    corners = triangles.ravel()
+    following = np.arange(len(corners)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    one, other = whole.sides.T
+    # where both run alike their starts are one point, else the start of one is the end of the other
+    starts = np.where(whole.alike, other, following[other])
+    ends = np.where(whole.alike, following[other], other)
+    links = np.concatenate([np.stack([one, starts], 1), np.stack([following[one], ends], 1)])
+    fan = components(len(corners), links)
+    _, corner, point = np.unique(fan, return_index=True, return_inverse=True)
+    by_source = np.lexsort((corner, corners[corner]))  # by the input's point
+    rank = np.empty(len(by_source), np.int64)
+    rank[by_source] = np.arange(len(by_source))
+    moved, source = rank[point].reshape(-1, 3), corners[corner][by_source]
     return Sheets(
         triangles=moved,
         source=source,
@@ -284,23 +294,6 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     )
 
 
-def outwardness(points: FloatArray, triangles: IntArray, component: IntArray) -> FloatArray:
-    """The bulge of each sheet (c,) to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in.
-
-    ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of the triangles: the
-    mean distance of the tangent planes from the sheet's centre, over the root of its area; ``1 / sqrt(4 pi)`` for a
-    sphere.
-    """
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    area_normals = np.cross(b - a, c - a) / 2
-    areas = np.linalg.norm(area_normals, axis=1)
-    middles = (a + b + c) / 3
-    total = np.bincount(component, areas)
-    centre = np.stack([np.bincount(component, areas * column) for column in middles.T], axis=1) / total[:, None]
-    heights = np.einsum("tc,tc->t", area_normals, middles - centre[component])
-    return np.asarray(np.bincount(component, heights) / total**1.5)
-
-
 def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolArray, BoolArray]:
     """Triangles (t,) to turn, and edges (e,) across which no turning makes them agree.
 
@@ -308,6 +301,9 @@ def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolAr
     that its first triangle reaches turned. Sheets that reach both of one triangle are one-sided: there a spanning tree
     decides.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order
+
     a, b = pairs.triangles.T
     other = np.where(pairs.alike, count, 0)
     links = np.concatenate([np.stack([a, b + other], 1), np.stack([a + count, b + count - other], 1)])
@@ -316,43 +312,17 @@ def _orientation(count: int, component: IntArray, pairs: _Pairs) -> tuple[BoolAr
     first[component[::-1]] = np.arange(count)[::-1]
     turned = reached[count:] == reached[first][component]
     one_sided = reached[:count] == reached[count:]
-    if not one_sided.any():
-        return turned, np.zeros(len(pairs.alike), bool)
-    turned[one_sided] = _by_tree(count, np.unique(first[component[one_sided]]), pairs)[one_sided]
+    if one_sided.any():
+        roots = np.unique(first[component[one_sided]])
+        start = np.full(len(roots), count)  # one more triangle, beside every root: the tree reaches all sheets
+        one, two = np.concatenate([a, start]).astype(np.int32), np.concatenate([b, roots]).astype(np.int32)
+        value = np.concatenate([np.where(pairs.alike, 2, 1), np.ones_like(start)])
+        graph = coo_array((value, (np.minimum(one, two), np.maximum(one, two))), shape=(count + 1, count + 1)).tocsr()
+        graph = (graph + graph.T).tocsr()
+        order, before = breadth_first_order(graph, count, directed=False)
+        alike = np.asarray(graph[before[order[1:]], order[1:]]).ravel() == 2
+        by_tree = [False] * (count + 1)
+        for triangle, parent, flip in zip(order[1:].tolist(), before[order[1:]].tolist(), alike.tolist(), strict=True):
+            by_tree[triangle] = by_tree[parent] ^ flip
+        turned[one_sided] = np.array(by_tree[:count])[one_sided]
     return turned, (turned[a] ^ turned[b]) != pairs.alike
-
-
-def _by_tree(count: int, roots: IntArray, pairs: _Pairs) -> BoolArray:
-    """Triangles (t,) to turn along a breadth-first tree that reaches all sheets through `roots`."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import breadth_first_order
-
-    a, b = pairs.triangles.T
-    start = np.full(len(roots), count)  # one more triangle, beside every root
-    one, two = np.concatenate([a, start]).astype(np.int32), np.concatenate([b, roots]).astype(np.int32)
-    value = np.concatenate([np.where(pairs.alike, 2, 1), np.ones_like(start)])
-    graph = coo_array((value, (np.minimum(one, two), np.maximum(one, two))), shape=(count + 1, count + 1)).tocsr()
-    graph = (graph + graph.T).tocsr()
-    order, before = breadth_first_order(graph, count, directed=False)
-    alike = np.asarray(graph[before[order[1:]], order[1:]]).ravel() == 2
-    turned = [False] * (count + 1)
-    for triangle, parent, flip in zip(order[1:].tolist(), before[order[1:]].tolist(), alike.tolist(), strict=True):
-        turned[triangle] = turned[parent] ^ flip
-    return np.array(turned[:count])
-
-
-def _fan_points(triangles: IntArray, pairs: _Pairs) -> tuple[IntArray, IntArray]:
-    """Triangles (t, 3) on points of which each has one fan of triangles, and the input's point (m,) of each."""
-    corners = triangles.ravel()
-    following = np.arange(len(corners)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    first, second = pairs.sides.T
-    # where both run alike their starts are one point, else the start of one is the end of the other
-    starts = np.where(pairs.alike, second, following[second])
-    ends = np.where(pairs.alike, following[second], second)
-    links = np.concatenate([np.stack([first, starts], 1), np.stack([following[first], ends], 1)])
-    fan = components(len(corners), links)
-    _, at, point = np.unique(fan, return_index=True, return_inverse=True)
-    order = np.lexsort((at, corners[at]))  # by the input's point
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
-    return rank[point].reshape(-1, 3), corners[at][order]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.vectors import finite, group_sums
 
 # Singular values below this share of the largest have no direction: a set 1e-5 as thick as it is long is a line.
@@ -101,21 +101,9 @@ def fit_similarities(
     covariance = np.stack([group_sums(groups, b * share * a[:, axis, None], count) for axis in range(3)], axis=2)
     from_variance = group_sums(groups, a * a * share, count).sum(axis=1)
     to_variance = group_sums(groups, b * b * share, count).sum(axis=1)
-    rotation, strength = _rotations(covariance, (from_variance > _POINT_SPREAD**2) & (to_variance > _POINT_SPREAD**2))
-    factor = np.ones(count)
-    if scale:
-        fitted = strength > 0
-        factor[fitted] = strength[fitted] / from_variance[fitted] * (to_unit / from_unit)
-    moved = factor[:, None] * np.einsum("gij,gj->gi", rotation, from_centre)
-    return Similarities(rotation=rotation, translation=to_centre - moved, scale=factor)
-
-
-def _rotations(covariance: FloatArray, spread: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """The rotation (g, 3, 3) of each covariance (g, 3, 3), and the trace (g,) of Umeyama's D S; 0: left at identity.
-
-    ``R = U S V^T`` of the covariance ``U D V^T``, with ``S = diag(1, 1, det U det V)``: the nearest rotation, no
-    reflection.
-    """
+    spread = (from_variance > _POINT_SPREAD**2) & (to_variance > _POINT_SPREAD**2)
+    # ``R = U S V^T`` of the covariance ``U D V^T``, with ``S = diag(1, 1, det U det V)``: the nearest rotation, no
+    # reflection; the trace of D S is its strength, 0 where it is left at identity
     U, D, Vt = np.linalg.svd(covariance)
     signs = np.ones_like(D)
     signs[:, 2] = np.where(np.linalg.det(U) * np.linalg.det(Vt) < 0, -1.0, 1.0)
@@ -123,8 +111,7 @@ def _rotations(covariance: FloatArray, spread: BoolArray) -> tuple[FloatArray, F
     line = D[:, 1] <= _LINE_THICKNESS * D[:, 0]
     start = Vt[line, 0]
     end = U[line, :, 0]
-    # (g, 3, 3) rotations from unit vectors `start` (g, 3) to `end` (g, 3). A half-turn about `start`, then one about
-    # the vector halfway to `end`; across `start` where they are opposite.
+    # a half-turn about `start`, then one about the vector halfway to `end`; across `start` where they are opposite
     halfway = start + end
     length = np.linalg.norm(halfway, axis=1)
     opposite = length < 1e-8
@@ -135,7 +122,13 @@ def _rotations(covariance: FloatArray, spread: BoolArray) -> tuple[FloatArray, F
     rotation[line] = np.asarray(_half_turns(halfway) @ _half_turns(start))
     unknown = ~spread | (D[:, 0] <= np.finfo(np.float64).tiny)
     rotation[unknown] = np.eye(3)
-    return rotation, np.where(unknown, 0.0, (D * signs).sum(axis=1))
+    strength = np.where(unknown, 0.0, (D * signs).sum(axis=1))
+    factor = np.ones(count)
+    if scale:
+        fitted = strength > 0
+        factor[fitted] = strength[fitted] / from_variance[fitted] * (to_unit / from_unit)
+    moved = factor[:, None] * np.einsum("gij,gj->gi", rotation, from_centre)
+    return Similarities(rotation=rotation, translation=to_centre - moved, scale=factor)
 
 
 def _half_turns(axis: FloatArray) -> FloatArray:

@@ -175,20 +175,16 @@ class _Solver:
         diagonal = np.arange(start.shape[1])
         for at in range(0, len(start), step):
             part = slice(at, at + step)
-            gram, linear = self._systems(part)
+            rest, joints = self._rest[part], self._candidates[part]
+            count, width = joints.shape
+            turned = (self._R - np.eye(3))[joints].reshape(count, -1, 3) @ rest[:, :, None]
+            columns = turned.reshape(count, width, -1) + self._t[joints].reshape(count, width, -1)
+            columns *= self.allowed[part][:, :, None]
+            goal = self._motion[:, part].transpose(1, 0, 2).reshape(count, -1, 1)
+            gram, linear = columns @ columns.transpose(0, 2, 1), (columns @ goal)[:, :, 0]
             gram[:, diagonal, diagonal] += self._pull * (1.0 + np.where(allowed[part], price[part], 0.0))
             minima[part] = _on_simplex(gram, linear + self._pull * towards[part], start[part], allowed[part])
         return minima
-
-    def _systems(self, part: slice) -> tuple[FloatArray, FloatArray]:
-        """Normal equations (n, k, k), (n, k) of the points' weights."""
-        at, joints = self._rest[part], self._candidates[part]
-        count, width = joints.shape
-        turned = (self._R - np.eye(3))[joints].reshape(count, -1, 3) @ at[:, :, None]
-        columns = turned.reshape(count, width, -1) + self._t[joints].reshape(count, width, -1)
-        columns *= self.allowed[part][:, :, None]
-        goal = self._motion[:, part].transpose(1, 0, 2).reshape(count, -1, 1)
-        return columns @ columns.transpose(0, 2, 1), (columns @ goal)[:, :, 0]
 
     def _neighbour_means(self, weights: FloatArray) -> FloatArray:
         """(n, k) of the candidates; what neighbours have of other joints is shared out by the simplex."""

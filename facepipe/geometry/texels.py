@@ -122,13 +122,12 @@ def completed(
     means = np.divide(sums[:, :-1], total, out=np.zeros_like(sums[:, :-1]), where=total > 0)
     # at the points, not the texels: 14,062 unknowns for the head in the box, not the 4 million of a texture of 2048
     smooth = membrane(points, triangles, means, total[:, 0] / np.maximum(counts[:, 0], 1e-12), reach)
-    return [_mixed(texture, texture.texels.carried(smooth)) for texture in known]
-
-
-def _mixed(known: KnownOffsets, smooth: Float32Array) -> Float32Array:
-    share = known.confidence.astype(np.float32)[:, None]
-    offsets = np.where(share > 0, known.offsets, 0).astype(np.float32)
-    return np.asarray(smooth + share * (offsets - smooth))
+    mixed = []
+    for texture in known:
+        carried, share = texture.texels.carried(smooth), texture.confidence.astype(np.float32)[:, None]
+        offsets = np.where(share > 0, texture.offsets, 0).astype(np.float32)
+        mixed.append(np.asarray(carried + share * (offsets - carried)))
+    return mixed
 
 
 def spread(texels: Texels, values: FloatArray) -> Float32Array:

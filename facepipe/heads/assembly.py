@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -40,10 +40,20 @@ SIDES = ("Left", "Right")
 MEET = 0.433  # cm below the middle of an eye: where lids meet
 _MIDDLE = 1.0  # cm on each side of the middle, over which left and right mix
 _TURN = 0.5  # radians that an eye turns to the side, and up or down, at 1
-_LEFT, _RIGHT = "root/neck/head/eyeLeft", "root/neck/head/eyeRight"
+TALK = "talk"
+_RATE = 24
+_SPOKEN = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
+_HEAD, _NECK = "root/neck/head", "root/neck"
+_EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
+_MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
+_LEAST = 1e-3  # cm, or share of the size: less moves no joint
+_CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
+    *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
+    *(("eye", channel, 3, 1.0) for channel in ("sy", "sz")),
+    *((lid, channel, 4, share) for lid in ("lidUpper", "lidLower") for channel, share in (("ty", MEET), ("sy", 1.0))),
+)
 _RISING = ((-1.0, 0.0), (0.0, 0.0), (1.0, 1.0))
 _FALLING = ((-1.0, 1.0), (0.0, 0.0), (1.0, 0.0))
-_BOTH = ("Left", "Right")
 
 _MOODS: dict[str, dict[str, float]] = {
     "smile": {"mouthSmile": 1.0, "cheekSquint": 0.5},
@@ -108,38 +118,26 @@ def directions() -> tuple[Direction, ...]:
     )
 
 
-_MIRRORED = ("tx", "ry", "rz")  # channels of the other sign on the other side
-
-
 def bone_sliders() -> tuple[Slider, ...]:
     """The sliders over joints."""
     table = json.loads((files("facepipe.heads") / "data" / "bone_sliders.json").read_text("utf-8"))
     paths = {path.rpartition("/")[2]: path for path in asset().joints}
-    return tuple(
-        Slider(name=name, group=group, minimum=-1.0, channels=tuple(_channels(paths, gains)))
-        for group, sliders in table.items()
-        for name, gains in sliders.items()
-    )
-
-
-def _channels(paths: Mapping[str, str], gains: Mapping[str, float]) -> Iterator[tuple[str, str, float]]:
-    for target, gain in gains.items():
-        joint, _, channel = target.partition(".")
-        if joint.endswith("*"):
-            yield paths[f"{joint[:-1]}Left"], channel, gain
-            yield paths[f"{joint[:-1]}Right"], channel, -gain if channel in _MIRRORED else gain
-        else:
-            yield paths[joint], channel, gain
+    made = []
+    for group, rows in table.items():
+        for name, gains in rows.items():
+            channels = []
+            for target, gain in gains.items():
+                joint, _, channel = target.partition(".")
+                if joint.endswith("*"):
+                    channels.append((paths[f"{joint[:-1]}Left"], channel, gain))
+                    channels.append((paths[f"{joint[:-1]}Right"], channel, -gain if channel in _MIRRORED else gain))
+                else:
+                    channels.append((paths[joint], channel, gain))
+            made.append(Slider(name=name, group=group, minimum=-1.0, channels=tuple(channels)))
+    return tuple(made)
 
 
 Gains = Sequence[tuple[Direction, float]]
-
-_LEAST = 1e-3  # cm, or share of the size: less moves no joint
-_CHANNELS = (  # joint, channel, column of `Direction.eyes`, and how much of it
-    *(("eye", channel, column, 1.0) for column, channel in enumerate(("tx", "ty", "tz", "sx"))),
-    *(("eye", channel, 3, 1.0) for channel in ("sy", "sz")),
-    *((lid, channel, 4, share) for lid in ("lidUpper", "lidLower") for channel, share in (("ty", MEET), ("sy", 1.0))),
-)
 
 
 def identity_sliders() -> tuple[Slider, ...]:
@@ -182,7 +180,7 @@ def sided(weights: dict[str, float], shapes: frozenset[str]) -> dict[str, float]
     return {
         shape: weight
         for name, weight in weights.items()
-        for shape in ((name,) if name in shapes else (name + side for side in _BOTH))
+        for shape in ((name,) if name in shapes else (name + side for side in SIDES))
     }
 
 
@@ -206,18 +204,12 @@ def _look(name: str, channel: str, forth: tuple[str, ...], back: tuple[str, ...]
         name=name,
         group="eyes",
         minimum=-1.0,
-        channels=((_LEFT, channel, _TURN), (_RIGHT, channel, _TURN)),
+        channels=tuple((eye, channel, _TURN) for eye in _EYES),
         channel_curves=(None, None),
         shapes=tuple((shape, 1.0) for shape in (*forth, *back)),
         shape_curves=(_RISING,) * len(forth) + (_FALLING,) * len(back),
     )
 
-
-TALK = "talk"
-_RATE = 24
-_SPOKEN = ("sil", "DD", "E", "FF", "aa", "SS", "O", "PP", "U", "sil")  # over a second, each passing into the next
-_HEAD, _NECK = "root/neck/head", "root/neck"
-_EYES = (f"{_HEAD}/eyeLeft", f"{_HEAD}/eyeRight")
 
 _Tracks = Mapping[str, FloatArray | float]
 
@@ -227,10 +219,6 @@ def animations(shapes: frozenset[str]) -> tuple[Animation, ...]:
     smile = sided({"mouthSmile": 0.9, "cheekSquint": 0.5, "jawOpen": 0.05}, shapes)
     look = {"eyeLookOutLeft": 0.7, "eyeLookInRight": 0.7}
     turns = {f"{_NECK}.ry": 0.12, f"{_HEAD}.rx": 0.05, f"{_HEAD}.ry": 0.25} | {f"{eye}.ry": 0.35 for eye in _EYES}
-    return (_animation("smile", None, smile, {}), _animation("lookLeft", None, look, turns), _talk(shapes))
-
-
-def _talk(shapes: frozenset[str]) -> Animation:
     times = np.arange(_RATE + 1) / _RATE
     beats = np.abs(times[:, None] * (len(_SPOKEN) - 1) - np.arange(len(_SPOKEN)))
     shares = 0.5 + 0.5 * np.cos(np.pi * np.minimum(beats, 1.0))  # (times, spoken), in sum 1
@@ -241,7 +229,11 @@ def _talk(shapes: frozenset[str]) -> Animation:
     slow = np.sin(2 * np.pi * times)
     blink = np.exp(-(((times - 0.75) / 0.06) ** 2))
     weights |= {"eyeBlinkLeft": blink, "eyeBlinkRight": blink, "browInnerUp": 0.4 * np.maximum(slow, 0.0)}
-    return _animation(TALK, times, weights, {f"{_HEAD}.rx": 0.04 * slow, f"{_HEAD}.ry": 0.06 * slow})
+    return (
+        _animation("smile", None, smile, {}),
+        _animation("lookLeft", None, look, turns),
+        _animation(TALK, times, weights, {f"{_HEAD}.rx": 0.04 * slow, f"{_HEAD}.ry": 0.06 * slow}),
+    )
 
 
 def _animation(name: str, times: FloatArray | None, shapes: _Tracks, turns: _Tracks) -> Animation:
@@ -309,7 +301,16 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
 def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes) -> Mesh:
     uvs, uv_indices = np.unique(head.uv_indices[part.corners], return_inverse=True)
     whole = name == "Head"
-    masks = head.regions if whole else {region: _all(part, region == part.region) for region in head.regions}
+    masks = head.regions
+    landmarks = {}
+    if whole:
+        landmarks = {"multipie68": Landmarks(indices=head.landmarks), "dense": Landmarks(indices=head.dense)}
+    else:
+        count = part.points.stop - part.points.start
+        masks = {region: np.full(count, float(region == part.region)) for region in head.regions}
+        if name.startswith("Eyeball"):
+            landmarks = {"pupils": Landmarks(indices=np.array([pupil(name)], np.int32))}
+    own = head.materials[part.faces]
     return Mesh(
         name=name,
         points=points[part.points],
@@ -319,26 +320,19 @@ def _mesh(head: Asset, name: str, part: Part, points: FloatArray, shapes: Shapes
         blendshapes=blendshapes_of(part, shapes),
         skin=Skin(joint_indices=head.skin_joints[part.points], joint_weights=head.skin_weights[part.points]),
         regions=masks,
-        landmarks=_landmarks(head, name),
+        landmarks=landmarks,
         anchor=head.anchor if whole else None,
-        material_faces=_material_faces(head, part),
+        material_faces=tuple(
+            MaterialFaces(material=head.material_names[number], faces=np.flatnonzero(own == number).astype(np.int32))
+            for number in np.unique(own)
+        ),
     )
-
-
-def _landmarks(head: Asset, name: str) -> dict[str, Landmarks]:
-    if name == "Head":
-        return {"multipie68": Landmarks(indices=head.landmarks), "dense": Landmarks(indices=head.dense)}
-    return {"pupils": Landmarks(indices=np.array([pupil(name)], np.int32))} if name.startswith("Eyeball") else {}
 
 
 def pupil(name: str) -> int:
     """The foremost point of an eye, as its mesh numbers them."""
     head = asset()
     return int(head.points[head.parts[name].points, 2].argmax())
-
-
-def _all(part: Part, value: float) -> FloatArray:
-    return np.full(part.points.stop - part.points.start, float(value))
 
 
 def blendshapes_of(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
@@ -359,14 +353,6 @@ def blendshapes_of(part: Part, shapes: Shapes) -> tuple[Blendshape, ...]:
             Blendshape(name=name, point_indices=points, offsets=moves[1.0][moved], inbetweens=inbetweens)
         )
     return tuple(blendshapes)
-
-
-def _material_faces(head: Asset, part: Part) -> tuple[MaterialFaces, ...]:
-    own = head.materials[part.faces]
-    return tuple(
-        MaterialFaces(material=head.material_names[number], faces=np.flatnonzero(own == number).astype(np.int32))
-        for number in np.unique(own)
-    )
 
 
 def skeleton(points: FloatArray) -> Skeleton:

@@ -84,11 +84,21 @@ def asset() -> Asset:
     for name, weight, offsets in zip(names, data["shape_weights"], unpacked(data["shapes"]), strict=True):
         shapes.setdefault(name, {})[float(weight)] = offsets
     masks = data["regions"] / data["regions"].sum(axis=0, dtype=np.float64)
+    ends = np.vstack([[0, 0], data["mesh_ends"]])
+    corners = np.append(0, np.cumsum(data["counts"], dtype=np.int64))
     return Asset(
         points=data["points"].astype(np.float64),
         modes=unpacked(_read("modes")["modes"]),
         shapes=shapes,
-        parts=_parts(data),
+        parts={
+            str(name): Part(
+                points=slice(*map(int, ends[i : i + 2, 0])),
+                faces=slice(*map(int, ends[i : i + 2, 1])),
+                corners=slice(*(int(corners[end]) for end in ends[i : i + 2, 1])),
+                region=str(data["mesh_regions"][i]),
+            )
+            for i, name in enumerate(data["meshes"])
+        },
         counts=data["counts"].astype(np.int32),
         indices=data["indices"],
         uvs=data["uvs"].astype(np.float64),
@@ -116,17 +126,3 @@ def unpacked(planes: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     change = (folded >> 1).view(np.int16) ^ -(folded & 1).view(np.int16)
     steps = np.cumsum(change, axis=2, dtype=np.int16)
     return np.ascontiguousarray((steps * np.float32(STEP)).transpose(0, 2, 1))
-
-
-def _parts(data: Mapping[str, npt.NDArray[Any]]) -> dict[str, Part]:
-    ends = np.vstack([[0, 0], data["mesh_ends"]])
-    corners = np.append(0, np.cumsum(data["counts"], dtype=np.int64))
-    return {
-        str(name): Part(
-            points=slice(*map(int, ends[i : i + 2, 0])),
-            faces=slice(*map(int, ends[i : i + 2, 1])),
-            corners=slice(*(int(corners[end]) for end in ends[i : i + 2, 1])),
-            region=str(data["mesh_regions"][i]),
-        )
-        for i, name in enumerate(data["meshes"])
-    }

@@ -110,7 +110,9 @@ def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -
     down *= -np.sign(down[1]) / np.linalg.norm(down)
     along, met = (lids - inner) @ axis, lids.copy()
     for ring in range(len(_FOLLOW)):
-        upper, lower = (_by(along, (eye.rings == min(ring, _MARGIN)) & one) for one in (eye.upper, ~eye.upper))
+        margin = eye.rings == min(ring, _MARGIN)
+        both = (np.flatnonzero(margin & one) for one in (eye.upper, ~eye.upper))
+        upper, lower = (rows[np.argsort(along[rows], kind="stable")] for rows in both)
         goal = _at(along[upper], along[lower], lids[lower])
         ends = along[upper] - along[lower[0]], along[lower[-1]] - along[upper]
         taper = np.clip(np.minimum(*ends) / _TAPER, 0.0, 1.0)[:, None]
@@ -122,7 +124,13 @@ def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -
     fitted = {}
     for share in (*_WAYS, 1.0):
         offsets = blink[share].astype(np.float64)
-        offsets[eye.lids] = ball.lifted(_turned(start, end, ball.centre, share)) - start
+        centre = ball.centre  # points go `share` of their way from start to end on arcs around it
+        lengths = [np.linalg.norm(one - centre, axis=1, keepdims=True) for one in (start, end)]
+        a, b = (start - centre) / lengths[0], (end - centre) / lengths[1]
+        angle = np.maximum(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)), _STILL)[:, None]
+        turned = (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
+        arced = np.asarray(centre + ((1 - share) * lengths[0] + share * lengths[1]) * turned)
+        offsets[eye.lids] = ball.lifted(arced) - start
         fitted[share] = offsets
     fitted[1.0][eye.lids] = end - start
     return fitted
@@ -135,44 +143,25 @@ def _balls(points: FloatArray) -> tuple[_Ball, ...]:
     scale = float((spreads[0] + spreads[1]) / (spreads[2] + spreads[3]))
     balls = []
     for eye in eyes:
-        moved = (points[eye.ball] - average[eye.ball]).mean(axis=0)
-        balls.append(_touching(_Ball(eye=eye, centre=eye.centre + moved, scale=scale), points[eye.lids]))
+        start = eye.centre + (points[eye.ball] - average[eye.ball]).mean(axis=0)
+        ball = _Ball(eye=eye, centre=start, scale=scale)
+        # moved a little, so that the lids lie on it as the average ones do on theirs
+        touching = np.isin(eye.rings, _TOUCH)
+        goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(average[eye.lids])[1][touching]
+        for _ in range(_STEPS):
+            directions, height = ball.above(points[eye.lids])
+            miss = height[touching] - goal
+            weights = np.where(miss < 0, _INSIDE, 1.0)
+            rows = np.vstack([directions[touching] * weights[:, None], np.eye(3)])
+            step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
+            ball = replace(ball, centre=ball.centre + step)
+        balls.append(ball)
     return tuple(balls)
-
-
-def _touching(ball: _Ball, lids: FloatArray) -> _Ball:
-    """The eyeball moved a little, so that the lids (k, 3) lie on it as the average ones do on theirs."""
-    eye, start = ball.eye, ball.centre
-    touching = np.isin(eye.rings, _TOUCH)
-    goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(asset().points[eye.lids])[1][touching]
-    for _ in range(_STEPS):
-        directions, height = ball.above(lids)
-        miss = height[touching] - goal
-        weights = np.where(miss < 0, _INSIDE, 1.0)
-        rows = np.vstack([directions[touching] * weights[:, None], np.eye(3)])
-        step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
-        ball = replace(ball, centre=ball.centre + step)
-    return ball
-
-
-def _by(along: FloatArray, chosen: npt.NDArray[np.bool_]) -> IntArray:
-    """The rows that are chosen, along the eye."""
-    rows = np.flatnonzero(chosen)
-    return rows[np.argsort(along[rows], kind="stable")]
 
 
 def _at(along: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
     """(k, 3) values between those (m, 3) at `known` (m,)."""
     return np.stack([np.interp(along, known, column) for column in values.T], axis=1)
-
-
-def _turned(start: FloatArray, end: FloatArray, centre: FloatArray, share: float) -> FloatArray:
-    """(k, 3) points that went `share` of their way from start to end, on arcs around the centre."""
-    lengths = [np.linalg.norm(one - centre, axis=1, keepdims=True) for one in (start, end)]
-    a, b = (start - centre) / lengths[0], (end - centre) / lengths[1]
-    angle = np.maximum(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)), _STILL)[:, None]
-    turned = (np.sin((1 - share) * angle) * a + np.sin(share * angle) * b) / np.sin(angle)
-    return np.asarray(centre + ((1 - share) * lengths[0] + share * lengths[1]) * turned)
 
 
 @cache

@@ -142,7 +142,15 @@ def draw(seed: int) -> Person:
     sex = float((1.0 if male else -1.0) * np.clip(random.normal(0.9, 0.35), 0.0, 1.6))
     years = float(_YOUNG + (_OLD - _YOUNG) * random.random() ** _FEWER_OLD)
     weights = np.clip(random.standard_normal(MODES), -_FARTHEST, _FARTHEST)
-    return Person(identity=_typical(weights, sex, years), sex=sex, years=years, look=_look(random, seed, sex, years))
+    by_sex, old = arrays("measures")["trait_weights"] * _STEP
+    across = by_sex / np.linalg.norm(by_sex)
+    aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
+    return Person(
+        identity=np.asarray(weights + (sex - weights @ across) * across + aged * old),
+        sex=sex,
+        years=years,
+        look=_look(random, seed, sex, years),
+    )
 
 
 def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> Look:
@@ -150,12 +158,14 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> L
     hair = _pick(random, _at(_HAIR, tone))
     fair = {"dark": 1.0, "brown": 1.0}
     eyes = {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()}
+    shares = {name: own[male] for name, own in _STYLES.items()}
+    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
     return Look(
         seed=seed,
         tone=tone,
         eyes=_pick(random, eyes),
         hair=_greyed(random, hair, years),
-        style=_pick(random, _styles(tone, male)),
+        style=_pick(random, shares),
         redness=float(random.uniform(0.2, 0.8)),
         lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
         age=float((years - _YOUNG) / (_OLD - _YOUNG)),
@@ -165,22 +175,8 @@ def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> L
     )
 
 
-def _typical(weights: FloatArray, sex: float, years: float) -> FloatArray:
-    """Weights with the typical share of sex instead of a chance one, and with what age does."""
-    male, old = arrays("measures")["trait_weights"] * _STEP
-    across = male / np.linalg.norm(male)
-    aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
-    return np.asarray(weights + (sex - weights @ across) * across + aged * old)
-
-
 def _at(shares: Mapping[str, tuple[float, float, float]], tone: float) -> dict[str, float]:
     return {name: float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), own)) for name, own in shares.items()}
-
-
-def _styles(tone: float, male: bool) -> dict[str, float]:
-    shares = {name: own[male] for name, own in _STYLES.items()}
-    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
-    return shares
 
 
 def _greyed(random: np.random.Generator, hair: str, years: float) -> str:

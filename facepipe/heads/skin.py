@@ -175,20 +175,15 @@ def relief(look: Look, tile: int, size: int) -> FloatArray:
     fine = gaussian_filter(grain, 1.0 * scale) - gaussian_filter(grain, 2.8 * scale)
     height += 0.0016 * fine * _enlarged(skin, size) * (0.6 + 0.4 * pores)
     height += 0.010 * gaussian_filter(grain, (9 * scale, 1.6 * scale)) * _enlarged(m["lips"], size) * 2
-    height += _enlarged(_lines(look, tile), size)
+    # lines of forehead and neck
+    wave, y = _noise(look, tile, 2.6, 7), _enlarged(places[..., 1], 512)
+    across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
+    forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
+    rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
+    height += _enlarged(np.asarray(-0.022 * look.age * (forehead + 0.2 * rings)), size)
     slopes = -np.gradient(height, axis=1) / texel, np.gradient(height, axis=0) / texel
     up = np.float32(127.5) / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     normals = np.empty((size, size, 3), np.uint8)
     for axis, side in enumerate((*slopes, 1)):
         normals[..., axis] = 128 + side * up
     return np.asarray(normals)
-
-
-def _lines(look: Look, tile: int) -> FloatArray:
-    """(512, 512) height of the lines of forehead and neck, cm."""
-    m, wave = masks(tile), _noise(look, tile, 2.6, 7)
-    y = _enlarged(_places(tile)[..., 1], 512)
-    across = np.abs(np.sin(np.pi * (y + 0.18 * wave) / 0.95))
-    forehead = np.exp(-((across / 0.22) ** 2)) * m["forehead"] * (1 - m["scalp"])
-    rings = np.exp(-((np.abs(np.sin(np.pi * (y + 0.3 * wave) / 2.6)) / 0.12) ** 2)) * m["neck"]
-    return np.asarray(-0.022 * look.age * (forehead + 0.2 * rings))

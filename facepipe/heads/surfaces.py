@@ -47,7 +47,15 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
     head, *others = face.meshes
     if size is None:
         skins = [Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN]
-        head = replace(head, colors=_point_colors(look, head))
+        # (n, 3) linear colours of the head's points
+        uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
+        uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
+        tiles = np.stack([skin.coarse(look, tile, _STEP) for tile in range(len(SKIN))])
+        tile, side = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
+        head = replace(
+            head,
+            colors=np.asarray(tiles[tile, ((1 - uv[:, 1]) * side).astype(int), ((uv[:, 0] - tile) * side).astype(int)]),
+        )
         return replace(face, meshes=(head, *others), materials=(*skins, *_loose(look, textured=False)))
     skins = mapped(partial(_skin, look, size), range(len(SKIN)))
     hairs = {"Brows": ("brows", "eyebrows"), "Lashes": ("lashes", "eyes"), "Hair": (look.style, "forehead")}
@@ -55,15 +63,6 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
     drawn = {material.name for material in materials}
     grown = [card_mesh(name, cards(kind), head, at) for name, (kind, at) in hairs.items() if name in drawn]
     return replace(face, meshes=(*face.meshes, *grown), materials=materials)
-
-
-def _point_colors(look: Look, head: Mesh) -> FloatArray:
-    """(n, 3) linear colours of the head's points."""
-    uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
-    uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
-    tiles = np.stack([skin.coarse(look, tile, _STEP) for tile in range(len(SKIN))])
-    tile, size = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
-    return np.asarray(tiles[tile, ((1 - uv[:, 1]) * size).astype(int), ((uv[:, 0] - tile) * size).astype(int)])
 
 
 def _skin(look: Look, size: int, tile: int) -> Material:
@@ -170,12 +169,17 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
+    # (n, 3) those of the skin where cards lie on it, level and outwards where they hang
+    outwards = (held.carry(head.points) + held.offsets - head.points.mean(axis=0)) * [1, 0, 1]
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    lying = np.exp(-((np.linalg.norm(held.offsets, axis=1, keepdims=True) / _HANGING) ** 2))
+    normals = outwards + lying * (held.carry(point_normals(head.points, triangles)) - outwards)
     return Mesh(
         name=name,
         points=held.carry(head.points) + held.offsets,
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        normals=_normals(held, head.points, triangles),
+        normals=np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True)),
         uv_sets=(UvSet(values=held.uv),),
         skin=None if head.skin is None else _card_skin(held, head.skin),
         blendshapes=tuple(shape for shape in shapes if shape is not None),
@@ -214,15 +218,6 @@ def other_cards(mesh: Mesh, kind: str, head: Mesh) -> Mesh:
 def card_triangles(held: Cards) -> IntArray:
     """(t, 3) of a set of cards."""
     return point_triangles(*_faces(held.grid))
-
-
-def _normals(held: Cards, skin: FloatArray, triangles: IntArray) -> FloatArray:
-    """(n, 3) those of the skin where cards lie on it, level and outwards where they hang."""
-    outwards = (held.carry(skin) + held.offsets - skin.mean(axis=0)) * [1, 0, 1]
-    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
-    lying = np.exp(-((np.linalg.norm(held.offsets, axis=1, keepdims=True) / _HANGING) ** 2))
-    normals = outwards + lying * (held.carry(point_normals(skin, triangles)) - outwards)
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _faces(grid: tuple[int, int, int]) -> tuple[IntArray, IntArray]:

@@ -7,6 +7,7 @@ close to centimetres, and are taken as such. The eyeLook shapes of the model mov
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -307,11 +308,9 @@ def read(source: Path, options: Options) -> Imported:
     )
 
 
-def shape_name(name: str, arkit_names: bool) -> str:
-    """The face's name of a model's shape: with `arkit_names` a side suffix ``_L`` / ``_R`` is written Left / Right."""
-    if arkit_names and name.endswith(("_L", "_R")):
-        return name[:-2] + ("Left" if name.endswith("_L") else "Right")
-    return name
+def shape_name(name: str) -> str:
+    """ARKit's name of a model's shape: a side suffix ``_L`` / ``_R`` is written Left / Right."""
+    return re.sub("_L$", "Left", re.sub("_R$", "Right", name))
 
 
 def _mode(number: int) -> str:
@@ -320,7 +319,7 @@ def _mode(number: int) -> str:
 
 def _mesh(source: Path, name: str, model: IctModel, materials: IntArray, options: Options) -> Mesh:
     neutral = model.neutral
-    shapes = {shape_name(shape, options.arkit_names): offsets for shape, offsets in model.shapes.items()}
+    shapes = {shape_name(name) if options.arkit_names else name: offsets for name, offsets in model.shapes.items()}
     pieces = [part for part in PARTS if part.mesh == name]
     first, last = pieces[0].points[0], pieces[-1].points[1]
     faces = np.arange(pieces[0].faces[0], pieces[-1].faces[1])
@@ -351,7 +350,7 @@ _CAP = 0.1  # cm of depth at the front of an eyeball, the middle of which is on 
 
 
 def face_materials(model: IctModel) -> IntArray:
-    """(F,) index of every face's material in `ict_topology.MATERIALS`, -1 for none or an unknown one."""
+    """(F,) index of every face's material in `MATERIALS`, -1 for none or an unknown one."""
     names = list(MATERIALS)
     number = np.array([names.index(name) if name in names else -1 for name in model.neutral.materials] + [-1])
     materials = number[model.neutral.face_material]
@@ -426,7 +425,12 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
     """
     count = max(part.points[1] for part in PARTS if part.mesh == "Head")
     landmarks = neutral[list(LANDMARKS)]
-    distances = np.stack([_distance(neutral[:count], landmarks, bundle) for bundle in _BUNDLES.values()])
+    distances = np.empty((len(_BUNDLES), count))
+    for own, bundle in zip(distances, _BUNDLES.values(), strict=True):
+        places = [[landmarks[at] if isinstance(at, int) else np.array(at) for at in line] for line in bundle.lines]
+        segments = [segment for line in places for segment in itertools.pairwise(line)]
+        own[:] = np.min([to_segment(neutral[:count], *segment) for segment in segments], axis=0) - bundle.radius
+    # exp(-d / blend) of the distance beyond that of the nearest region: half as much after 0.24 cm
     masks = np.exp(-(distances - distances.min(axis=0)) / _BLEND)
     masks[masks < 0.01] = 0.0  # far regions are exactly absent
     masks /= masks.sum(axis=0)
@@ -434,9 +438,3 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
         if part.mesh == "Head" and part.region:
             masks[:, slice(*part.points)] = np.array([name == part.region for name in REGIONS])[:, None]
     return dict(zip(REGIONS, masks, strict=True))
-
-
-def _distance(points: FloatArray, landmarks: FloatArray, bundle: _Bundle) -> FloatArray:
-    places = [[landmarks[spot] if isinstance(spot, int) else np.array(spot) for spot in line] for line in bundle.lines]
-    segments = [(a, b) for line in places for a, b in itertools.pairwise(line)]
-    return np.asarray(np.min([to_segment(points, a, b) for a, b in segments], axis=0) - bundle.radius)

@@ -135,13 +135,19 @@ def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[st
     counts = np.full(len(faces), 4, dtype=np.int32)
     indices = place[data["faces"][faces]].ravel()
     head = kind == "skin"
+    # influences by descending weight, as many as the point with most has
+    dense = data["skin_weights"][chosen]
+    influences = max(int((dense > 0).sum(axis=1).max(initial=1)), 1)
+    joints = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(dense, joints, axis=1).astype(np.float64)
+    weights /= weights.sum(axis=1, keepdims=True)
     return Mesh(
         name=name,
         points=points[chosen],
         face_vertex_counts=counts,
         face_vertex_indices=indices,
         uv_sets=(compact_uvs(data["uv"].astype(np.float64), data["face_uv"][faces].ravel()),),
-        skin=_skin(data["skin_weights"][chosen]),
+        skin=Skin(joint_indices=np.where(weights > 0, joints, 0).astype(np.int32), joint_weights=weights),
         blendshapes=sparse_shapes(shapes, chosen, threshold=0.0),
         regions=_skin_regions(data) if head else whole_region(_REGIONS, region, len(chosen)),
         landmarks={"multipie68": Landmarks(indices=landmark_points(data))} if head else {},
@@ -149,15 +155,6 @@ def _mesh(data: MakeHumanData, kind: str, points: FloatArray, shapes: Mapping[st
         material=material,
         double_sided=material == "Eyelashes",
     )
-
-
-def _skin(dense: FloatArray) -> Skin:
-    """Influences by descending weight, as many as the point with most has."""
-    influences = max(int((dense > 0).sum(axis=1).max(initial=1)), 1)
-    joints = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
-    weights = np.take_along_axis(dense, joints, axis=1).astype(np.float64)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return Skin(joint_indices=np.where(weights > 0, joints, 0).astype(np.int32), joint_weights=weights)
 
 
 # fmt: off
@@ -205,7 +202,14 @@ def _skin_regions(data: MakeHumanData) -> dict[str, FloatArray]:
     if set(names) != set(_REGIONS):
         raise InputError(f"{data.path} -> region_names", f"are {', '.join(names)}, expected {', '.join(_REGIONS)}")
     strength = data["region_strength"][[names.index(name) for name in _REGIONS]][:, skin].astype(np.float64)
-    neck = _neck_share(data)[skin]
+    # the neck is what follows bones that are not below the head
+    bones = data.names("bone_names")
+    if "head" not in bones:
+        raise InputError(f"{data.path} -> bone_names", "no bone head there")
+    in_head = np.zeros(len(bones), dtype=bool)
+    for bone, parent in enumerate(data["bone_parent"].tolist()):
+        in_head[bone] = bones[bone] == "head" or (parent >= 0 and in_head[parent])
+    neck = np.clip(data["skin_weights"][:, ~in_head].astype(np.float64).sum(axis=1), 0.0, 1.0)[skin]
     strength[_REGIONS.index("neck")] = 0.0
     points = data["vertices"][skin]
     # raise eyes (where the nearest point that targets shape is one of eyes) or forehead to `_WEAK`, in place
@@ -223,14 +227,3 @@ def _skin_regions(data: MakeHumanData) -> dict[str, FloatArray]:
     masks *= (1.0 - neck) / masks.sum(axis=0)
     masks[_REGIONS.index("neck")] = neck
     return dict(zip(_REGIONS, masks, strict=True))
-
-
-def _neck_share(data: MakeHumanData) -> FloatArray:
-    names = data.names("bone_names")
-    if "head" not in names:
-        raise InputError(f"{data.path} -> bone_names", "no bone head there")
-    in_head = np.zeros(len(names), dtype=bool)
-    for bone, parent in enumerate(data["bone_parent"].tolist()):
-        in_head[bone] = names[bone] == "head" or (parent >= 0 and in_head[parent])
-    share = data["skin_weights"][:, ~in_head].astype(np.float64).sum(axis=1)
-    return np.asarray(np.clip(share, 0.0, 1.0))

@@ -133,7 +133,21 @@ def read_data(path: Path) -> MakeHumanData:
     :raises TopologyError: a face that joins vertices of two kinds
     """
     data = MakeHumanData(path, read_arrays(path, _FIELDS, {}))
-    _check_mesh(data)
+    for name, limit in (
+        ("faces", len(data["vertices"])),
+        ("face_uv", len(data["uv"])),
+        ("vertex_kind", len(data["vertex_kind_names"])),
+        ("face_kind", len(data["vertex_kind_names"])),
+    ):
+        check_indices(f"{path} -> {name}", data[name], limit)
+    _check_unique(data, "vertex_kind_names")
+    if "skin" not in data.names("vertex_kind_names"):
+        raise InputError(f"{path} -> vertex_kind_names", "no kind skin there")
+    mixed = (data["vertex_kind"][data["faces"]] != data["face_kind"][:, None]).any(axis=1)
+    if mixed.any():
+        raise TopologyError(f"{path} -> faces", f"face {int(np.argmax(mixed))} joins vertices of two kinds")
+    if (data["region_strength"] < 0).any():
+        raise InputError(f"{path} -> region_strength", "negative strength, expected 0 or more")
     parents = data["bone_parent"]
     if len(parents) == 0 or parents[0] != -1 or (parents >= np.arange(len(parents))).any() or parents.min() < -1:
         raise InputError(f"{data.path} -> bone_parent", "expected a root first and every parent before its children")
@@ -154,25 +168,6 @@ def read_data(path: Path) -> MakeHumanData:
     return data
 
 
-def _check_mesh(data: MakeHumanData) -> None:
-    count = len(data["vertices"])
-    for name, limit in (
-        ("faces", count),
-        ("face_uv", len(data["uv"])),
-        ("vertex_kind", len(data["vertex_kind_names"])),
-        ("face_kind", len(data["vertex_kind_names"])),
-    ):
-        check_indices(f"{data.path} -> {name}", data[name], limit)
-    _check_unique(data, "vertex_kind_names")
-    if "skin" not in data.names("vertex_kind_names"):
-        raise InputError(f"{data.path} -> vertex_kind_names", "no kind skin there")
-    mixed = (data["vertex_kind"][data["faces"]] != data["face_kind"][:, None]).any(axis=1)
-    if mixed.any():
-        raise TopologyError(f"{data.path} -> faces", f"face {int(np.argmax(mixed))} joins vertices of two kinds")
-    if (data["region_strength"] < 0).any():
-        raise InputError(f"{data.path} -> region_strength", "negative strength, expected 0 or more")
-
-
 def _check_offsets(data: MakeHumanData, name: str, end: int, at_least: int) -> None:
     offsets = data[name].astype(np.int64)
     if offsets[0] != 0 or offsets[-1] != end or (np.diff(offsets) < at_least).any():
@@ -190,11 +185,23 @@ def read_skeleton(data: MakeHumanData, points: FloatArray) -> Skeleton:
 
     :raises InputError: the points leave a bone without length or rotation plane
     """
-    # (B, 4, 4) world matrices: Y along the bone, Z the normal of its rotation plane made orthogonal to Y, at its head.
-    # The points of a rotation plane are joints, and move with them. Where one is no joint of the head (those of
-    # clavicles and arms), it stays where it is on the base mesh.
-    heads, tails = (_joint_positions(data, end, points) for end in ("head", "tail"))
-    plane = _plane_points(data, np.concatenate([heads, tails]))
+    # joints are means of the vertices that define every bone's head and tail
+    ends = []
+    for end in ("head", "tail"):
+        offsets = data[f"bone_{end}_vertices_offset"].astype(np.int64)
+        sums = np.add.reduceat(points[data[f"bone_{end}_vertices"]], offsets[:-1], axis=0)
+        ends.append(sums / np.diff(offsets)[:, None])
+    heads, tails = ends
+    # the points of a rotation plane follow the joint (own head and tail first) that they coincide with on the base
+    # mesh; one that is no joint of the head (those of clavicles and arms) stays where it is
+    base, joints = np.concatenate([data["bone_head"], data["bone_tail"]]).astype(np.float64), np.concatenate(ends)
+    plane = data["bone_plane_points"].astype(np.float64)
+    for bone, corner in np.ndindex(len(heads), 3):
+        same = np.linalg.norm(base - plane[bone, corner], axis=1) < _SAME_PLACE
+        candidates = [joint for joint in (bone, bone + len(heads), *np.flatnonzero(same)) if same[joint]]
+        if candidates:
+            plane[bone, corner] = joints[candidates[0]]
+    # (B, 4, 4) world matrices: Y along the bone, Z the normal of its rotation plane made orthogonal to Y, at its head
     y = _unit(data, tails - heads, "length")
     normal = np.cross(plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 1])
     z = _unit(data, normal - y * (y * normal).sum(axis=1, keepdims=True), "rotation plane")
@@ -206,23 +213,10 @@ def read_skeleton(data: MakeHumanData, points: FloatArray) -> Skeleton:
     local[1:] = np.linalg.solve(world[np.maximum(parents[1:], 0)], world[1:])
     local[parents < 0] = world[parents < 0]
     names = tuple(data.names("bone_names"))
-    return Skeleton(joints=joint_paths(data), joint_names=names, bind_transforms=world, rest_transforms=local)
-
-
-def joint_paths(data: MakeHumanData) -> tuple[str, ...]:
-    """Paths like ``root/spine05/.../jaw``; a dot in a name becomes an underscore."""
-    names = unique_identifiers(data.names("bone_names"))
-    paths: list[str] = []
-    for name, parent in zip(names, data["bone_parent"].tolist(), strict=True):
+    paths: list[str] = []  # like root/spine05/.../jaw; a dot in a name becomes an underscore
+    for name, parent in zip(unique_identifiers(names), parents.tolist(), strict=True):
         paths.append(name if parent < 0 else f"{paths[parent]}/{name}")
-    return tuple(paths)
-
-
-def _joint_positions(data: MakeHumanData, end: str, points: FloatArray) -> FloatArray:
-    """(B, 3) means of the vertices that define every bone's `end` (``head`` or ``tail``)."""
-    offsets = data[f"bone_{end}_vertices_offset"].astype(np.int64)
-    sums = np.add.reduceat(points[data[f"bone_{end}_vertices"]], offsets[:-1], axis=0)
-    return np.asarray(sums / np.diff(offsets)[:, None])
+    return Skeleton(joints=tuple(paths), joint_names=names, bind_transforms=world, rest_transforms=local)
 
 
 def pose_units(data: MakeHumanData, skeleton: Skeleton) -> tuple[Animation, ...]:
@@ -241,40 +235,23 @@ def pose_units(data: MakeHumanData, skeleton: Skeleton) -> tuple[Animation, ...]
     animations = []
     for name, vectors in zip(names, data["poseunit_rotvec"].astype(np.float64), strict=True):
         turned = Rotation.from_rotvec(vectors).as_matrix() @ axes
-        animations.append(_pose(name, skeleton, np.swapaxes(parent_axes, 1, 2) @ turned))
+        rotations = np.swapaxes(parent_axes, 1, 2) @ turned
+        local = skeleton.rest_transforms.copy()
+        local[:, :3, :3] = rotations
+        coefficients = matrix_coefficients(np.linalg.solve(skeleton.rest_transforms, local))
+        coefficients[:, :3] = 0.0  # a pose unit only turns; this clears rounding
+        coefficients[:, 6:] = 1.0
+        animations.append(
+            Animation(
+                name=name,
+                joints=skeleton.joints,
+                translations=local[None, :, :3, 3],
+                rotations=Rotation.from_matrix(rotations).as_quat(canonical=True)[None],
+                scales=np.ones((1, len(local), 3)),
+                coefficients=coefficients[None],
+            )
+        )
     return tuple(animations)
-
-
-def _pose(name: str, skeleton: Skeleton, rotations: FloatArray) -> Animation:
-    from scipy.spatial.transform import Rotation
-
-    local = skeleton.rest_transforms.copy()
-    local[:, :3, :3] = rotations
-    coefficients = matrix_coefficients(np.linalg.solve(skeleton.rest_transforms, local))
-    coefficients[:, :3] = 0.0  # a pose unit only turns; this clears rounding
-    coefficients[:, 6:] = 1.0
-    return Animation(
-        name=name,
-        joints=skeleton.joints,
-        translations=local[None, :, :3, 3],
-        rotations=Rotation.from_matrix(rotations).as_quat(canonical=True)[None],
-        scales=np.ones((1, len(local), 3)),
-        coefficients=coefficients[None],
-    )
-
-
-def _plane_points(data: MakeHumanData, joints: FloatArray) -> FloatArray:
-    """(B, 3, 3): each plane point follows the joint (own head and tail first) that it coincides with on the base."""
-    base = np.concatenate([data["bone_head"], data["bone_tail"]]).astype(np.float64)
-    count = len(base) // 2
-    points = data["bone_plane_points"].astype(np.float64)
-    for bone in range(count):
-        for corner in range(3):
-            same = np.linalg.norm(base - points[bone, corner], axis=1) < _SAME_PLACE
-            candidates = [joint for joint in (bone, bone + count, *np.flatnonzero(same)) if same[joint]]
-            if candidates:
-                points[bone, corner] = joints[candidates[0]]
-    return points
 
 
 def _unit(data: MakeHumanData, vectors: FloatArray, what: str) -> FloatArray:
@@ -319,21 +296,29 @@ def _sliders(units: Mapping[str, Sequence[str]], data: MakeHumanData, skeleton: 
     sliders = []
     for name, unit_names in units.items():
         knots = _knots([np.einsum("bji,bj->bi", axes, vectors[numbers[unit]]) for unit in unit_names])
-        entries = [
-            entry
-            for joint, channel in np.argwhere(np.abs(knots).max(axis=0) > _NOTHING).tolist()
-            for entry in _entries(skeleton.joints[joint], CHANNELS[3 + channel], knots[:, joint, channel])
-        ]
-        if entries:
-            curves = tuple(curve for _, curve in entries)
+        channels: list[tuple[str, str, float]] = []
+        curves: list[Curve | None] = []
+        values = np.linspace(0.0, 1.0, len(knots)).tolist()
+        for joint, channel in np.argwhere(np.abs(knots).max(axis=0) > _NOTHING).tolist():
+            angles, driven = knots[:, joint, channel], (skeleton.joints[joint], CHANNELS[3 + channel])
+            if len(angles) == 2:
+                channels.append((*driven, float(angles[1])))
+                curves.append(None)
+                continue
+            # curves never turn back: an angle that does is the sum of what rises and what falls
+            for sign in (1.0, -1.0):
+                risen = np.concatenate([[0.0], np.cumsum(np.maximum(sign * np.diff(angles), 0.0))])
+                if risen[-1] > _NOTHING:
+                    channels.append((*driven, float(sign * risen[-1])))
+                    curves.append(tuple(zip(values, (risen / risen[-1]).tolist(), strict=True)))
+        if channels:
+            group = (group for group, words in _GROUPS.items() if any(word in unit_names[0] for word in words))
             sliders.append(
                 Slider(
                     name=name,
-                    group=next(
-                        (group for group, words in _GROUPS.items() if any(w in unit_names[0] for w in words)), ""
-                    ),
-                    channels=tuple(channel for channel, _ in entries),
-                    channel_curves=curves if any(curves) else (),
+                    group=next(group, ""),
+                    channels=tuple(channels),
+                    channel_curves=tuple(curves) if any(curves) else (),
                     mirror=other_side(name) if other_side(name) != name else None,
                 )
             )
@@ -365,18 +350,3 @@ def _angles(turns: Sequence[FloatArray], pieces: int) -> FloatArray:
         rotated = Rotation.from_rotvec((values[:, None, None] * vectors).reshape(-1, 3)).as_matrix()
         matrices[..., :3, :3] = matrices[..., :3, :3] @ rotated.reshape(*matrices.shape[:2], 3, 3)
     return np.asarray(matrix_coefficients(matrices)[..., 3:6])
-
-
-def _entries(joint: str, channel: str, angles: FloatArray) -> list[tuple[tuple[str, str, float], Curve | None]]:
-    """What adds up to an angle at even values: one entry, or what rises and what falls where it turns back."""
-    if len(angles) == 2:
-        return [((joint, channel, float(angles[1])), None)]
-    values = np.linspace(0.0, 1.0, len(angles))
-    steps = np.diff(angles)
-    entries: list[tuple[tuple[str, str, float], Curve | None]] = []
-    for sign in (1.0, -1.0):
-        risen = np.concatenate([[0.0], np.cumsum(np.maximum(sign * steps, 0.0))])
-        if risen[-1] > _NOTHING:
-            curve = tuple(zip(values.tolist(), (risen / risen[-1]).tolist(), strict=True))
-            entries.append(((joint, channel, float(sign * risen[-1])), curve))
-    return entries

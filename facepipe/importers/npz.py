@@ -130,7 +130,8 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, field: Field, sizes
         raise InputError(where, f"array is damaged ({error})") from error
     if dtype.kind not in _KINDS[field.kind]:
         raise InputError(where, f"array of type {dtype}, expected {field.kind}")
-    wanted = tuple(_size(axis, sizes) for axis in field.shape)
+    known = {**sizes, **{f"{base}+1": size + 1 for base, size in sizes.items()}}
+    wanted = tuple(axis if isinstance(axis, int) else known.get(axis) for axis in field.shape)
     fits = len(shape) == len(wanted) and all(w in (None, s) for s, w in zip(shape, wanted, strict=True))
     if not fits or any(size < 0 for size in shape):
         named = ", ".join(str(axis if size is None else size) for axis, size in zip(field.shape, wanted, strict=True))
@@ -147,7 +148,18 @@ def _array(where: str, archive: zipfile.ZipFile, member: _Member) -> npt.NDArray
     try:
         with archive.open(member.info) as stream:
             _header(stream)
-            array = _read(where, stream, np.dtype("u1") if member.dtype.kind == "b" else member.dtype, member.shape)
+            # flat, and read in pieces, for no copy of all of them
+            array = np.empty(math.prod(member.shape), np.dtype("u1") if member.dtype.kind == "b" else member.dtype)
+            left = memoryview(array.view(np.uint8).data) if array.nbytes else memoryview(b"")
+            while len(left):
+                data = stream.read(min(len(left), _PIECE))
+                if not data:
+                    what = f"{array.nbytes - len(left)} bytes of data, its header says {array.nbytes}"
+                    raise InputError(where, what)
+                left[: len(data)] = data
+                left = left[len(data) :]
+            if stream.read(1):  # reaching the end makes zipfile check the sum
+                raise InputError(where, f"more data than the {array.nbytes} bytes its header says")
         array = array != 0 if member.dtype.kind == "b" else array.astype(array.dtype.newbyteorder("="), copy=False)
         if array.dtype.kind == "f":
             for start in range(0, len(array), _PIECE):  # in pieces: no mask as large as the array
@@ -160,21 +172,6 @@ def _array(where: str, archive: zipfile.ZipFile, member: _Member) -> npt.NDArray
     except _DAMAGE as error:
         raise InputError(where, f"array is damaged ({error})") from error
     return array.reshape(member.shape, order="F" if member.fortran else "C")
-
-
-def _read(where: str, stream: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
-    """The numbers of a stream at its data, flat; read in pieces, for no copy of all of them."""
-    array = np.empty(math.prod(shape), dtype)
-    left = memoryview(array.view(np.uint8).data) if array.nbytes else memoryview(b"")
-    while len(left):
-        data = stream.read(min(len(left), _PIECE))
-        if not data:
-            raise InputError(where, f"{array.nbytes - len(left)} bytes of data, its header says {array.nbytes}")
-        left[: len(data)] = data
-        left = left[len(data) :]
-    if stream.read(1):  # reaching the end makes zipfile check the sum
-        raise InputError(where, f"more data than the {array.nbytes} bytes its header says")
-    return array
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
@@ -192,15 +189,6 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         raise ValueError("its header doesn't describe a plain array")
     shape = tuple(int(number) for number in match["shape"].split(",") if number.strip())
     return shape, match["fortran"] == "True", np.dtype(match["type"])
-
-
-def _size(axis: int | str, sizes: Mapping[str, int]) -> int | None:
-    if isinstance(axis, int):
-        return axis
-    if axis.endswith("+1"):
-        base = sizes.get(axis[:-2])
-        return None if base is None else base + 1
-    return sizes.get(axis)
 
 
 def check_indices(where: str, indices: npt.NDArray[np.integer], count: int) -> None:

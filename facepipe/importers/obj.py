@@ -45,34 +45,29 @@ def read_landmarks(path: Path, point_count: int) -> dict[str, Landmarks]:
     content = read_json(path, _MOST_BYTES)
     if isinstance(content, Mapping) and "indices" in content:
         names, points = content.get("names"), content["indices"]
-        content = {str(content.get("scheme", _DEFAULT)): _paired(path, names, points) if names else points}
+        if names:
+            texts = isinstance(names, list) and all(isinstance(name, str) for name in names)
+            paired = dict(zip(names, points, strict=False)) if texts and isinstance(points, list) else {}
+            if not (paired and len(paired) == len(names) == len(points)):
+                raise InputError(path, "expected as many different names as indices")
+            points = paired
+        content = {str(content.get("scheme", _DEFAULT)): points}
     elif not isinstance(content, Mapping) or not any(isinstance(value, list | Mapping) for value in content.values()):
         content = {_DEFAULT: content}
-    return {
-        scheme: _landmarks(f"{path} -> {ascii(scheme)[:40]}", scheme, content[scheme], point_count)
-        for scheme in content
-    }
-
-
-def _paired(path: Path, names: object, points: object) -> dict[str, object]:
-    if isinstance(names, list) and isinstance(points, list) and all(isinstance(name, str) for name in names):
-        paired = dict(zip(names, points, strict=False))
-        if len(paired) == len(names) == len(points):
-            return paired
-    raise InputError(path, "expected as many different names as indices")
-
-
-def _landmarks(where: str, scheme: str, value: object, point_count: int) -> Landmarks:
-    if not (scheme.isascii() and scheme.isidentifier()):
-        raise InputError(where, "expected a scheme name of letters, digits and underscores")
-    names = tuple(value) if isinstance(value, Mapping) else ()
-    points = list(value.values()) if isinstance(value, Mapping) else value
-    if not isinstance(points, list) or not points:
-        raise InputError(where, "expected a list of points, or an object of name and point")
-    for point in points:
-        if isinstance(point, bool) or not isinstance(point, int) or not 0 <= point < point_count:
-            raise InputError(where, f"point {str(point)[:40]}, expected a whole number from 0 to {point_count - 1}")
-    return Landmarks(indices=np.array(points, dtype=np.int32), names=names)
+    schemes = {}
+    for scheme, value in content.items():
+        where = f"{path} -> {ascii(scheme)[:40]}"
+        if not (scheme.isascii() and scheme.isidentifier()):
+            raise InputError(where, "expected a scheme name of letters, digits and underscores")
+        points = list(value.values()) if isinstance(value, Mapping) else value
+        if not isinstance(points, list) or not points:
+            raise InputError(where, "expected a list of points, or an object of name and point")
+        for point in points:
+            if isinstance(point, bool) or not isinstance(point, int) or not 0 <= point < point_count:
+                raise InputError(where, f"point {str(point)[:40]}, expected a whole number from 0 to {point_count - 1}")
+        names = tuple(value) if isinstance(value, Mapping) else ()
+        schemes[scheme] = Landmarks(indices=np.array(points, dtype=np.int32), names=names)
+    return schemes
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -142,7 +137,17 @@ def _meshes(
     options: Options,
     warnings: list[str],
 ) -> tuple[Mesh, ...]:
-    pieces = _pieces(neutral)
+    pieces = [_Piece("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
+    objects, of_corner = np.unique(neutral.face_object), np.repeat(neutral.face_object, neutral.face_vertex_counts)
+    points = [np.unique(neutral.face_vertex_indices[of_corner == number]) for number in objects]
+    # objects that share points stay one mesh: their border would open as either moves
+    if len(objects) > 1 and sum(map(len, points)) == len(np.unique(neutral.face_vertex_indices)):
+        pieces = [
+            _Piece(
+                neutral.objects[number] if number >= 0 else "Head", own, np.flatnonzero(neutral.face_object == number)
+            )
+            for number, own in zip(objects, points, strict=True)
+        ]
     names = handles([piece.name for piece in pieces], "Mesh")
     used = sum(len(piece.points) for piece in pieces)
     if used < len(neutral.points):
@@ -165,22 +170,6 @@ class _Piece(NamedTuple):
     name: str
     points: IntArray
     faces: IntArray
-
-
-def _pieces(neutral: Obj) -> list[_Piece]:
-    """Points and faces of every mesh."""
-    whole = [_Piece("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
-    objects = np.unique(neutral.face_object)
-    if len(objects) < 2:
-        return whole
-    of_corner = np.repeat(neutral.face_object, neutral.face_vertex_counts)
-    pieces, taken = [], 0
-    for number in objects:
-        points = np.unique(neutral.face_vertex_indices[of_corner == number])
-        taken += len(points)
-        name = neutral.objects[number] if number >= 0 else "Head"
-        pieces.append(_Piece(name, points, np.flatnonzero(neutral.face_object == number)))
-    return pieces if taken == len(np.unique(neutral.face_vertex_indices)) else whole
 
 
 def _mesh(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,26 +75,22 @@ def _read_table(path: Path) -> dict[str, str]:
     :raises InputError: another suffix, no such table, a name that is empty or holds a NUL, an old name twice, or two
         with one new name
     """
-    suffix = path.suffix.lower()
-    if suffix == ".json":
-        return _checked(path, [(old, new, f"'{old[:60]}'") for old, new in read_json_object(path, MAX_BYTES).items()])
-    if suffix == ".csv":
+    rows: list[tuple[str, object, str]] = []
+    if path.suffix.lower() == ".json":
+        rows = [(old, new, f"'{old[:60]}'") for old, new in read_json_object(path, MAX_BYTES).items()]
+    elif path.suffix.lower() == ".csv":
         try:
             text = read_bytes(path, MAX_BYTES).decode("utf-8-sig")
-            rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+            lines = list(csv.reader(io.StringIO(text, newline=""), strict=True))
         except (UnicodeDecodeError, csv.Error) as error:
             raise InputError(path, f"no CSV in UTF-8 ({error}), expected two columns, old and new") from None
-        pairs = []
-        for number, row in enumerate(rows, 1):
+        for number, row in enumerate(lines, 1):
             if len(row) != 2 and row:
                 raise InputError(f"{path} -> row {number}", f"{len(row)} columns, expected two: old,new")
             if row and not (number == 1 and tuple(one.strip().lower() for one in row) == _HEADER):
-                pairs.append((row[0], row[1], f"row {number}"))
-        return _checked(path, pairs)
-    raise InputError(path, f"suffix '{path.suffix}', expected .json or .csv with old and new names")
-
-
-def _checked(path: Path, rows: Iterable[tuple[str, object, str]]) -> dict[str, str]:
+                rows.append((row[0], row[1], f"row {number}"))
+    else:
+        raise InputError(path, f"suffix '{path.suffix}', expected .json or .csv with old and new names")
     names: dict[str, str] = {}
     owners: dict[str, str] = {}
     for old, new, at in rows:

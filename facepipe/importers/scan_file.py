@@ -28,7 +28,6 @@ from facepipe.importers.scan_ply import read_ply
 from facepipe.importers.wavefront import MAX_BYTES, material_faces, read_materials, read_obj, read_text
 from facepipe.parts import Material, Mesh, TextureInput, UvSet
 from facepipe.scans import Scan, ScanPicture, ScanTexture
-from facepipe.stage.imported import Imported
 
 _NOWHERE = logging.NullHandler()
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
@@ -113,7 +112,23 @@ def read_scan(path: Path) -> Scan:
     if path.suffix.lower() not in READERS:
         raise InputError(path, f"suffix '{path.suffix}', expected one of {', '.join(READERS)}")
     try:
-        scan = _merged(READERS[path.suffix.lower()](path))
+        scan = READERS[path.suffix.lower()](path)
+        # points at one place are one point, with the first one's normal and colour; triangles that collapse are dropped
+        first, of_point = merge_points(scan.points)
+        if len(first) < len(scan.points):
+            triangles = of_point[scan.triangles]
+            a, b, c = triangles.T
+            whole = (a != b) & (b != c) & (c != a)
+            if len(triangles) and not whole.any():
+                raise InputError(scan.name, "all triangles are degenerate, expected a surface")
+            scan = replace(
+                scan,
+                points=scan.points[first],
+                triangles=triangles[whole].astype(np.int32),
+                normals=None if scan.normals is None else scan.normals[first],
+                colors=None if scan.colors is None else scan.colors[first],
+                texture=None if scan.texture is None else scan.texture.on_triangles(whole),
+            )
     except FacepipeError as error:
         raise error if str(path) in str(error) else error.under(path) from None
     if not np.isfinite(scan.points).all() or np.abs(scan.points).max() > LARGEST:
@@ -123,70 +138,30 @@ def read_scan(path: Path) -> Scan:
     return scan
 
 
-def _merged(scan: Scan) -> Scan:
-    """Points at one place as one point, with the first one's normal and colour; triangles that collapse are dropped."""
-    first, of_point = merge_points(scan.points)
-    if len(first) == len(scan.points):
-        return scan
-    triangles = of_point[scan.triangles]
-    a, b, c = triangles.T
-    whole = (a != b) & (b != c) & (c != a)
-    kept = triangles[whole]
-    if len(triangles) and not len(kept):
-        raise InputError(scan.name, "all triangles are degenerate, expected a surface")
-    return replace(
-        scan,
-        points=scan.points[first],
-        triangles=kept.astype(np.int32),
-        normals=None if scan.normals is None else scan.normals[first],
-        colors=None if scan.colors is None else scan.colors[first],
-        texture=None if scan.texture is None else scan.texture.on_triangles(whole),
-    )
-
-
 def _read_obj(path: Path) -> Scan:
-    obj = read_obj(path)
-    colors = None if obj.colors is None else _obj_colors(obj.colors)
+    obj, colors = read_obj(path), None
+    if obj.colors is not None:  # files hold sRGB, most in 0..1 and some in 0..255
+        colors = from_srgb(np.clip(obj.colors / (255.0 if obj.colors.max() > 1.0 else 1.0), 0.0, 1.0))
     if not len(obj.face_vertex_counts):
         return Scan(name=path.stem, points=obj.points, colors=colors)
     library = read_materials(path, obj.libraries)
-    materials = {name: one for name, one in library.materials.items() if name in obj.materials}
-    uv_sets = () if obj.uv_indices is None else (UvSet(values=obj.uvs, indices=obj.uv_indices),)
-    scan = _scan_of(
-        [
-            Mesh(
-                name="Scan",
-                points=obj.points,
-                face_vertex_counts=obj.face_vertex_counts,
-                face_vertex_indices=obj.face_vertex_indices,
-                uv_sets=uv_sets,
-                colors=colors,
-                material_faces=material_faces(obj.materials, obj.face_material),
-            )
-        ],
-        materials,
-        path.stem,
+    mesh = Mesh(
+        name="Scan",
+        points=obj.points,
+        face_vertex_counts=obj.face_vertex_counts,
+        face_vertex_indices=obj.face_vertex_indices,
+        uv_sets=() if obj.uv_indices is None else (UvSet(values=obj.uvs, indices=obj.uv_indices),),
+        colors=colors,
+        material_faces=material_faces(obj.materials, obj.face_material),
     )
-    return replace(scan, warnings=tuple(library.warnings))
+    materials = {name: one for name, one in library.materials.items() if name in obj.materials}
+    return replace(_scan_of([mesh], materials, path.stem), warnings=tuple(library.warnings))
 
 
-def _obj_colors(values: FloatArray) -> FloatArray:
-    """Linear colours: files hold sRGB, most in 0..1 and some in 0..255."""
-    top = 255.0 if values.max() > 1.0 else 1.0
-    return from_srgb(np.clip(values / top, 0.0, 1.0))
-
-
-def _read_gltf(path: Path) -> Scan:
-    return _scan_of_imported(load("gltf", path), path.stem)
-
-
-def _read_usd(path: Path) -> Scan:
-    return _scan_of_imported(load("usd", path), path.stem)
-
-
-def _scan_of_imported(imported: Imported, name: str) -> Scan:
+def _read_face(path: Path) -> Scan:
+    imported = load("gltf" if path.suffix.lower() in (".glb", ".gltf") else "usd", path)
     materials = {material.name: material for material in imported.parts.materials}
-    return replace(_scan_of(list(imported.parts.meshes), materials, name), warnings=imported.warnings)
+    return replace(_scan_of(list(imported.parts.meshes), materials, path.stem), warnings=imported.warnings)
 
 
 def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> Scan:
@@ -203,13 +178,14 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         triangles.append(corners.reshape(-1, 3)[:, order] + start)
         textured.add(mesh, materials, order)
         own = _point_colors(mesh, materials)
-        colors.append(None if own is None else own[used])
+        colors.append(np.full((len(used), 3), 0.18) if own is None else own[used])  # mid grey beside others' colours
         start += len(used)
+    joined = np.concatenate(colors)
     return Scan(
         name=name,
         points=np.concatenate(points),
         triangles=np.concatenate(triangles).astype(np.int32),
-        colors=_joined_colors(colors, [len(point) for point in points]),
+        colors=None if np.ptp(joined, axis=0).max() < _PLAIN else joined,
         texture=textured.texture(),
     )
 
@@ -258,24 +234,12 @@ class _Textured:
         return ScanTexture(uvs=uvs, picture=numbers, pictures=tuple(self._pictures))
 
 
-def _joined_colors(colors: list[FloatArray | None], counts: list[int]) -> FloatArray | None:
-    """Colours of all points, mid grey where only others have some; None where none has, or all have the same."""
-    grey = [np.full((count, 3), 0.18) for count in counts]
-    joined = np.concatenate([plain if one is None else one for one, plain in zip(colors, grey, strict=True)])
-    return None if np.ptp(joined, axis=0).max() < _PLAIN else joined
-
-
 READERS: dict[str, Callable[[Path], Scan]] = {
     ".ply": read_ply,
     ".obj": _read_obj,
     ".stl": read_stl,
     ".off": read_off,
-    ".glb": _read_gltf,
-    ".gltf": _read_gltf,
-    ".usda": _read_usd,
-    ".usdc": _read_usd,
-    ".usd": _read_usd,
-    ".usdz": _read_usd,
+    **dict.fromkeys((".glb", ".gltf", ".usda", ".usdc", ".usd", ".usdz"), _read_face),
 }
 
 
@@ -289,7 +253,11 @@ def _point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | No
     """
     if mesh.colors is not None:
         return np.clip(np.asarray(mesh.colors, dtype=np.float64), 0.0, 1.0)
-    corner = _corners(mesh)
+    used, first = np.unique(mesh.face_vertex_indices, return_index=True)
+    corner = np.full(
+        len(mesh.points), -1, np.int64
+    )  # a face corner of every point, the first; -1 for points of no face
+    corner[used] = first
     named = [(material_face.material, material_face.faces) for material_face in mesh.material_faces]
     faces = np.repeat(np.arange(len(mesh.face_vertex_counts)), mesh.face_vertex_counts)
     colors = np.full((len(mesh.points), 3), np.nan)
@@ -311,14 +279,6 @@ def _point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | No
     return np.asarray(np.clip(colors, 0.0, 1.0))
 
 
-def _corners(mesh: Mesh) -> IntArray:
-    """(n,) a face corner of every point, the first; -1 for points of no face."""
-    points, first = np.unique(mesh.face_vertex_indices, return_index=True)
-    corner = np.full(len(mesh.points), -1, np.int64)
-    corner[points] = first
-    return corner
-
-
 def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: IntArray) -> FloatArray | None:
     """(k, 3) colours at `points`."""
     color = material.diffuse_color
@@ -333,13 +293,9 @@ def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: 
     image = open_image(color.texture.data, where)
     factor = int(np.sqrt(image.width * image.height / max(most, 1)))
     texels = from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
-    texel = _sampled(texels, _uvs(uv_set, points, corners))
-    return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
-
-
-def _uvs(uv_set: UvSet, points: IntArray, corners: IntArray) -> FloatArray:
     values = np.asarray(uv_set.values, dtype=np.float64)
-    return np.asarray(values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
+    texel = _sampled(texels, values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
+    return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
 
 
 def _sampled(pixels: FloatArray, uv: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, require_finite
+from facepipe.core.arrays import require_finite
 from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.reading import read_json_object
@@ -38,11 +38,30 @@ def read_scan_landmarks(path: Path) -> ScanLandmarks:
     scheme = content.get("scheme", LANDMARK_SCHEME)
     if scheme != LANDMARK_SCHEME:
         raise InputError(f"{path} -> scheme", f"{ascii(scheme)[:40]}, expected {LANDMARK_SCHEME}")
-    landmarks = ScanLandmarks(
-        points=_points(path, content.get("points")),
-        sigma_mm=_sigmas(path, content.get("sigma_mm")),
-        markers=_markers(path, content.get("markers")),
-    )
+    points, where = no_landmarks(), f"{path} -> points"
+    if (value := content.get("points")) is not None:
+        if not isinstance(value, list):
+            raise InputError(where, f"{ascii(value)[:40]}, expected a list of {LANDMARK_COUNT}")
+        if len(value) != LANDMARK_COUNT:
+            what = f"{len(value)} landmarks, expected {LANDMARK_COUNT} (null for those that are unknown)"
+            raise InputError(where, what)
+        rows = [[math.nan] * 3 if row is None else _place(f"{where} -> {i}", row) for i, row in enumerate(value)]
+        points = np.array(rows, dtype=np.float64)
+    sigmas, where = no_sigmas(), f"{path} -> sigma_mm"
+    if isinstance(value := content.get("sigma_mm"), list):
+        if len(value) != LANDMARK_COUNT:
+            raise InputError(where, f"{len(value)} numbers, expected one, or {LANDMARK_COUNT}")
+        sigmas = np.array([math.nan if one is None else _sigma(f"{where} -> {i}", one) for i, one in enumerate(value)])
+    elif value is not None:
+        sigmas = np.full(LANDMARK_COUNT, _sigma(where, value))
+    markers, where = {}, f"{path} -> markers"
+    if (value := content.get("markers")) is not None:
+        if not isinstance(value, Mapping):
+            raise InputError(where, f"{ascii(value)[:40]}, expected an object of name and place")
+        if "" in value:
+            raise InputError(where, "a marker without a name, expected a name for each")
+        markers = {name: np.array(_place(f"{where} -> {ascii(name)[:40]}", row)) for name, row in value.items()}
+    landmarks = ScanLandmarks(points=points, sigma_mm=sigmas, markers=markers)
     if not landmarks.known.any() and not landmarks.markers:
         raise InputError(path, "no landmark and no marker, expected at least one")
     return landmarks
@@ -67,43 +86,10 @@ def write_scan_landmarks(landmarks: ScanLandmarks, path: Path) -> None:
     write_bytes(path, ("{\n" + ",\n".join(parts) + "\n}\n").encode("ascii"))
 
 
-def _points(path: Path, value: object) -> FloatArray:
-    if value is None:
-        return no_landmarks()
-    where = f"{path} -> points"
-    if not isinstance(value, list):
-        raise InputError(where, f"{ascii(value)[:40]}, expected a list of {LANDMARK_COUNT}")
-    if len(value) != LANDMARK_COUNT:
-        raise InputError(where, f"{len(value)} landmarks, expected {LANDMARK_COUNT} (null for those that are unknown)")
-    rows = [[math.nan] * 3 if row is None else _place(f"{where} -> {i}", row) for i, row in enumerate(value)]
-    return np.array(rows, dtype=np.float64)
-
-
-def _sigmas(path: Path, value: object) -> FloatArray:
-    """(68,) of one number for all, or of one or null for each."""
-    where = f"{path} -> sigma_mm"
-    if isinstance(value, list):
-        if len(value) != LANDMARK_COUNT:
-            raise InputError(where, f"{len(value)} numbers, expected one, or {LANDMARK_COUNT}")
-        return np.array([math.nan if one is None else _sigma(f"{where} -> {i}", one) for i, one in enumerate(value)])
-    return no_sigmas() if value is None else np.full(LANDMARK_COUNT, _sigma(where, value))
-
-
 def _sigma(where: str, value: object) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool) and _LEAST_SIGMA <= value <= _MOST_SIGMA:
         return float(value)
     raise InputError(where, f"{ascii(value)[:40]}, expected {_LEAST_SIGMA:g} to {_MOST_SIGMA:g} mm")
-
-
-def _markers(path: Path, value: object) -> dict[str, FloatArray]:
-    if value is None:
-        return {}
-    where = f"{path} -> markers"
-    if not isinstance(value, Mapping):
-        raise InputError(where, f"{ascii(value)[:40]}, expected an object of name and place")
-    if "" in value:
-        raise InputError(where, "a marker without a name, expected a name for each")
-    return {name: np.array(_place(f"{where} -> {ascii(name)[:40]}", row)) for name, row in value.items()}
 
 
 def _place(where: str, value: object) -> list[float]:

@@ -69,20 +69,6 @@ class Element:
     values: dict[str, Columns | Lists] = field(default_factory=dict)
 
 
-def read_elements(path: Path, data: bytes) -> dict[str, Element]:
-    """The elements of a PLY file by name.
-
-    :raises InputError: no PLY header, an unknown type or format, data cut short, words that are no numbers
-    """
-    order, elements, at = _header(path, data)
-    if not order:
-        _read_text(path, data[at:], elements)
-    for element in elements if order else ():
-        if element.count and element.properties:
-            at = _alike(path, data, at, order, element) or _uneven(path, data, at, order, element)
-    return {element.name: element for element in elements}
-
-
 def _header(path: Path, data: bytes) -> tuple[str, list[Element], int]:
     """Byte order ("" for text), elements, and where the data begins."""
     end = _END.search(data[:_HEADER_BYTES])
@@ -96,7 +82,17 @@ def _header(path: Path, data: bytes) -> tuple[str, list[Element], int]:
         elif words[:1] == ["element"] and len(words) == 3 and re.fullmatch("[0-9]{1,10}", words[2]):
             elements.append(Element(words[1], int(words[2])))
         elif words[:1] == ["property"] and elements:
-            elements[-1].properties.append(_property(f"{path}:{number}", words[1:], elements[-1]))
+            element, where = elements[-1], f"{path}:{number}"
+            if words[1:2] == ["list"] and len(words) == 5 and words[2] in _TYPES and words[3] in _TYPES:
+                column = _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+            elif len(words) == 3 and words[1] in _TYPES:
+                column = _Property(words[2], _TYPES[words[1]])
+            else:
+                raise InputError(where, f"property {' '.join(words[1:])[:60]!r}, expected a type and a name")
+            if column.count_kind.startswith("f") or any(column.name == other.name for other in element.properties):
+                what = f"property {column.name[:40]!r}, expected each once, with whole numbers as list counts"
+                raise InputError(where, what)
+            element.properties.append(column)
         elif words and words[0] not in ("ply", "comment", "obj_info"):
             raise InputError(f"{path}:{number}", f"{line[:60]!r}, expected a line of a PLY header")
     if order is None:
@@ -104,20 +100,6 @@ def _header(path: Path, data: bytes) -> tuple[str, list[Element], int]:
     if len({element.name for element in elements}) < len(elements):
         raise InputError(path, "an element twice, expected each once")
     return order, elements, end.end()
-
-
-def _property(where: str, words: list[str], element: Element) -> _Property:
-    if words[:1] == ["list"] and len(words) == 4 and words[1] in _TYPES and words[2] in _TYPES:
-        new_property = _Property(words[3], _TYPES[words[2]], _TYPES[words[1]])
-    elif len(words) == 2 and words[0] in _TYPES:
-        new_property = _Property(words[1], _TYPES[words[0]])
-    else:
-        raise InputError(where, f"property {' '.join(words)[:60]!r}, expected a type and a name")
-    if new_property.count_kind.startswith("f") or any(new_property.name == other.name for other in element.properties):
-        raise InputError(
-            where, f"property {new_property.name[:40]!r}, expected each once, with whole numbers as list counts"
-        )
-    return new_property
 
 
 def _alike(path: Path, data: bytes, at: int, order: str, element: Element) -> int | None:
@@ -204,37 +186,28 @@ def _read_text(path: Path, data: bytes, elements: list[Element]) -> None:
         if len(words) - at < element.count * len(element.properties):
             raise _cut_short(path, element, (len(words) - at) // len(element.properties))
         try:
-            at = _text_element(words, at, element)
+            if any(column.count_kind for column in element.properties):
+                values_of: dict[str, list[Any]] = {column.name: [] for column in element.properties}
+                for row in range(element.count):
+                    for column in element.properties:
+                        length = 1
+                        if column.count_kind:
+                            length, at = int(words[at]) if at < len(words) else 0, at + 1
+                        if length < 0 or at + length > len(words):
+                            raise ValueError(f"cut short at {row} of {element.count}")
+                        values_of[column.name].append(np.array(list(map(float, words[at : at + length])), np.float64))
+                        at += length
+                for column in element.properties:
+                    values_of[column.name] = [_typed(values, column.kind) for values in values_of[column.name]]
+                _collect(element, values_of)
+            else:  # rows of one length at once
+                stop = at + element.count * len(element.properties)
+                rows = np.array(list(map(float, words[at:stop])), np.float64).reshape(element.count, -1)
+                for i, column in enumerate(element.properties):
+                    element.values[column.name] = _typed(rows[:, i], column.kind)
+                at = stop
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path} -> {element.name}", f"{str(error)[:80]}, expected numbers") from None
-
-
-def _text_element(words: list[bytes], at: int, element: Element) -> int:
-    """Values of an element; where the next begins.
-
-    :raises ValueError: cut short, or a word that is no number
-    """
-    if not any(column.count_kind for column in element.properties):
-        width = len(element.properties)
-        stop = at + element.count * width
-        rows = np.array(list(map(float, words[at:stop])), np.float64).reshape(-1, width)
-        for i, column in enumerate(element.properties):
-            element.values[column.name] = _typed(rows[:, i], column.kind)
-        return stop
-    values_of: dict[str, list[Any]] = {column.name: [] for column in element.properties}
-    for row in range(element.count):
-        for column in element.properties:
-            length = 1
-            if column.count_kind:
-                length, at = int(words[at]) if at < len(words) else 0, at + 1
-            if length < 0 or at + length > len(words):
-                raise ValueError(f"cut short at {row} of {element.count}")
-            values_of[column.name].append(np.array(list(map(float, words[at : at + length])), np.float64))
-            at += length
-    for column in element.properties:
-        values_of[column.name] = [_typed(values, column.kind) for values in values_of[column.name]]
-    _collect(element, values_of)
-    return at
 
 
 def _typed(values: npt.NDArray[np.float64], kind: str) -> Columns:
@@ -255,7 +228,14 @@ def read_ply(path: Path) -> Scan:
 
     :raises InputError: no PLY, cut short, without points, indices out of range, NaN or infinity
     """
-    elements = read_elements(path, read_bytes(path, MOST_BYTES))
+    data = read_bytes(path, MOST_BYTES)
+    order, listed, start = _header(path, data)
+    if not order:
+        _read_text(path, data[start:], listed)
+    for element in listed if order else ():
+        if element.count and element.properties:
+            start = _alike(path, data, start, order, element) or _uneven(path, data, start, order, element)
+    elements = {element.name: element for element in listed}
     vertices = elements.get("vertex")
     if vertices is None or vertices.count == 0:
         raise InputError(path, "no vertices, expected a PLY mesh or point cloud")
@@ -263,13 +243,19 @@ def read_ply(path: Path) -> Scan:
     if points is None:
         raise InputError(f"{path} -> vertex", "lacks x, y or z, expected all three")
     _check(f"{path} -> vertex", points)
-    return Scan(
-        name=path.stem,
-        points=points,
-        triangles=_triangles(path, elements, len(points)),
-        normals=_normals(path, vertices),
-        colors=_colors(path, vertices),
-    )
+    triangles = _triangles(path, elements, len(points))
+    normals, colors = _columns(vertices, ("nx", "ny", "nz")), None
+    if normals is not None:
+        _check(f"{path} -> vertex normals", normals)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = np.asarray(normals / lengths) if (lengths > 0).all() else None
+    found = next((found for names in _COLORS if (found := _scalars(vertices, names)) is not None), None)
+    if found is not None:
+        tops = [np.iinfo(one.dtype).max if one.dtype.kind in "iu" else 1.0 for one in found]
+        values = np.stack([one / top for one, top in zip(found, tops, strict=True)], axis=1)
+        _check(f"{path} -> vertex colours", values)
+        colors = from_srgb(np.clip(values, 0.0, 1.0))
+    return Scan(name=path.stem, points=points, triangles=triangles, normals=normals, colors=colors)
 
 
 def write_ply(scan: Scan, path: Path) -> None:
@@ -322,26 +308,6 @@ def _triangles(path: Path, elements: dict[str, Element], count: int) -> IntArray
         face = int(np.searchsorted(np.cumsum(lists.counts), at, side="right"))
         raise InputError(f"{path} -> face {face}", f"vertex {used[at]}, expected 0 to {count - 1}")
     return np.asarray(point_triangles(lists.counts, used.astype(np.int64)), np.int32)
-
-
-def _normals(path: Path, vertices: Element) -> FloatArray | None:
-    normals = _columns(vertices, ("nx", "ny", "nz"))
-    if normals is None:
-        return None
-    _check(f"{path} -> vertex normals", normals)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / lengths) if (lengths > 0).all() else None
-
-
-def _colors(path: Path, vertices: Element) -> FloatArray | None:
-    for names in _COLORS:
-        found = _scalars(vertices, names)
-        if found is not None:
-            tops = [np.iinfo(one.dtype).max if one.dtype.kind in "iu" else 1.0 for one in found]
-            values = np.stack([one / top for one, top in zip(found, tops, strict=True)], axis=1)
-            _check(f"{path} -> vertex colours", values)
-            return from_srgb(np.clip(values, 0.0, 1.0))
-    return None
 
 
 def _scalars(element: Element, names: tuple[str, ...]) -> list[Columns] | None:

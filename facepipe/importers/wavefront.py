@@ -132,8 +132,16 @@ def read_text(path: Path) -> str:
 
 def _split(path: Path, text: str) -> _Lines:
     rows = text.split("\n")
-    if "\\\n" in text:
-        _join_continued(rows)
+    start = -1
+    for i, row in enumerate(rows if "\\\n" in text else ()):
+        # continued lines move up to where they start, and leave blank ones, so that line numbers stay true
+        if start >= 0:
+            rows[start] += " " + row.removesuffix("\\")
+            rows[i] = ""
+        elif row.endswith("\\"):
+            start, rows[i] = i, row.removesuffix("\\")
+        if not row.endswith("\\"):
+            start = -1
     lines = _Lines(path)
     for keyword in ("v", "vt", "f", "o", "usemtl", "mtllib"):
         lines.numbers[keyword], lines.texts[keyword] = [], []
@@ -143,19 +151,6 @@ def _split(path: Path, text: str) -> _Lines:
             lines.numbers[words[0]].append(number)
             lines.texts[words[0]].append(words[1].partition("#")[0] if len(words) > 1 else "")
     return lines
-
-
-def _join_continued(rows: list[str]) -> None:
-    """Move continued lines up to where they start, leaving blank ones, so that line numbers stay true."""
-    start = -1
-    for i, row in enumerate(rows):
-        if start >= 0:
-            rows[start] += " " + row.removesuffix("\\")
-            rows[i] = ""
-        elif row.endswith("\\"):
-            start, rows[i] = i, row.removesuffix("\\")
-        if not row.endswith("\\"):
-            start = -1
 
 
 def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = None) -> FloatArray:
@@ -172,21 +167,13 @@ def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = N
     try:
         values = np.array(list(map(float, chain.from_iterable(words))), dtype=np.float64).reshape(-1, columns)
     except ValueError:
-        _find_bad_number(lines, numbers, words)
+        rows = zip(numbers, words, strict=True)
+        number, bad = next((number, word) for number, row in rows for word in row if not _is_number(word))
+        lines.fail(number, f"{bad[:40]!r}, expected a number")
     fits = (np.abs(values) <= LARGEST).all(axis=1)
     if not fits.all():
         lines.fail(numbers[int(np.argmin(fits))], f"NaN, infinity or over {LARGEST:g}, expected finite numbers")
     return values
-
-
-def _find_bad_number(lines: _Lines, numbers: Sequence[int], words: Sequence[Sequence[str]]) -> NoReturn:
-    for number, row in zip(numbers, words, strict=True):
-        for word in row:
-            try:
-                float(word)
-            except ValueError:
-                lines.fail(number, f"{word[:40]!r}, expected a number")
-    raise AssertionError("no line is at fault")
 
 
 def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
@@ -248,46 +235,24 @@ def read_offsets(path: Path, neutral: Obj) -> FloatArray:
     """(n, 3) float64: points of the shape at `path` minus the neutral's.
 
     :raises InputError: the file can't be read
-    :raises TopologyError: its points or faces aren't those of the neutral
+    :raises TopologyError: its points or faces aren't those of the neutral; a shape may have no faces at all
     """
     shape = read_obj(path)
-    _check_topology(path, neutral, shape)
-    return np.asarray(shape.points - neutral.points)
-
-
-def _check_topology(path: Path, neutral: Obj, shape: Obj) -> None:
-    """Check that `shape` has the points and faces of `neutral`; a shape without any faces is taken as it is.
-
-    :raises TopologyError: the first thing that differs
-    """
     if len(shape.points) != len(neutral.points):
         raise TopologyError(path, f"{len(shape.points)} points, expected {len(neutral.points)} as in the neutral")
     counts, expected = shape.face_vertex_counts, neutral.face_vertex_counts
-    if len(counts) == 0 or _same_faces(neutral, shape):
-        return
-    if len(counts) != len(expected):
-        raise TopologyError(path, f"{len(counts)} faces, expected {len(expected)} as in the neutral")
-    face = _first_different_face(neutral, shape)
-    raise TopologyError(
-        path, f"face {face + 1} has points {_points(shape, face)}, expected {_points(neutral, face)} as in the neutral"
-    )
-
-
-def _same_faces(neutral: Obj, shape: Obj) -> bool:
-    return np.array_equal(shape.face_vertex_counts, neutral.face_vertex_counts) and np.array_equal(
-        shape.face_vertex_indices, neutral.face_vertex_indices
-    )
-
-
-def _first_different_face(neutral: Obj, shape: Obj) -> int:
-    different = shape.face_vertex_counts != neutral.face_vertex_counts
-    first = int(np.argmax(different)) if different.any() else len(different)
-    corners = int(neutral.face_vertex_counts[:first].sum())
-    unequal = shape.face_vertex_indices[:corners] != neutral.face_vertex_indices[:corners]
-    if unequal.any():
-        ends = np.cumsum(neutral.face_vertex_counts)
-        return int(np.searchsorted(ends, int(np.argmax(unequal)), side="right"))
-    return first
+    same = np.array_equal(counts, expected)
+    if len(counts) and not (same and np.array_equal(shape.face_vertex_indices, neutral.face_vertex_indices)):
+        if len(counts) != len(expected):
+            raise TopologyError(path, f"{len(counts)} faces, expected {len(expected)} as in the neutral")
+        face = len(counts) if same else int(np.argmax(counts != expected))  # the first that differs in its size ...
+        corners = int(expected[:face].sum())
+        unequal = shape.face_vertex_indices[:corners] != neutral.face_vertex_indices[:corners]
+        if unequal.any():  # ... or one before it, in its points
+            face = int(np.searchsorted(np.cumsum(expected), int(np.argmax(unequal)), side="right"))
+        found, wanted = _points(shape, face), _points(neutral, face)
+        raise TopologyError(path, f"face {face + 1} has points {found}, expected {wanted} as in the neutral")
+    return np.asarray(shape.points - neutral.points)
 
 
 def _points(obj: Obj, face: int) -> list[int]:
@@ -317,7 +282,24 @@ def read_materials(source: Path, libraries: Sequence[str]) -> Materials:
             result.warnings.append(f"{ascii(path.name)[:80]}: material library not there, materials stay grey")
             continue
         result.files.append(path)
-        _read_library(path, source, result)
+        material = None
+        for number, row in enumerate(read_text(path).split("\n"), 1):
+            keyword, *rest = row.split(None, 1)[:2] or [""]
+            where, text = f"{path}:{number}", rest[0].strip() if rest else ""
+            if keyword == "newmtl":
+                material = Material(name=text)
+            elif material is None:
+                continue
+            elif keyword == "Kd" and not isinstance(material.diffuse_color, TextureInput):
+                red, green, blue = _material_numbers(where, text, 3)
+                material = replace(material, diffuse_color=(red, green, blue))
+            elif keyword in ("d", "Tr"):
+                value = _material_numbers(where, text.removeprefix("-halo"), 1)[0]
+                material = replace(material, opacity=1.0 - value if keyword == "Tr" else value)
+            elif keyword == "map_Kd":
+                texture = _texture(_beside(source, texture_name(text), where), where, result)
+                material = replace(material, diffuse_color=TextureInput(texture=texture)) if texture else material
+            result.materials[material.name] = material
     return result
 
 
@@ -329,31 +311,6 @@ def _beside(source: Path, name: str, where: str) -> Path:
     path = source.parent / name.replace("\\", "/")
     check_copied(where, path, source)
     return path
-
-
-def _read_library(path: Path, source: Path, result: Materials) -> None:
-    name = None
-    for number, row in enumerate(read_text(path).split("\n"), 1):
-        keyword, *rest = row.split(None, 1)[:2] or [""]
-        where, text = f"{path}:{number}", rest[0].strip() if rest else ""
-        if keyword == "newmtl":
-            name = text
-            result.materials[name] = Material(name=name)
-        elif name is not None:
-            result.materials[name] = _with_line(result.materials[name], keyword, text, where, source, result)
-
-
-def _with_line(material: Material, keyword: str, text: str, where: str, source: Path, result: Materials) -> Material:
-    if keyword == "Kd" and not isinstance(material.diffuse_color, TextureInput):
-        r, g, b = _material_numbers(where, text, 3)
-        return replace(material, diffuse_color=(r, g, b))
-    if keyword in ("d", "Tr"):
-        value = _material_numbers(where, text.removeprefix("-halo"), 1)[0]
-        return replace(material, opacity=1.0 - value if keyword == "Tr" else value)
-    if keyword == "map_Kd":
-        texture = _texture(_beside(source, texture_name(text), where), where, result)
-        return replace(material, diffuse_color=TextureInput(texture=texture)) if texture else material
-    return material
 
 
 def _texture(path: Path, where: str, result: Materials) -> Texture | None:

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.neural.apply_action import ApplyNeuralRig, ApplyNeuralRigReport
-    from facepipe.neural.attach import AttachedNeuralRig, AttachNeuralRig, with_neural_rig
-    from facepipe.neural.invert import ControlReport, InverseReport, InvertedMotion, InvertNeuralRig
-    from facepipe.neural.motion import Motion, ReadClips, RecordedClips
+    from facepipe.neural.apply_action import ApplyNeuralRig
+    from facepipe.neural.attach import AttachNeuralRig, with_neural_rig
+    from facepipe.neural.invert import InvertNeuralRig
+    from facepipe.neural.motion import Motion, ReadClips
     from facepipe.neural.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
     from facepipe.neural.options import (
         AttachOptions,
@@ -28,32 +28,22 @@ if TYPE_CHECKING:
         TrainNeuralRigOptions,
     )
     from facepipe.neural.read_motion import ReadMotion
-    from facepipe.neural.sample_motion import BakeMotion, BakeReport, SampleMotion
-    from facepipe.neural.train_encoder import EncoderReport, TrainedEncoder, TrainEncoder
-    from facepipe.neural.train_neural_rig import NeuralRigReport, TrainedNeuralRig, TrainNeuralRig
+    from facepipe.neural.sample_motion import SampleMotion
+    from facepipe.neural.train_encoder import TrainedEncoder, TrainEncoder
+    from facepipe.neural.train_neural_rig import TrainedNeuralRig, TrainNeuralRig
 else:
     __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "ApplyNeuralRig",
-    "ApplyNeuralRigReport",
     "AttachNeuralRig",
     "AttachOptions",
-    "AttachedNeuralRig",
-    "BakeMotion",
-    "BakeReport",
-    "ControlReport",
-    "EncoderReport",
     "FrameBlocksOptions",
-    "InverseReport",
     "InvertNeuralRig",
     "InvertNeuralRigOptions",
-    "InvertedMotion",
     "Motion",
-    "NeuralRigReport",
     "ReadClips",
     "ReadMotion",
-    "RecordedClips",
     "SampleMotion",
     "SampleMotionOptions",
     "TrainEncoder",

@@ -17,9 +17,9 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.geometry.vectors import transformed
 from facepipe.neural.options import AttachOptions
-from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, PhotoView, Skin, Slider, SliderNetwork
+from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, build, mesh_spaces, sample_transforms, sample_weights
-from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, most_influences, output_reach, with_influences
+from facepipe.rig.neural_rig import NeuralRig, bones_in, most_influences, output_reach, with_influences
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.verbs.whole_faces import MILLIMETRES, Topology, check_spaces, world_to_world
 
@@ -64,18 +64,13 @@ def neural_sliders(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> tupl
             channels=tuple((*channel, gain) for channel, gain in pairs if gain),
             shapes=tuple((shape_name(i), gain) for i, gain in enumerate(gains[:count]) if gain),
         )
-        sliders.append(_as_before(slider, control, face_sliders.get(control.name)))
+        if before := face_sliders.get(control.name):  # with the group, mirror and value that the face's has
+            value = before.value
+            if value is not None and not control.minimum <= value <= control.maximum:
+                value = None
+            slider = replace(slider, group=before.group, mirror=before.mirror, value=value)
+        sliders.append(slider)
     return tuple(sliders)
-
-
-def _as_before(slider: Slider, control: Control, before: Slider | None) -> Slider:
-    """With the group, mirror and value that the face's slider of that name has."""
-    if before is None:
-        return slider
-    value = before.value
-    if value is not None and not control.minimum <= value <= control.maximum:
-        value = None
-    return replace(slider, group=before.group, mirror=before.mirror, value=value)
 
 
 def neural_network(parts: FaceParts, rig: NeuralRig, scales: FloatArray) -> SliderNetwork | None:
@@ -133,14 +128,6 @@ class BakedClips:
     animations: tuple[Animation, ...]
     shapes: FloatArray  # (k, n, 3) millimetres, that they play beside those of the rig
     error_mm: float  # the largest, of any point
-
-
-def _further(frames: FloatArray, tolerance: float) -> FloatArray:
-    """(k, n, 3) orthonormal shapes that leave `tolerance` of frames (f, n, 3), RMS; none where that is all there is."""
-    squares = sum(float(np.square(frame, dtype=np.float64).sum()) for frame in frames)
-    if squares <= tolerance**2 * len(frames) * frames.shape[1]:
-        return np.zeros((0, *frames.shape[1:]))
-    return motion_basis(frames[:: max(1, -(-len(frames) // _MOST_FRAMES))], tolerance, _MOST_SHAPES)[0]
 
 
 def _beyond_joints(
@@ -216,13 +203,14 @@ class AttachNeuralRig:
             and all(shape in kept_shapes for shape, _ in slider.shapes)
             and (rig.bones is not None or not slider.channels)
         )
+        poses = {animation.name for animation in clips.animations}  # the others are gone
         attached = replace(
             parts,
             meshes=_meshes(parts, rig, kept_shapes, shapes),
             sliders=with_mutual_mirrors((*neural_sliders(parts, rig, scales), *kept)),
             slider_network=neural_network(parts, rig, scales),
             animations=clips.animations,
-            photos=_photos(parts, clips.animations),
+            photos=tuple(one if one.animation in poses else replace(one, animation=None) for one in parts.photos),
         )
         moves = _moves(whole, output_reach(whole)[: len(whole.shapes)])
         return AttachedNeuralRig(
@@ -307,19 +295,12 @@ def _meshes(
         before = [shape for shape in mesh.blendshapes if shape.name in kept_shapes]
         if turned is not None:
             before = [at_rest(shape, back @ turned) for shape in before]
-        further = _shapes({name: offsets[points] for name, offsets in shapes.items()}, back)
-        meshes.append(_mesh(mesh, rig, rig.rest[points], space, (*before, *further)))
+        for name, offsets in shapes.items():  # those that move none of its points are not on it
+            moved = np.flatnonzero(offsets[points].any(axis=1)).astype(np.int32)
+            if len(moved):
+                before.append(Blendshape(name=name, point_indices=moved, offsets=offsets[points][moved] @ back.T))
+        meshes.append(_mesh(mesh, rig, rig.rest[points], space, tuple(before)))
     return tuple(meshes)
-
-
-def _shapes(shapes: Mapping[str, FloatArray], linear: FloatArray) -> tuple[Blendshape, ...]:
-    """Blendshapes of one mesh, of (n, 3) millimetres; those that move none of its points are not on it."""
-    blendshapes = []
-    for name, moves in shapes.items():
-        points = np.flatnonzero(moves.any(axis=1)).astype(np.int32)
-        if len(points):
-            blendshapes.append(Blendshape(name=name, point_indices=points, offsets=moves[points] @ linear.T))
-    return tuple(blendshapes)
 
 
 def _turned(parts: FaceParts, rig: NeuralRig) -> list[FloatArray | None]:
@@ -354,7 +335,12 @@ def _clips(
         rig_shapes = np.array(list(shapes.values())).reshape(len(shapes), left.shape[1])
         weights = np.linalg.lstsq(rig_shapes @ rig_shapes.T, rig_shapes.astype(np.float32) @ left.T, rcond=1e-9)[0].T
         left -= weights.astype(np.float32) @ rig_shapes.astype(np.float32)
-        further = _further(frames, tolerance)
+        # (k, n, 3) orthonormal shapes that leave `tolerance`, RMS; none where that is all there is
+        squares = sum(float(np.square(frame, dtype=np.float64).sum()) for frame in frames)
+        further = np.zeros((0, *rig.rest.shape))
+        if squares > tolerance**2 * len(frames) * len(rig.rest):
+            some = frames[:: max(1, -(-len(frames) // _MOST_FRAMES))]
+            further = motion_basis(some, tolerance, _MOST_SHAPES)[0]
         amounts = left @ further.reshape(len(further), left.shape[1]).T.astype(np.float32)
         sizes = np.maximum(np.abs(amounts).max(axis=0, initial=0.0), np.finfo(np.float32).eps)
         further, amounts = further * sizes[:, None, None], amounts / sizes
@@ -379,12 +365,6 @@ def _clips(
     return replace(baked, animations=tuple(kept))
 
 
-def _photos(parts: FaceParts, animations: Sequence[Animation]) -> tuple[PhotoView, ...]:
-    """Photos, without the poses that are gone."""
-    names = {animation.name for animation in animations}
-    return tuple(photo if photo.animation in names else replace(photo, animation=None) for photo in parts.photos)
-
-
 def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shapes: tuple[Blendshape, ...]) -> Mesh:
     back = np.linalg.inv(space)
     points, skin = transformed(rest, back), mesh.skin
@@ -395,19 +375,14 @@ def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shape
         one = np.ones((len(points), 1), np.float32)
         skin = replace(skin, joint_indices=np.zeros((len(points), 1), np.int32), joint_weights=one)
     elif skin is not None and rig.bones is not None:
-        skin = _fewer(skin, most_influences(rig.bones))
+        most = most_influences(rig.bones)
+        if int(np.count_nonzero(skin.joint_weights, axis=1).max(initial=0)) > most:  # the largest, renormalised
+            order = np.argsort(-np.asarray(skin.joint_weights), axis=1, kind="stable")[:, :most]
+            weights = np.take_along_axis(np.asarray(skin.joint_weights, np.float64), order, axis=1)
+            weights /= weights.sum(axis=1, keepdims=True)
+            joints = np.where(weights > 0, np.take_along_axis(skin.joint_indices, order, axis=1), 0)
+            skin = replace(skin, joint_indices=joints.astype(np.int32), joint_weights=weights)
     return replace(mesh, points=points, skin=skin, blendshapes=shapes)
-
-
-def _fewer(skin: Skin, most: int) -> Skin:
-    """The largest `most` weights of every point, renormalised; the skin itself where it has no more."""
-    if int(np.count_nonzero(skin.joint_weights, axis=1).max(initial=0)) <= most:
-        return skin
-    order = np.argsort(-np.asarray(skin.joint_weights), axis=1, kind="stable")[:, :most]
-    weights = np.take_along_axis(np.asarray(skin.joint_weights, np.float64), order, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    joints = np.where(weights > 0, np.take_along_axis(skin.joint_indices, order, axis=1), 0)
-    return replace(skin, joint_indices=joints.astype(np.int32), joint_weights=weights)
 
 
 def _dropped(parts: FaceParts, attached: FaceParts, rig: NeuralRig) -> tuple[str, ...]:

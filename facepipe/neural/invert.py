@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -134,7 +134,12 @@ class SkinnedData:
             x = random.uniform(*ends) * (random.random(controls) < (_BUSY_POSE if pose else 0.0))
             outputs, by_control = (output_derivative[0] for output_derivative in output_derivatives(self.rig, x[None]))
             moved = (by_control.T @ self._all.derivatives(outputs).reshape(len(outputs), -1)).reshape(len(x), 3, -1)
-            shares += (1.0 - _EVEN) / _POSES * _leverage(moved)
+            # leverage: the points' shares in what is known of the controls
+            flat = moved.reshape(len(moved), -1)
+            matrix = flat @ flat.T
+            matrix += _SMALL_RIDGE * max(float(np.trace(matrix)) / len(matrix), 1e-30) * np.eye(len(matrix))
+            shown = (flat * np.linalg.solve(matrix, flat)).sum(axis=0).reshape(3, -1).sum(axis=0)
+            shares += (1.0 - _EVEN) / _POSES * np.asarray(shown / max(float(shown.sum()), 1e-30))
         places = (np.arange(some) + 0.5) / some * shares.sum()
         chosen, times = np.unique(np.searchsorted(np.cumsum(shares), places), return_counts=True)
         return chosen, times * shares.sum() / (some * shares[chosen])
@@ -145,15 +150,6 @@ def _outputs(rig: NeuralRig, x: FloatArray) -> FloatArray:
 
     units = x @ rig.hidden.T + rig.hidden_bias
     return np.asarray(x @ rig.linear + (units * expit(units)) @ rig.last.T + rig.last_bias)
-
-
-def _leverage(moved: FloatArray) -> FloatArray:
-    """(n,) shares of the points in what is known of the controls, of (c, 3, n) how they move the points."""
-    flat = moved.reshape(len(moved), -1)
-    matrix = flat @ flat.T
-    matrix += _SMALL_RIDGE * max(float(np.trace(matrix)) / len(matrix), 1e-30) * np.eye(len(matrix))
-    shown = (flat * np.linalg.solve(matrix, flat)).sum(axis=0).reshape(3, -1).sum(axis=0)
-    return np.asarray(shown / max(float(shown.sum()), 1e-30))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,22 +178,28 @@ class Frames:
             again = np.intersect1d(again, np.flatnonzero((share > usual) & (settled.cost > _SMALL)))
             shape = (len(again), rest.shape[1])
             other: FloatArray = random.uniform(self.box.lower, self.box.upper, shape) * (random.random(shape) < _BUSY)
-            near = _nearest_good(again, count)
+            good = np.setdiff1d(np.arange(count), again)
             if attempt == 1 and start is not None:
                 other = rest[again]
-            elif attempt == 1 and blocks is not None and len(near):
-                other = settled.x[near]
+            elif attempt == 1 and blocks is not None and len(good):  # of each the nearest of those that are good
+                other = settled.x[good[np.abs(good[None, :] - again[:, None]).argmin(axis=1)]]
             tried = self._each(other, again)
             # Two starts that end at one cost are taken to have found the minimum: only other frames are tried again.
             apart = np.abs(tried.cost - settled.cost[again]) > _SAME * settled.cost[again]
-            settled, again = _better(settled, tried, again), again[apart]
+            better = tried.cost < settled.cost[again]  # steps of both count
+            x, cost, steps = settled.x.copy(), settled.cost.copy(), settled.steps.copy()
+            x[again[better]], cost[again[better]] = tried.x[better], tried.cost[better]
+            steps[again] += tried.steps
+            settled, again = Settled(x=x, cost=cost, steps=steps), again[apart]
         if blocks is None or self.options.smoothness == 0.0:
             return settled.x, float(settled.steps.mean())
         x, steps = settled.x, settled.steps
-        for rows, before in _windows(np.asarray(blocks)):
-            clip = self._settle(x[rows], rows, Smoothness(weight=self.options.smoothness, before=x[before]))
-            x[rows] = clip.x
-            steps[rows] += clip.steps
+        for clip in np.split(np.arange(count), np.flatnonzero(np.diff(np.asarray(blocks))) + 1):
+            for first in range(0, len(clip), _WINDOW):  # together, after the two known ones before them
+                rows, before = clip[first : first + _WINDOW], clip[max(first - 2, 0) : first]
+                found = self._settle(x[rows], rows, Smoothness(weight=self.options.smoothness, before=x[before]))
+                x[rows] = found.x
+                steps[rows] += found.steps
         return x, float(steps.mean())
 
     @cached_property
@@ -239,30 +241,6 @@ class _Some:
 
     def normal(self, x: FloatArray, frames: IntArray) -> tuple[FloatArray, FloatArray]:
         return self.data.normal(x, self.frames[frames])
-
-
-def _nearest_good(again: IntArray, count: int) -> IntArray:
-    """Of each frame to start again: the nearest of those that are not; none where all are."""
-    good = np.setdiff1d(np.arange(count), again)
-    if not len(good):
-        return good
-    return np.asarray(good[np.abs(good[None, :] - again[:, None]).argmin(axis=1)])
-
-
-def _better(before: Settled, again: Settled, rows: IntArray) -> Settled:
-    """Some frames replaced where the other is better; steps of both count."""
-    x, cost, steps = before.x.copy(), before.cost.copy(), before.steps.copy()
-    better = again.cost < cost[rows]
-    x[rows[better]], cost[rows[better]] = again.x[better], again.cost[better]
-    steps[rows] += again.steps
-    return Settled(x=x, cost=cost, steps=steps)
-
-
-def _windows(blocks: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Frames that are solved together, and the two known ones before them, clip by clip."""
-    for clip in np.split(np.arange(len(blocks)), np.flatnonzero(np.diff(blocks)) + 1):
-        for first in range(0, len(clip), _WINDOW):
-            yield clip[first : first + _WINDOW], clip[max(first - 2, 0) : first]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,6 +296,7 @@ class InvertNeuralRig:
             raise InputError("blocks", f"shape {np.shape(blocks)}, expected {shape[:1]}: one for each frame")
         first = None if start is None else from_default(rig.controls, np.asarray(start, dtype=np.float64))
         with one_thread():
+            # Of orthonormal shapes, distances of activations are those of points.
             rig = rig if rig.bones else with_orthonormal_shapes(rig)
             data = SkinnedData(rig, points, self.options.points) if rig.bones else ShapeData.from_targets(rig, points)
             if self.options.mode == "adam":
@@ -362,6 +341,7 @@ class InvertNeuralRig:
     ) -> InverseReport:
         values = values_of(rig.controls, x)
         off = np.stack([np.linalg.norm(rig.points(row) - own, axis=1) for row, own in zip(values, points, strict=True)])
+        # Halved: second derivatives of a mean of squares are 2 J^T J / n.
         matrices = np.stack([data.normal(x[[one]], np.array([one]))[1][0] for one in range(len(x))]) / 2.0
         rms = np.sqrt(np.square(off).mean(axis=1))
         means = off.mean(axis=1)
@@ -428,6 +408,7 @@ def _control_reports(names: list[str], matrices: FloatArray, off: FloatArray, ou
     sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
     ridge = _STEP_RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
     inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(count))
+    # 1 / sqrt((J^T J)^-1_kk) is what of a control's motion no others together can make.
     own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
     free = np.sqrt(max(outputs - count, 1))
     std = np.minimum(off[:, None] / np.maximum(free * own_sizes, 1e-30), _ANYWHERE)

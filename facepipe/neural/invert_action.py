@@ -18,7 +18,6 @@ from facepipe.kinds import FileAction, Job, action
 from facepipe.neural.options import InvertNeuralRigOptions
 
 if TYPE_CHECKING:
-    from facepipe.core.arrays import FloatArray
     from facepipe.neural.invert import InverseReport
 
 _SHOWN = 6  # controls
@@ -43,13 +42,15 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
 
     def write(self, job: Job) -> InverseReport:
         from facepipe.neural.invert import InvertNeuralRig
-        from facepipe.neural.neural_rig_file import load_neural_rig
+        from facepipe.neural.neural_rig_file import has_encoder, load_encoder, load_neural_rig
         from facepipe.neural.read_motion import read_targets
         from facepipe.stage.controls_over_time import save_controls
 
         rig = load_neural_rig(self.rig)
         targets = read_targets(self.target, rig)
-        found, start = InvertNeuralRig(options=self), self._start(targets.points)
+        found, start = InvertNeuralRig(options=self), None
+        if self.encoder and self.mode != "adam" and has_encoder(self.rig):
+            start = load_encoder(self.rig).values(targets.points)
         with job.watch("invert", found.calls(len(targets.points))) as bar:
             inverted = found(rig, targets.points, start=start, blocks=targets.blocks, done=bar.update)
         save_controls(job.out, rig.controls, inverted.values, targets.codes, targets.codes_per_second)
@@ -58,13 +59,6 @@ class Invert(InvertNeuralRigOptions, FileAction["InverseReport"]):
             return report
         off = f"frame {report.worst_frame} is {report.worst_frame_mm:.4f} mm off, more than {self.threshold_mm:g} mm"
         return replace(report, warnings=(*report.warnings, off))
-
-    def _start(self, points: FloatArray) -> FloatArray | None:
-        """What the encoder in the file says, if it holds one."""
-        from facepipe.neural.neural_rig_file import has_encoder, load_encoder
-
-        asked = self.encoder and self.mode != "adam" and has_encoder(self.rig)
-        return load_encoder(self.rig).values(points) if asked else None
 
     def missed(self, report: InverseReport) -> bool:
         return self.threshold_mm is not None and report.worst_frame_mm > self.threshold_mm

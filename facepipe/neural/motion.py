@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -44,7 +44,22 @@ class Motion:
     warnings: tuple[str, ...] = ()  # on what of them was left out
 
     def __post_init__(self) -> None:
-        self._check_sizes()
+        frames, count = len(self.values), self.topology.point_count
+        if not frames or not self.controls:
+            raise InputError(self.where, f"{frames} frames of {len(self.controls)} controls, expected some")
+        sizes: list[tuple[str, FloatArray | IntArray | None, tuple[int, ...]]] = [
+            ("controls", self.values, (frames, len(self.controls))),
+            ("points", self.points, (frames, count, 3)),
+            ("rest", self.rest, (count, 3)),
+            ("blocks", self.blocks, (frames,)),
+        ]
+        if self.bones is not None or self.coefficients is not None:
+            joints = () if self.bones is None else (frames, len(self.bones.joints), 9)
+            sizes.append(("bone coefficients", self.coefficients, joints))
+        for label, array, shape in sizes:
+            if array is None or array.shape != shape:
+                found = None if array is None else array.shape
+                raise TopologyError(f"{self.where} -> {label}", f"shape {found}, expected {shape}")
         names = [control.name for control in self.controls]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
@@ -53,27 +68,16 @@ class Motion:
             require_finite(values, self.where, what)
         if self.coefficients is not None:
             require_finite(self.coefficients, self.where, "bone coefficients")
+        # What learns of it maps values to shares of ranges, and does not ask again.
         for number, control in enumerate(self.controls):
-            _check_range(self.where, control, self.values[:, number])
-
-    def _check_sizes(self) -> None:
-        frames, count = len(self.values), self.topology.point_count
-        if not frames or not self.controls:
-            raise InputError(self.where, f"{frames} frames of {len(self.controls)} controls, expected some")
-        for label, values, shape in (
-            ("controls", self.values, (frames, len(self.controls))),
-            ("points", self.points, (frames, count, 3)),
-            ("rest", self.rest, (count, 3)),
-            ("blocks", self.blocks, (frames,)),
-            *self._bone_sizes(frames),
-        ):
-            if values is None or values.shape != shape:
-                found = None if values is None else values.shape
-                raise TopologyError(f"{self.where} -> {label}", f"shape {found}, expected {shape}")
-
-    def _bone_sizes(self, frames: int) -> list[tuple[str, FloatArray | None, tuple[int, ...]]]:
-        joints = () if self.bones is None else (frames, len(self.bones.joints), 9)
-        return [("bone coefficients", self.coefficients, joints)] if joints or self.coefficients is not None else []
+            low, high, own = control.minimum, control.maximum, self.values[:, number]
+            if not low < high:
+                raise InputError(f"{self.where} -> {control.name}", f"from {low:g} to {high:g}, expected a range")
+            room = _OUTSIDE * (high - low)
+            out = np.flatnonzero((own < low - room) | (own > high + room))
+            if len(out):
+                what = f"{own[out[0]]:g} in frame {out[0]}, expected {low:g} to {high:g}"
+                raise InputError(f"{self.where} -> {control.name}", what)
 
     def morphed(self, frame: int) -> FloatArray:
         """(n, 3) points of a frame before its bones moved them; those of the frame itself where there are none."""
@@ -121,17 +125,6 @@ class Motion:
         return self.frames(np.flatnonzero(~checked)), self.frames(np.flatnonzero(checked))
 
 
-def _check_range(where: str, control: Control, values: FloatArray) -> None:
-    low, high = control.minimum, control.maximum
-    if not low < high:
-        raise InputError(f"{where} -> {control.name}", f"from {low:g} to {high:g}, expected a range")
-    room = _OUTSIDE * (high - low)
-    out = np.flatnonzero((values < low - room) | (values > high + room))
-    if len(out):
-        what = f"{values[out[0]]:g} in frame {out[0]}, expected {low:g} to {high:g}"
-        raise InputError(f"{where} -> {control.name}", what)
-
-
 def frame_blocks(codes: FloatArray, values: FloatArray, options: FrameBlocksOptions) -> tuple[IntArray, IntArray]:
     """The frames to use (k,), and their blocks (k,) from 0.
 
@@ -146,14 +139,11 @@ def frame_blocks(codes: FloatArray, values: FloatArray, options: FrameBlocksOpti
     apart = np.diff(codes)
     step = max(1.0, float(apart.min())) if len(apart) else 1.0
     ends = (apart > _GAP * step) & (values[1:] != values[:-1]).any(axis=1)
-    kept = list(_pieces(np.split(np.arange(len(codes)), np.flatnonzero(ends) + 1), options))
-    return np.concatenate(kept), np.repeat(np.arange(len(kept)), [len(one) for one in kept])
-
-
-def _pieces(clips: list[IntArray], options: FrameBlocksOptions) -> Iterator[IntArray]:
-    for clip in clips:
+    kept = []
+    for clip in np.split(np.arange(len(codes)), np.flatnonzero(ends) + 1):
         for number, piece in enumerate(np.array_split(clip, max(1, round(len(clip) / options.block)))):
-            yield piece[options.margin if number else 0 :]
+            kept.append(piece[options.margin if number else 0 :])
+    return np.concatenate(kept), np.repeat(np.arange(len(kept)), [len(one) for one in kept])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,24 +178,28 @@ class ReadClips:
         """
         frames = RecordedClips(values=np.zeros((0, len(controls))), blocks=np.zeros(0, dtype=int))
         warnings: list[str] = []
+        places = {control.name: number for number, control in enumerate(controls)}
         for path in paths:
             clips, lines = _known(path, read_clips(path), controls)
             warnings += lines
             for clip in clips:
-                added = _clip_frames(clip, controls, self.options)
-                values, blocks = added.after(frames.values, frames.blocks)
-                frames = RecordedClips(values=values, blocks=blocks, between=frames.between + added.between)
+                codes = np.unique(np.concatenate([track.codes for track in clip.tracks]))
+                codes = codes if len(codes) else np.zeros(1)  # a pose
+                rows = np.tile([control.default for control in controls], (len(codes), 1))
+                for track in clip.tracks:
+                    rows[:, places[track.name]] = track.at(codes)
+                kept, numbers = frame_blocks(codes, rows, self.options)
+                values, blocks = RecordedClips(values=rows[kept], blocks=numbers).after(frames.values, frames.blocks)
+                between = frames.between + len(codes) - len(kept)
+                frames = RecordedClips(values=values, blocks=blocks, between=between)
         # values within limits, as a rig clamps them, and a line where some were beyond
         low, high = (np.array([getattr(one, key) for one in controls]) for key in ("minimum", "maximum"))
         held = np.clip(frames.values, low, high)
-        beyond = [
-            control.name for control, one in zip(controls, (held != frames.values).any(axis=0), strict=True) if one
-        ]
-        held, beyond = (
-            held,
-            [f"clips go beyond the limits of {first_names(beyond, _SHOWN)}, and are held there"] if beyond else [],
-        )
-        return replace(frames, values=held, warnings=(*warnings, *beyond))
+        moved = (held != frames.values).any(axis=0)
+        beyond = [control.name for control, one in zip(controls, moved, strict=True) if one]
+        if beyond:
+            warnings.append(f"clips go beyond the limits of {first_names(beyond, _SHOWN)}, and are held there")
+        return replace(frames, values=held, warnings=tuple(warnings))
 
 
 def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tuple[list[Clip], list[str]]:
@@ -217,26 +211,13 @@ def _known(path: Path, clips: Sequence[Clip], controls: Sequence[Control]) -> tu
         tracks = tuple(track for track in clip.tracks if track.name in names)
         if tracks:
             known.append(Clip(name=clip.name, tracks=tracks))
-        left = (
-            [f"{len(others)} names that are no controls of the face: {first_names(others, _SHOWN)}"]
-            if tracks and others
-            else []
-        )
-        left += ["joints, which are no controls"] if tracks and clip.moves_joints else []
+        left = []
+        if tracks and others:
+            left.append(f"{len(others)} names that are no controls of the face: {first_names(others, _SHOWN)}")
+        if tracks and clip.moves_joints:
+            left.append("joints, which are no controls")
         warnings += [f"{path} -> {clip.name}: left out {one}" for one in left]
     if not known:
         there = first_names([track.name for clip in clips for track in clip.tracks], _SHOWN) or "nothing"
         raise InputError(path, f"moves {there}, expected some of {first_names([one.name for one in controls], _SHOWN)}")
     return known, warnings
-
-
-def _clip_frames(clip: Clip, controls: Sequence[Control], options: FrameBlocksOptions) -> RecordedClips:
-    """Of one clip, as it goes."""
-    codes = np.unique(np.concatenate([track.codes for track in clip.tracks]))
-    codes = codes if len(codes) else np.zeros(1)  # a pose
-    rows = np.tile([control.default for control in controls], (len(codes), 1))
-    places = {control.name: number for number, control in enumerate(controls)}
-    for track in clip.tracks:
-        rows[:, places[track.name]] = track.at(codes)
-    kept, blocks = frame_blocks(codes, rows, options)
-    return RecordedClips(values=rows[kept], blocks=blocks, between=len(codes) - len(kept))

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from facepipe.core.arrays import AnyArray
 from facepipe.core.errors import InputError
 from facepipe.declare import from_json
 from facepipe.rig import Rig
@@ -57,8 +56,19 @@ def save_neural_rig(
         encoder.check(rig.topology, f"{path} -> encoder")
         if encoder.controls != rig.controls:
             raise InputError(f"{path} -> encoder", "other controls than the rig's, expected the same in the same order")
-        content[_ENCODER], more = _encoder_arrays(encoder)
-        arrays |= more
+        content[_ENCODER] = {
+            "controls": [dataclasses.asdict(control) for control in encoder.controls],
+            "heads": encoder.heads,
+            "layers": len(encoder.layers),
+            "point_count": encoder.point_count,
+            "scale": encoder.scale,
+            "topology": encoder.topology,
+        }
+        more = {name: getattr(encoder, name).astype(np.float32) for name in _ENCODER_ARRAYS}
+        for number, layer in enumerate(encoder.layers):
+            more |= {f"{number}.{name}": getattr(layer, name).astype(np.float32) for name in _LAYER_ARRAYS}
+        arrays |= {f"{_ENCODER}.{name}": array for name, array in more.items()}
+        arrays[f"{_ENCODER}.chosen"] = encoder.chosen.astype(np.int32)
     write_arrays(path, KIND, content, arrays)
 
 
@@ -74,7 +84,23 @@ def load_neural_rig(path: Path) -> NeuralRig:
             rig = dataclasses.replace(rig, bones=bones, channels=np.asarray(file.arrays["channels"], np.int64))
     except (KeyError, TypeError) as error:
         raise InputError(path, f"lacks {error}, expected a neural rig") from None
-    _check_sizes(path, rig)
+    count, points, units = len(rig.shapes), len(rig.rest), len(rig.hidden)
+    outputs = count + len(rig.channels)
+    for name, shape in {
+        "rest": (points, 3),
+        "shapes": (count, points, 3),
+        "linear": (len(controls), outputs),
+        "hidden": (units, len(controls)),
+        "hidden_bias": (units,),
+        "last": (outputs, units),
+        "last_bias": (outputs,),
+        "channels": (len(rig.channels), 2),
+    }.items():
+        if getattr(rig, name).shape != shape:
+            raise InputError(f"{path} -> {name}", f"shape {getattr(rig, name).shape}, expected {shape}")
+    joints = 0 if rig.bones is None else len(rig.bones.joints)
+    if len(rig.channels) and not ((rig.channels >= 0) & (rig.channels < (joints, 9))).all():
+        raise InputError(f"{path} -> channels", f"a channel of no joint, expected 9 of each of {joints}")
     return rig
 
 
@@ -91,7 +117,45 @@ def load_encoder(path: Path) -> NeuralEncoder:
 
     :raises InputError: not readable, damaged, not such a file, or one without an encoder
     """
-    return _encoder_from(path, read_arrays(path, KIND))
+    file = read_arrays(path, KIND)
+    content = file.content.get(_ENCODER)
+    if content is None:
+        raise InputError(path, "has no encoder, expected a neural rig that was trained with one")
+    try:
+        layers = tuple(
+            EncoderLayer(**_encoder_values(file, f"{i}.", _LAYER_ARRAYS)) for i in range(int(content["layers"]))
+        )
+        encoder = NeuralEncoder(
+            controls=_controls_from(content["controls"], f"{path} -> {_ENCODER} -> controls"),
+            topology=str(content["topology"]),
+            point_count=int(content["point_count"]),
+            chosen=np.asarray(file.arrays[f"{_ENCODER}.chosen"], np.int64),
+            scale=float(content["scale"]),
+            heads=int(content["heads"]),
+            layers=layers,
+            **_encoder_values(file, "", _ENCODER_ARRAYS),
+        )
+        for name, shape in encoder_shapes(encoder).items():
+            holder: Any = encoder
+            if "." in name:
+                number, name_of = name.split(".")
+                holder, name = encoder.layers[int(number)], name_of
+            if getattr(holder, name).shape != shape:
+                raise InputError(
+                    f"{path} -> {_ENCODER}.{name}", f"shape {getattr(holder, name).shape}, expected {shape}"
+                )
+        low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
+        if low < 0 or high >= encoder.point_count:
+            problem = f"points {low} to {high}, expected some of {encoder.point_count}"
+            raise InputError(f"{path} -> {_ENCODER}.chosen", problem)
+        if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
+            problem = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
+            raise InputError(
+                f"{path} -> {_ENCODER}", f"{problem}, expected heads that share a token evenly and a scale above 0"
+            )
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(path, f"its encoder is damaged ({error}), expected a whole one") from None
+    return encoder
 
 
 def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
@@ -113,6 +177,7 @@ def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
     weights = [np.asarray(file.arrays[f"bones.weights.{name}"]) for name in _SPARSE]
     try:
         influences = sparse.csr_array(tuple(weights), shape=(len(rig.rest), len(joints) + 1))
+        # In full: an index beyond its array would be read all the same.
         influences.check_format(full_check=True)
     except ValueError as error:
         raise InputError(f"{path} -> bones.weights", f"{error}, expected sparse weights") from None
@@ -128,88 +193,6 @@ def _bones(path: Path, rig: NeuralRig, file: Content) -> Rig:
     )
 
 
-def _check_sizes(path: Path, rig: NeuralRig) -> None:
-    count, points, units, controls = len(rig.shapes), len(rig.rest), len(rig.hidden), len(rig.controls)
-    outputs = count + len(rig.channels)
-    for name, shape in {
-        "rest": (points, 3),
-        "shapes": (count, points, 3),
-        "linear": (controls, outputs),
-        "hidden": (units, controls),
-        "hidden_bias": (units,),
-        "last": (outputs, units),
-        "last_bias": (outputs,),
-        "channels": (len(rig.channels), 2),
-    }.items():
-        if getattr(rig, name).shape != shape:
-            raise InputError(f"{path} -> {name}", f"shape {getattr(rig, name).shape}, expected {shape}")
-    joints = 0 if rig.bones is None else len(rig.bones.joints)
-    if len(rig.channels) and not ((rig.channels >= 0) & (rig.channels < (joints, 9))).all():
-        raise InputError(f"{path} -> channels", f"a channel of no joint, expected 9 of each of {joints}")
-
-
-def _encoder_arrays(encoder: NeuralEncoder) -> tuple[dict[str, Any], dict[str, AnyArray]]:
-    """JSON, and arrays of float32 and int32 whose names begin with ``encoder.``."""
-    content = {
-        "controls": [dataclasses.asdict(control) for control in encoder.controls],
-        "heads": encoder.heads,
-        "layers": len(encoder.layers),
-        "point_count": encoder.point_count,
-        "scale": encoder.scale,
-        "topology": encoder.topology,
-    }
-    arrays = {name: getattr(encoder, name).astype(np.float32) for name in _ENCODER_ARRAYS}
-    for number, layer in enumerate(encoder.layers):
-        arrays |= {f"{number}.{name}": getattr(layer, name).astype(np.float32) for name in _LAYER_ARRAYS}
-    named = {f"{_ENCODER}.{name}": array for name, array in arrays.items()}
-    return content, {**named, f"{_ENCODER}.chosen": encoder.chosen.astype(np.int32)}
-
-
-def _encoder_from(where: object, file: Content) -> NeuralEncoder:
-    """What `_encoder_arrays` made.
-
-    :raises InputError: no encoder, or a damaged one
-    """
-    content = file.content.get(_ENCODER)
-    if content is None:
-        raise InputError(where, "has no encoder, expected a neural rig that was trained with one")
-    try:
-        layers = tuple(
-            EncoderLayer(**_encoder_values(file, f"{i}.", _LAYER_ARRAYS)) for i in range(int(content["layers"]))
-        )
-        encoder = NeuralEncoder(
-            controls=_controls_from(content["controls"], f"{where} -> {_ENCODER} -> controls"),
-            topology=str(content["topology"]),
-            point_count=int(content["point_count"]),
-            chosen=np.asarray(file.arrays[f"{_ENCODER}.chosen"], np.int64),
-            scale=float(content["scale"]),
-            heads=int(content["heads"]),
-            layers=layers,
-            **_encoder_values(file, "", _ENCODER_ARRAYS),
-        )
-        for name, shape in encoder_shapes(encoder).items():
-            holder: Any = encoder
-            if "." in name:
-                number, name_of = name.split(".")
-                holder, name = encoder.layers[int(number)], name_of
-            if getattr(holder, name).shape != shape:
-                raise InputError(
-                    f"{where} -> {_ENCODER}.{name}", f"shape {getattr(holder, name).shape}, expected {shape}"
-                )
-        low, high = encoder.chosen.min(initial=0), encoder.chosen.max(initial=0)
-        if low < 0 or high >= encoder.point_count:
-            problem = f"points {low} to {high}, expected some of {encoder.point_count}"
-            raise InputError(f"{where} -> {_ENCODER}.chosen", problem)
-        if encoder.heads < 1 or encoder.token.shape[1] % encoder.heads or not 0.0 < encoder.scale < np.inf:
-            problem = f"{encoder.heads} heads for tokens of {encoder.token.shape[1]}, scale {encoder.scale:g}"
-            raise InputError(
-                f"{where} -> {_ENCODER}", f"{problem}, expected heads that share a token evenly and a scale above 0"
-            )
-    except (LookupError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(where, f"its encoder is damaged ({error}), expected a whole one") from None
-    return encoder
-
-
 def _encoder_values(file: Content, prefix: str, names: tuple[str, ...]) -> Mapping[str, Any]:
     return {name: np.asarray(file.arrays[f"{_ENCODER}.{prefix}{name}"], np.float64) for name in names}
 
@@ -219,6 +202,7 @@ def encoder_shapes(encoder: NeuralEncoder) -> dict[str, tuple[int, ...]]:
     points, controls = len(encoder.chosen), len(encoder.controls)
     tokens, units, features = max(len(encoder.places), 1), encoder.point.shape[-1], len(encoder.feature_bias)
     width, reduced = encoder.token.shape[-1], len(encoder.reduce_bias)
+    # Sizes are those of arrays that decide them alone; all others have to agree.
     expected: dict[str, tuple[int, ...]] = {
         "chosen": (points // tokens * tokens,),
         "rest": (points, 3),

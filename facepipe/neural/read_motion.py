@@ -163,7 +163,11 @@ class ReadMotion:
     def _animated(self, path: Path, tracks: Sequence[ControlTrack], sampled: Codes, cache: PointCache) -> Motion:
         """The frames of a face that a SkelAnimation moves, with its bones."""
         face = AnimatedFace.read(path) if cache.has_face else None
-        moving = np.zeros(0) if face is None else _snapped(face.codes(cache.codes_per_second), sampled)
+        moving = np.zeros(0)
+        if face is not None:  # time codes next to those of controls are these: they went by seconds
+            moving = face.codes(cache.codes_per_second)
+            near = sampled[np.clip(np.searchsorted(sampled, moving - _SAME), 0, len(sampled) - 1)]
+            moving = np.where(np.abs(near - moving) < _SAME, near, moving)
         if face is None or not len(moving):
             what = "expected meshes whose points have time samples, or a face that a SkelAnimation moves over time"
             raise InputError(path, f"no point cache, {what}")
@@ -182,11 +186,26 @@ class ReadMotion:
         placed: CachedPoints | AnimatedFace,
         codes: Codes,
     ) -> Motion:
-        controls = tuple(_control(path, track) for track in tracks)
+        controls = []
+        for track in tracks:  # limits that are not authored are how far it goes; of one that never moves, any
+            default = float(track.values[0]) if track.default is None else track.default
+            low = min(default, float(track.values.min())) if track.minimum is None else track.minimum
+            high = max(default, float(track.values.max())) if track.maximum is None else track.maximum
+            if not low <= default <= high:
+                raise InputError(f"{path} -> {track.where}", f"default {default:g}, expected {low:g} to {high:g}")
+            high = high if low < high else low + 1.0
+            controls.append(Control(name=track.name, minimum=low, maximum=high, default=default))
         values = np.stack([track.at(codes) for track in tracks], axis=1)
         chosen, blocks = frame_blocks(codes, values, self.options)
         to = world_to_world(cache.meters_per_unit, cache.up_axis, MILLIMETRES)
-        rest = transformed(_rest(path, controls, values, placed), to)
+        at_rest = np.flatnonzero((values == [control.default for control in controls]).all(axis=1))
+        if len(at_rest):
+            rest = transformed(placed.sample(int(at_rest[0])), to)
+        elif placed.untimed is not None:
+            rest = transformed(placed.untimed(), to)
+        else:
+            what = "no frame with all controls at their defaults, and no points without time, expected one of them"
+            raise InputError(path, what)
         points = np.empty((len(chosen), *rest.shape), np.float32)
         for own, number in zip(points, chosen, strict=True):
             own[:] = transformed(placed.sample(int(number)), to)
@@ -194,7 +213,7 @@ class ReadMotion:
         return Motion(
             where=str(path),
             topology=Topology.of(FaceParts(meshes=placed.meshes)),
-            controls=controls,
+            controls=tuple(controls),
             values=values[chosen],
             points=points,
             rest=rest,
@@ -204,12 +223,6 @@ class ReadMotion:
             source="samples",
             between=len(values) - len(chosen),
         )
-
-
-def _snapped(codes: Codes, to: Codes) -> Codes:
-    """Time codes, those next to others as these are: they went by seconds."""
-    near = np.asarray(to)[np.clip(np.searchsorted(to, codes - _SAME), 0, len(to) - 1)]
-    return np.where(np.abs(near - codes) < _SAME, near, codes)
 
 
 def _check_times(
@@ -225,6 +238,7 @@ def _check_times(
     :param points: what holds points, and (f,) whether they are between two samples that differ
     :raises InputError: the first time at which controls or points are not known
     """
+    # Held values beyond the samples, or mixed ones between two, would be learned as if they were known.
     faults: list[tuple[float, str, str]] = []
     for name, known, ends in (("points", sampled, moving), ("controls", moving, sampled)):
         beyond = known[(known < ends[0]) | (known > ends[-1])]
@@ -240,29 +254,6 @@ def _check_times(
         code, name, fault = min(faults)
         expected = "expected controls and points sampled at the same times"
         raise InputError(f"{path} -> {name} -> time code {code:g}", f"{fault}, {expected}")
-
-
-def _control(path: Path, track: ControlTrack) -> Control:
-    """Its limits, where they are not authored, are how far it goes; of one that never moves, any."""
-    default = float(track.values[0]) if track.default is None else track.default
-    low = min(default, float(track.values.min())) if track.minimum is None else track.minimum
-    high = max(default, float(track.values.max())) if track.maximum is None else track.maximum
-    if not low <= default <= high:
-        raise InputError(f"{path} -> {track.where}", f"default {default:g}, expected {low:g} to {high:g}")
-    return Control(name=track.name, minimum=low, maximum=high if low < high else low + 1.0, default=default)
-
-
-def _rest(
-    path: Path, controls: Sequence[Control], values: FloatArray, placed: CachedPoints | AnimatedFace
-) -> FloatArray:
-    """(n, 3) world points in stage units."""
-    at_rest = np.flatnonzero((values == [control.default for control in controls]).all(axis=1))
-    if len(at_rest):
-        return placed.sample(int(at_rest[0]))
-    if placed.untimed is None:
-        what = "no frame with all controls at their defaults, and no points without time, expected one of them"
-        raise InputError(path, what)
-    return placed.untimed()
 
 
 @dataclass(frozen=True, kw_only=True)

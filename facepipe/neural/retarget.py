@@ -159,6 +159,7 @@ def carried(rig: NeuralRig, subject: Subject) -> NeuralRig:
         bones = with_influences(subject.bones, most_influences(rig.bones))
     rest = subject.rest if bones is None else bones.points
     transfer = Transfer(rest, subject.topology.triangles, np.zeros(len(rest), bool))
+    # Carried at their largest activations, where they count: transfer is not straight in how far points go.
     sizes = output_reach(rig)[: len(rig.shapes)]
     shapes = np.empty_like(rig.shapes)
     for number, (shape, size) in enumerate(zip(rig.shapes, sizes, strict=True)):
@@ -350,10 +351,17 @@ def _subject_examples(rig: NeuralRig, values: FloatArray, points: FloatArray) ->
     """
     outputs = rig.outputs(values)
     own_motion = rig.morphed(outputs) - rig.rest
+    # (c, n) millimetres that each control alone moves each point, at the further one of its limits
+    still, strengths = rig.points(rig.values({})), np.zeros((len(rig.controls), len(rig.rest)))
+    for number, control in enumerate(rig.controls):
+        for limit in (control.minimum, control.maximum):
+            moved = rig.values({})
+            moved[number] = limit
+            strengths[number] = np.maximum(strengths[number], np.linalg.norm(rig.points(moved) - still, axis=1))
     return Examples(
         inputs=from_default(rig.controls, values),
         vectors=own_motion,
-        strengths=_strengths(rig),
+        strengths=strengths,
         moved=_before_bones(rig, outputs, points) - rig.rest - own_motion,
     )
 
@@ -370,19 +378,6 @@ def _before_bones(rig: NeuralRig, outputs: FloatArray, points: FloatArray) -> Fl
             for frame, one in zip(points, local, strict=True)
         ]
     )
-
-
-def _strengths(rig: NeuralRig) -> FloatArray:
-    """(c, n) millimetres that each control alone moves each point, at the further one of its limits."""
-    rest = rig.values({})
-    strengths = np.zeros((len(rig.controls), len(rig.rest)))
-    still = rig.points(rest)
-    for number, control in enumerate(rig.controls):
-        for limit in (control.minimum, control.maximum):
-            moved = rest.copy()
-            moved[number] = limit
-            strengths[number] = np.maximum(strengths[number], np.linalg.norm(rig.points(moved) - still, axis=1))
-    return strengths
 
 
 def with_own_gains(rig: NeuralRig, values: FloatArray, points: FloatArray) -> NeuralRig:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -60,11 +60,9 @@ class SampleMotion:
         if clips is not None:
             values, blocks = clips.after(values, blocks)
         motion = evaluated(parts, where, controls, values, blocks, _Sliders(parts, controls), done)
-        return (
-            motion
-            if clips is None
-            else replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
-        )
+        if clips is None:
+            return motion
+        return replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
 
 
 def evaluated(
@@ -155,28 +153,31 @@ def plan(controls: Sequence[Control], options: SampleMotionOptions) -> tuple[Flo
     low, high, rest = (
         np.array([getattr(control, key) for control in controls]) for key in ("minimum", "maximum", "default")
     )
-    pieces = list(_sweeps(low, high, rest, options.sweep))
+    pieces, count = [], len(controls)
+    for control in range(count if options.sweep else 0):  # from one limit to the other, the others at rest
+        frames = np.tile(rest, (options.sweep, 1))
+        frames[:, control] = np.linspace(low[control], high[control], options.sweep)
+        pieces.append(frames)
     random = np.random.default_rng(options.seed)
-    spread = low + (high - low) * _hypercube(options.spread, len(controls), random)
-    singles = np.concatenate(
-        [
-            np.where(_moved(options.spread, len(controls), options.busy, random), spread, rest),
-            _combinations(low, high, rest, options.together, random),
-        ]
-    )
+    spread = np.zeros((0, count))
+    if options.spread:  # of each control, one in each of so many parts of its range (McKay et al. 1979)
+        order = np.stack([random.permutation(options.spread) for _ in range(count)], axis=1)
+        spread = low + (high - low) * np.asarray((order + random.random((options.spread, count))) / options.spread)
+    spread = np.where(_moved(options.spread, count, options.busy, random), spread, rest)
+    # Two or three controls anywhere, the others at rest; each control as often as any other.
+    together, turns = np.tile(rest, (options.together, 1)), list[int]()
+    for row in range(options.together):
+        wanted = min(2 + row % 2, count)
+        while len(turns) < wanted:
+            turns += [one for one in random.permutation(count).tolist() if one not in turns]
+        chosen, turns = turns[:wanted], turns[wanted:]
+        together[row, chosen] = random.uniform(low[chosen], high[chosen])
+    singles = np.concatenate([spread, together])
     sizes = [len(piece) for piece in pieces] + [1] * len(singles)
     values = np.concatenate([*pieces, singles])
     if not len(values):
         raise InputError("motion", "no frame, expected some of spread, sweep or together")
     return values, np.repeat(np.arange(len(sizes)), sizes)
-
-
-def _hypercube(count: int, controls: int, random: np.random.Generator) -> FloatArray:
-    """(count, controls) in 0..1: of each control, one in each `count`-th of its range (McKay et al. 1979)."""
-    if not count:
-        return np.zeros((0, controls))
-    order = np.stack([random.permutation(count) for _ in range(controls)], axis=1)
-    return np.asarray((order + random.random((count, controls))) / count)
 
 
 def _moved(count: int, controls: int, busy: float, random: np.random.Generator) -> BoolArray:
@@ -185,29 +186,6 @@ def _moved(count: int, controls: int, busy: float, random: np.random.Generator) 
     moved = random.random((count, controls)) < share[:, None]
     moved[np.arange(count), random.integers(controls, size=count)] = True  # no frame stays at rest
     return np.asarray(moved)
-
-
-def _sweeps(low: FloatArray, high: FloatArray, rest: FloatArray, count: int) -> Iterator[FloatArray]:
-    """Each control from one limit to the other, the others at rest."""
-    for control in range(len(low)) if count else ():
-        frames = np.tile(rest, (count, 1))
-        frames[:, control] = np.linspace(low[control], high[control], count)
-        yield frames
-
-
-def _combinations(
-    low: FloatArray, high: FloatArray, rest: FloatArray, count: int, random: np.random.Generator
-) -> FloatArray:
-    """(count, c): two or three controls anywhere, the others at rest; each control as often as any other."""
-    frames = np.tile(rest, (count, 1))
-    turns: list[int] = []
-    for row in range(count):
-        wanted = min(2 + row % 2, len(low))
-        while len(turns) < wanted:
-            turns += [one for one in random.permutation(len(low)).tolist() if one not in turns]
-        chosen, turns = turns[:wanted], turns[wanted:]
-        frames[row, chosen] = random.uniform(low[chosen], high[chosen])
-    return frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,7 +240,15 @@ class BakeMotion:
             np.concatenate([[0.0], np.cumsum(np.where(np.diff(motion.blocks), _APART, 1.0))]),
             face.stage.GetTimeCodesPerSecond() or 24.0,
         )
-        return _report(motion, clips)
+        return BakeReport(
+            controls=len(controls),
+            points=motion.topology.point_count,
+            frames=len(motion.values),
+            clip_frames=0 if clips is None else len(clips.values),
+            motion_mean_mm=float(np.mean([np.linalg.norm(one - motion.rest, axis=1).mean() for one in motion.points])),
+            still=motion.constant,
+            warnings=motion.warnings,
+        )
 
     def _moved(self, path: Path) -> set[str]:
         return _moved_by((path, *self.clips))
@@ -271,16 +257,3 @@ class BakeMotion:
 def _moved_by(paths: Iterable[Path]) -> set[str]:
     """What clips on stages move."""
     return {track.name for path in paths for clip in read_clips(path) for track in clip.tracks}
-
-
-def _report(motion: Motion, clips: RecordedClips | None) -> BakeReport:
-    moved = [np.linalg.norm(points - motion.rest, axis=1).mean() for points in motion.points]
-    return BakeReport(
-        controls=len(motion.controls),
-        points=motion.topology.point_count,
-        frames=len(motion.values),
-        clip_frames=0 if clips is None else len(clips.values),
-        motion_mean_mm=float(np.mean(moved)),
-        still=motion.constant,
-        warnings=motion.warnings,
-    )

@@ -32,7 +32,6 @@ from facepipe.neural.options import (
 
 if TYPE_CHECKING:
     from facepipe.neural.motion import Motion
-    from facepipe.neural.train_encoder import EncoderReport, TrainedEncoder
     from facepipe.neural.train_neural_rig import NeuralRigReport
 
 
@@ -81,6 +80,7 @@ class Train(
 
     def write(self, job: Job) -> NeuralRigReport:
         from facepipe.neural.neural_rig_file import save_neural_rig
+        from facepipe.neural.train_encoder import TrainEncoder
         from facepipe.neural.train_neural_rig import TrainNeuralRig
 
         kept = None if self.checkpoint is None else Path(self.checkpoint)
@@ -91,9 +91,12 @@ class Train(
         motion = self._motion(job)
         with job.watch("train", self.steps) as bar:
             trained = TrainNeuralRig(options=self._as(TrainNeuralRigOptions))(motion, bar.update, kept)
-        encoded = self._encoded(motion, job, kept)
-        report = replace(trained.report, encoder=encoded.report if encoded else None, curve=trained.curve)
-        encoder = encoded.encoder if encoded else None
+        report, encoder = replace(trained.report, curve=trained.curve), None
+        if self.encoder:
+            with job.watch("encoder", self.encoder_steps) as bar:
+                train_encoder = TrainEncoder(options=self._as(TrainEncoderOptions))
+                encoded = train_encoder(motion, bar.update, kept)
+            report, encoder = replace(report, encoder=encoded.report), encoded.encoder
         save_neural_rig(trained.rig, job.out, report.to_dict(), encoder)
         if kept:
             when_placed(lambda: kept.unlink(missing_ok=True))
@@ -102,35 +105,23 @@ class Train(
     def _as(self, kind: type[Options]) -> Options:
         return kind(**values_of(kind, self))
 
-    def _encoded(self, motion: Motion, job: Job, checkpoint: Path | None) -> TrainedEncoder | None:
-        from facepipe.neural.train_encoder import TrainEncoder
-
-        if not self.encoder:
-            return None
-        with job.watch("encoder", self.encoder_steps) as bar:
-            return TrainEncoder(options=self._as(TrainEncoderOptions))(motion, bar.update, checkpoint)
-
     def _motion(self, job: Job) -> Motion:
         from facepipe.neural.motion import ReadClips
         from facepipe.neural.read_motion import ReadMotion
         from facepipe.neural.sample_motion import SampleMotion, controls_of
         from facepipe.stage import open_face
+        from facepipe.stage.controls_over_time import is_recorded
 
-        if self._over_time():
+        over_time = self.learn_from == "samples"
+        if self.learn_from == "auto" and not self.clips:
+            over_time = bool(self.controls) or is_recorded(self.data)
+        if over_time:
             return ReadMotion(options=self, prims=self.controls)(self.data)
         parts = open_face(self.data).parts()
         controls = controls_of(parts)
         clips = ReadClips(options=self)(self.clips, controls) if self.clips else None
         with job.watch("frames", self.count(len(controls)) + (len(clips.values) if clips else 0)) as bar:
             return SampleMotion(options=self)(parts, str(self.data), bar.update, clips)
-
-    def _over_time(self) -> bool:
-        """Whether to learn from samples on the stage."""
-        from facepipe.stage.controls_over_time import is_recorded
-
-        if self.learn_from != "auto" or self.clips:
-            return self.learn_from == "samples"
-        return bool(self.controls) or is_recorded(self.data)
 
     def draw(self, report: NeuralRigReport, path: Path) -> None:
         """The picture of the training."""
@@ -149,12 +140,10 @@ class Train(
         between = f", {report.between} between blocks left out" if report.between else ""
         learned = f"{out}: learned from {report.frames} frames {of}, checked on {report.held_out}{between}"
         left = f"no frame moves {', '.join(report.left_out)}" if report.left_out else ""
-        encoder = _encoder_text(report.encoder) if report.encoder else ""
+        encoder = ""
+        if found := report.encoder:
+            off = [("controls off, % of their range", "mean", "median control")]
+            off += [("encoder", f"{100 * found.error_mean:.2f}", f"{100 * found.error_median:.2f}")]
+            off += [("ridge regression", f"{100 * found.ridge_mean:.2f}", f"{100 * found.ridge_median:.2f}")]
+            encoder = table(off)
         return "\n".join(line for line in (f"{learned}; {report.shapes} shapes", table(rows), left, encoder) if line)
-
-
-def _encoder_text(report: EncoderReport) -> str:
-    rows = [("controls off, % of their range", "mean", "median control")]
-    rows += [("encoder", f"{100 * report.error_mean:.2f}", f"{100 * report.error_median:.2f}")]
-    rows += [("ridge regression", f"{100 * report.ridge_mean:.2f}", f"{100 * report.ridge_median:.2f}")]
-    return table(rows)

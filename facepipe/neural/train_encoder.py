@@ -195,6 +195,7 @@ def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, Enc
     per_token = min(options.per_token, count)
     count -= count % per_token
     x = inputs(motion.controls, motion.values)
+    # Points are chosen by what controls do to them: those of one place say little more than one of them.
     straight, _ = ridge(x, motion.points[:, moving].reshape(len(x), -1), _CONTROL_NOISE)
     moves = straight.reshape(-1, len(moving), 3).transpose(1, 2, 0)
     chosen = moving[well_placed(motion.rest[moving], moves, _SEEN_WITH, count, max(_CANDIDATES, count))]

@@ -109,31 +109,21 @@ def skinned_moves(bones: Rig, shapes: FloatArray, channels: IntArray) -> FloatAr
     """
     matrices = bones.skinning_matrices(bones.rest)[:, :3]
     turned = (bones.influences @ matrices.reshape(-1, 12)).reshape(-1, 3, 4)[:, :, :3]
-    return np.concatenate([np.einsum("nij,rnj->rni", turned, shapes), _bone_moves(bones, channels)])
-
-
-def _bone_moves(bones: Rig, channels: IntArray) -> FloatArray:
     worlds = bones.joint_worlds(bones.rest)
     by_own = bones.rest[:, None] @ coefficient_derivatives(rest_coefficients(len(bones.joints)))
     parents = np.concatenate([worlds, bones.parent_world[None]])[bones.parents]  # -1: what roots hang under
-    below = _below(bones)
-    moves = np.empty((len(channels), len(bones.points), 3))
-    for number, (joint, channel) in enumerate(channels):
-        moved_joints = below[joint]
-        turn = parents[joint] @ by_own[joint, channel] @ np.linalg.inv(worlds[joint])
-        matrices = (turn @ worlds[moved_joints] @ bones.inverse_bind[moved_joints])[:, :3]
-        blended = (bones.influences[:, moved_joints] @ matrices.reshape(len(moved_joints), 12)).reshape(-1, 3, 4)
-        moves[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
-    return moves
-
-
-def _below(bones: Rig) -> list[IntArray]:
-    """Of each joint: itself and all under it."""
-    is_below = np.eye(len(bones.joints), dtype=bool)
+    is_below = np.eye(len(bones.joints), dtype=bool)  # of each joint: itself and all under it
     for joint in range(len(bones.joints) - 1, -1, -1):
         if bones.parents[joint] >= 0:
             is_below[bones.parents[joint]] |= is_below[joint]
-    return [np.flatnonzero(row) for row in is_below]
+    moves = np.empty((len(channels), len(bones.points), 3))
+    for number, (joint, channel) in enumerate(channels):
+        below = np.flatnonzero(is_below[joint])
+        turn = parents[joint] @ by_own[joint, channel] @ np.linalg.inv(worlds[joint])
+        matrices = (turn @ worlds[below] @ bones.inverse_bind[below])[:, :3]
+        blended = (bones.influences[:, below] @ matrices.reshape(len(below), 12)).reshape(-1, 3, 4)
+        moves[number] = np.einsum("nij,nj->ni", blended[:, :, :3], bones.points) + blended[:, :, 3]
+    return np.concatenate([np.einsum("nij,rnj->rni", turned, shapes), moves])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +247,9 @@ class TrainNeuralRig:
         if float(max(np.linalg.norm(one, axis=1).max() for one in off)) <= _STRAIGHT_MM:
             return self._straight(motion, learned, checked, straight)
         kept = Checkpoint.for_training(checkpoint, "rig", motion, options) if checkpoint else None
-        taught, watched = _watched(learned, options)
+        # frames to learn, and some whose error says when to stop, which are not those that the report is on
+        several = len(np.unique(learned.blocks)) > 1
+        taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
         basis = OutputBasis.from_motion(taught, options.tolerance_mm, options.shapes, options.detail)
         trained = train(
             _samples(taught, basis),
@@ -306,13 +298,6 @@ class TrainNeuralRig:
         return TrainedNeuralRig(rig=rig, report=report, curve=np.zeros((0, 3)))
 
 
-def _watched(learned: Motion, options: TrainNeuralRigOptions) -> tuple[Motion, Motion]:
-    """Frames to learn, and some whose error says when to stop, which are not those that the report is on."""
-    if len(np.unique(learned.blocks)) < 2:
-        return learned, learned
-    return learned.split(_WATCHED, options.seed)
-
-
 def _samples(motion: Motion, basis: OutputBasis) -> Samples:
     from facepipe.rig.torch.distil import Samples
 
@@ -340,6 +325,7 @@ def _report(
     rig: NeuralRig, learned: Motion, checked: Motion, straight: Straight, options: TrainNeuralRigOptions
 ) -> NeuralRigReport:
     models: list[NeuralRig | Straight] = [rig, straight, ridge(learned, options.tolerance_mm, options.shapes)]
+    # All three on the same frames, which none of them was fitted to.
     off: list[list[FloatArray]] = [[], [], []]
     for values, points in zip(checked.values, checked.points, strict=True):
         for own, one in zip(off, models, strict=True):

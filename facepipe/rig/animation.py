@@ -113,26 +113,20 @@ def resampled(skeleton: Skeleton, animation: Animation, fps: float, mm_per_unit:
         trs = decompose(local_transforms(skeleton, animation))
         there = _at(trs, old, new)
         changed = replace(changed, translations=there.translation, rotations=there.rotation, scales=there.scale)
-        off += _joints_off(trs, _at(there, new, old), mm_per_unit)
+        lines = _at(there, new, old)
+        chord = [np.linalg.norm(trs.rotation - sign * lines.rotation, axis=-1) for sign in (1, -1)]
+        # by the chord 2 sin(angle / 4): arccos of the product is 4e-5 of an angle of 1e-6 off, and gives 0 for 1e-8
+        angle = 4 * np.arcsin(np.minimum(np.minimum(*chord) / 2, 1.0)).max(initial=0.0)
+        moved = np.linalg.norm(trs.translation - lines.translation, axis=-1).max(initial=0.0)
+        off += _unless_tiny("translation", moved * mm_per_unit, " mm")
+        off += _unless_tiny("rotation", angle, " rad")
+        off += _unless_tiny("scale", np.abs(trs.scale - lines.scale).max(initial=0.0), "")
     if animation.shape_weights is not None:
         weights = np.asarray(animation.shape_weights, dtype=np.float64)
         there_weights = _lines(weights, old, new)
         changed = replace(changed, shape_weights=there_weights)
         off += _unless_tiny("weights", np.abs(_lines(there_weights, new, old) - weights).max(initial=0.0), "")
     return changed, ", ".join(off) or "nothing"
-
-
-def _joints_off(exact: Trs, lines: Trs, mm_per_unit: float) -> list[str]:
-    chord = [np.linalg.norm(exact.rotation - sign * lines.rotation, axis=-1) for sign in (1, -1)]
-    # by the chord 2 sin(angle / 4): arccos of the product is 4e-5 of an angle of 1e-6 off, and gives 0 for 1e-8
-    angle = 4 * np.arcsin(np.minimum(np.minimum(*chord) / 2, 1.0)).max(initial=0.0)
-    moved = np.linalg.norm(exact.translation - lines.translation, axis=-1).max(initial=0.0)
-    scaled = np.abs(exact.scale - lines.scale).max(initial=0.0)
-    return [
-        *_unless_tiny("translation", moved * mm_per_unit, " mm"),
-        *_unless_tiny("rotation", angle, " rad"),
-        *_unless_tiny("scale", scaled, ""),
-    ]
 
 
 def _unless_tiny(name: str, size: float, unit: str) -> list[str]:

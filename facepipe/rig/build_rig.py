@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import TopologyError
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
@@ -26,6 +26,8 @@ def build(parts: FaceParts) -> Rig:
     shapes = parts.shapes
     # geomBindTransform goes into the points, as each mesh has its own: one matrix a joint then serves all meshes
     points = [transformed(mesh.points, space) for space, mesh in zip(spaces, parts.meshes, strict=True)]
+    # (n,) which points are skinned by dual quaternions; None where none is
+    by_mesh = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
     return Rig(
         name=parts.name,
         mesh_names=tuple(mesh.name for mesh in parts.meshes),
@@ -44,14 +46,8 @@ def build(parts: FaceParts) -> Rig:
         ).reshape(-1, 4, 4),
         parent_world=np.asarray(skeleton.transform, dtype=np.float64),
         influences=_influences(parts, offsets),
-        dual=_dual(parts),
+        dual=np.repeat(by_mesh, [len(mesh.points) for mesh in parts.meshes]) if any(by_mesh) else None,
     )
-
-
-def _dual(parts: FaceParts) -> BoolArray | None:
-    """(n,) which points are skinned by dual quaternions; None where none is."""
-    by_mesh = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
-    return np.repeat(by_mesh, [len(mesh.points) for mesh in parts.meshes]) if any(by_mesh) else None
 
 
 def mesh_spaces(parts: FaceParts) -> list[FloatArray]:
@@ -126,13 +122,11 @@ def _targets(
                     moved = moved @ linear.T
                 sculpted = (name, number[shape.name], curve, (indices + start).astype(np.int32), moved)
                 by_curve.setdefault((shape.name, name, curve), []).append(sculpted)
-    targets = [_merge(sculpts) for sculpts in by_curve.values()]
+    targets = []
+    for sculpts in by_curve.values():
+        name, shape_number, curve, indices, offset_rows = sculpts[0]
+        if len(sculpts) > 1:
+            indices = np.concatenate([each for *_, each, _ in sculpts])
+            offset_rows = np.concatenate([each for *_, each in sculpts])
+        targets.append(Target(name=name, shape=shape_number, curve=curve, point_indices=indices, offsets=offset_rows))
     return tuple(sorted(targets, key=lambda target: target.shape))
-
-
-def _merge(sculpts: list[_Sculpt]) -> Target:
-    name, shape, curve, indices, offsets = sculpts[0]
-    if len(sculpts) > 1:
-        indices = np.concatenate([numbers for *_, numbers, _ in sculpts])
-        offsets = np.concatenate([moved for *_, moved in sculpts])
-    return Target(name=name, shape=shape, curve=curve, point_indices=indices, offsets=offsets)

@@ -20,7 +20,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 
 if TYPE_CHECKING:
-    from facepipe.parts import FaceParts, Mesh
+    from facepipe.parts import FaceParts
 
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_A-Za-z]+")
@@ -120,16 +120,12 @@ def match_shapes(names: Iterable[str], shapes: Sequence[str]) -> dict[str, tuple
 def recognised(shapes: Sequence[str]) -> tuple[str, int] | None:
     """The convention that most of `shapes` follow, and how many do, whatever their spelling; None for fewer than
     three names."""
-    counts = {
-        kind: len({table.keys[key] for shape in shapes if (key := _known(table, shape)) is not None})
-        for kind, table in CONVENTIONS.items()
-    }
+    counts = {}
+    for kind, table in CONVENTIONS.items():
+        known = ([key for key in (shape_key(shape), spelling(shape)) if key in table.keys] for shape in shapes)
+        counts[kind] = len({table.keys[keys[0]] for keys in known if keys})
     kind = max(counts, key=lambda convention: counts[convention])  # the first of equals: MPFB's names are ARKit's
     return (kind, counts[kind]) if counts[kind] >= _FEWEST_NAMES else None
-
-
-def _known(table: Convention, shape: str) -> str | None:
-    return next((key for key in (shape_key(shape), spelling(shape)) if key in table.keys), None)
 
 
 def _meant(name: str) -> str:
@@ -171,8 +167,14 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
     :param where: the table, for messages
     :raises InputError: two shapes, or two joints, that would have one name
     """
-    shapes = parts.shapes
-    _check(where, "shapes", shapes, [names.get(shape, shape) for shape in shapes])
+    _check(where, "shapes", parts.shapes, [names.get(shape, shape) for shape in parts.shapes])
+    meshes = []
+    for mesh in parts.meshes:
+        shapes = (
+            replace(shape, name=names[shape.name], label=None) if shape.name in names else shape
+            for shape in mesh.blendshapes
+        )
+        meshes.append(replace(mesh, blendshapes=tuple(shapes)))
     skeleton = parts.skeleton
     joint_names = [
         names.get(joint, names.get(path, joint)) for joint, path in zip(skeleton.names, skeleton.joints, strict=True)
@@ -181,7 +183,7 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
     network = parts.slider_network
     return replace(
         parts,
-        meshes=tuple(_mesh(mesh, names) for mesh in parts.meshes),
+        meshes=tuple(meshes),
         skeleton=skeleton.called(joint_names),
         animations=tuple(replace(animation, shapes=_all(animation.shapes, names)) for animation in parts.animations),
         sliders=tuple(
@@ -201,14 +203,6 @@ def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> 
             raise InputError(
                 where, f"the {kind} '{both[0]}' and '{both[1]}' would both be called '{other}', expected two names"
             )
-
-
-def _mesh(mesh: Mesh, names: Mapping[str, str]) -> Mesh:
-    shapes = tuple(
-        replace(shape, name=names[shape.name], label=None) if shape.name in names else shape
-        for shape in mesh.blendshapes
-    )
-    return replace(mesh, blendshapes=shapes)
 
 
 def _all(shapes: Sequence[str], names: Mapping[str, str]) -> tuple[str, ...]:

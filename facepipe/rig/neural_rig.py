@@ -282,7 +282,16 @@ class SkinnedPoints:
         for axis in range(3):
             row = blended[axis]
             derivatives[: len(shapes), axis] = row[0] * shapes[:, 0] + row[1] * shapes[:, 1] + row[2] * shapes[:, 2]
-        derivatives[len(shapes) :] = generators[:, :3] @ self._below_points(morphed, skinning)[self._of]
+        # (k, 4, n) weighted sums of what joints at or below one of the k make of points, and of the weights
+        weights, point = self._weights, self._point
+        matrices = skinning[weights.indices, :3]
+        moved = np.einsum("eij,ej->ie", matrices[:, :, :3], morphed[point]) + matrices[:, :, 3].T
+        rows = (*(weights.data * axis for axis in moved), weights.data)
+        sums = [
+            sparse.csr_array((data, weights.indices, weights.indptr), shape=weights.shape) @ self._below.T
+            for data in rows
+        ]
+        derivatives[len(shapes) :] = generators[:, :3] @ np.stack([total.T for total in sums], axis=1)[self._of]
         return derivatives
 
     def gradient(self, outputs: FloatArray, by_point: FloatArray) -> FloatArray:
@@ -310,18 +319,6 @@ class SkinnedPoints:
         change = (above @ bones.rest)[channels[:, 0]] @ derivatives
         skinning = np.concatenate([worlds @ bones.inverse_bind, bones.parent_world[None]])
         return skinning, change @ np.linalg.inv(worlds[self._joints])[self._of]
-
-    def _below_points(self, morphed: FloatArray, skinning: FloatArray) -> FloatArray:
-        """(k, 4, n) weighted sums of what joints at or below one of the k make of points, and of the weights."""
-        weights, point = self._weights, self._point
-        matrices = skinning[weights.indices, :3]
-        moved = np.einsum("eij,ej->ie", matrices[:, :, :3], morphed[point]) + matrices[:, :, 3].T
-        rows = (*(weights.data * axis for axis in moved), weights.data)
-        sums = [
-            sparse.csr_array((data, weights.indices, weights.indptr), shape=weights.shape) @ self._below.T
-            for data in rows
-        ]
-        return np.stack([total.T for total in sums], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -415,7 +412,17 @@ class NeuralEncoder:
         features = np.tanh(offsets / self.scale @ self.point + self.point_bias) @ self.feature + self.feature_bias
         tokens = features.reshape(len(offsets), len(self.places), -1) @ self.token + self.places
         for layer in self.layers:
-            tokens = tokens + _attention(_norm(tokens), layer, self.heads)
+            normed = _norm(tokens)
+            batch, count, width = normed.shape
+            found = (normed @ layer.attend + layer.attend_bias).reshape(
+                batch, count, 3, self.heads, width // self.heads
+            )
+            queries, keys, values = found.transpose(2, 0, 3, 1, 4)  # each (b, heads, k, width / heads)
+            scores = queries @ keys.swapaxes(-1, -2) / np.sqrt(width / self.heads)
+            shares = np.exp(scores - scores.max(axis=-1, keepdims=True))
+            shares /= shares.sum(axis=-1, keepdims=True)
+            joined = (shares @ values).transpose(0, 2, 1, 3).reshape(batch, count, width)
+            tokens = tokens + np.asarray(joined @ layer.join + layer.join_bias)
             wide = np.maximum(_norm(tokens) @ layer.widen + layer.widen_bias, 0.0)
             tokens = tokens + wide @ layer.narrow + layer.narrow_bias
         reduced = np.tanh(tokens.reshape(len(offsets), -1) @ self.reduce + self.reduce_bias)
@@ -426,14 +433,3 @@ class NeuralEncoder:
 def _norm(tokens: FloatArray) -> FloatArray:
     centred = tokens - tokens.mean(axis=-1, keepdims=True)
     return np.asarray(centred / np.sqrt(np.square(centred).mean(axis=-1, keepdims=True) + EPSILON))
-
-
-def _attention(tokens: FloatArray, layer: EncoderLayer, heads: int) -> FloatArray:
-    batch, count, width = tokens.shape
-    found = (tokens @ layer.attend + layer.attend_bias).reshape(batch, count, 3, heads, width // heads)
-    queries, keys, values = found.transpose(2, 0, 3, 1, 4)  # each (b, heads, k, width / heads)
-    scores = queries @ keys.swapaxes(-1, -2) / np.sqrt(width / heads)
-    shares = np.exp(scores - scores.max(axis=-1, keepdims=True))
-    shares /= shares.sum(axis=-1, keepdims=True)
-    joined = (shares @ values).transpose(0, 2, 1, 3).reshape(batch, count, width)
-    return np.asarray(joined @ layer.join + layer.join_bias)

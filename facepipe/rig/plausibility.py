@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.parts import FaceParts, Mesh
+from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
@@ -30,7 +30,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     rig = build(parts)
     points = rig.evaluate()
     by_mesh, unit = rig.split(points), parts.meters_per_unit
-    marks = next((found for mesh in parts.meshes if (found := _landmarks(mesh, by_mesh[mesh.name])) is not None), None)
+    found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]
+    marks = next((by_mesh[name][indices] for indices, name in found if len(indices) == _COUNT), None)
     if marks is None:
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
         # a body, or a part of a face: its height says nothing of the head
@@ -42,11 +43,6 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
         *_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM),
         *_stance(marks, parts.up_axis),
     )
-
-
-def _landmarks(mesh: Mesh, points: FloatArray) -> FloatArray | None:
-    found = mesh.landmarks.get(_SCHEME)
-    return points[found.indices] if found is not None and len(found.indices) == _COUNT else None
 
 
 def _between(marks: FloatArray, first: int, other: int) -> float:
@@ -64,12 +60,9 @@ def _size(heights: FloatArray, meters_per_unit: float, how: str, room: float) ->
     height = float(heights[0])
     power = 10.0 ** np.round(np.log10(np.sqrt(low * high) / height))
     unit = f" {meters_per_unit * power:.6g}" if low <= height * power <= high else ""
-    what = f"the head is {_length(height)} {how}, expected {low:g} to {high:g} mm"
+    length = f"{height:.3g} mm" if height < 1000.0 else f"{height / 1000.0:.3g} m"
+    what = f"the head is {length} {how}, expected {low:g} to {high:g} mm"
     return (f"{what}; `facepipe import` with --meters-per-unit{unit} fixes a wrong unit",)
-
-
-def _length(mm: float) -> str:
-    return f"{mm:.3g} mm" if mm < 1000.0 else f"{mm / 1000.0:.3g} m"
 
 
 def _stance(marks: FloatArray, up_axis: str) -> tuple[str, ...]:

@@ -77,7 +77,10 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     # (n, 3, 3) what takes normals along: the cofactor of `linear`, then the turn that the surface makes beside it
     triangles = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)
     before, after = point_normals(mesh.points, triangles), point_normals(points, triangles)
-    cofactor = np.tile(np.eye(3), (len(points), 1, 1)) if linear is None else _cofactors(linear)
+    cofactor = np.tile(np.eye(3), (len(points), 1, 1))
+    if linear is not None:
+        rows = [np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)]
+        cofactor = np.stack(rows, axis=1)
     carried = np.einsum("nij,nj->ni", cofactor, before)
     length = np.linalg.norm(carried, axis=1, keepdims=True)
     carried /= np.where(length == 0, 1.0, length)
@@ -85,7 +88,14 @@ def set_mesh(mesh: Mesh, weights: Mapping[str, float], moved: FloatArray | None)
     size = np.where(length == 0, 1.0, length)[:, :, None]
     turn = np.asarray(_rotations(carried, after * sign[:, None]) @ (cofactor / size))
     shapes = tuple(_on_top(shape, weights.get(shape.name, 0.0), linear, turn) for shape in mesh.blendshapes)
-    return replace(mesh, points=points.astype(np.float32), normals=_normals(mesh, turn), blendshapes=shapes)
+    normals = mesh.normals
+    if normals is not None:
+        per_point = len(normals) == len(turn)
+        turns = turn if per_point else turn[np.asarray(mesh.face_vertex_indices, dtype=np.int64)]
+        turned = np.einsum("nij,nj->ni", turns, np.asarray(normals, dtype=np.float64))
+        length = np.linalg.norm(turned, axis=1, keepdims=True)
+        normals = np.asarray(turned / np.where(length == 0, 1.0, length))
+    return replace(mesh, points=points.astype(np.float32), normals=normals, blendshapes=shapes)
 
 
 def _blended(shape: Blendshape, weight: float, sculpts: list[FloatArray]) -> FloatArray:
@@ -138,11 +148,6 @@ def _from(shape: Blendshape, start: float) -> Blendshape:
     return replace(shape, offsets=offsets, normal_offsets=normal_offsets, inbetweens=tuple(inbetweens))
 
 
-def _cofactors(linear: FloatArray) -> FloatArray:
-    rows = [np.cross(linear[:, (i + 1) % 3], linear[:, (i + 2) % 3]) for i in range(3)]
-    return np.stack(rows, axis=1)
-
-
 def _rotations(start: FloatArray, end: FloatArray) -> FloatArray:
     """(n, 3, 3) the smallest rotation from each unit vector (n, 3) to another; none where they are opposed."""
     axis = np.cross(start, end)
@@ -154,17 +159,6 @@ def _rotations(start: FloatArray, end: FloatArray) -> FloatArray:
     factor = np.where(opposed, 0.0, 1 / np.where(opposed, 1.0, 1 + cosine))
     K[opposed] = 0.0
     return np.eye(3) + K + factor[:, None, None] * (K @ K)  # Rodrigues: sin = |axis|, (1 - cos) / sin^2 = 1 / (1 + cos)
-
-
-def _normals(mesh: Mesh, turn: FloatArray) -> FloatArray | None:
-    if mesh.normals is None:
-        return None
-    normals = np.asarray(mesh.normals, dtype=np.float64)
-    per_point = len(normals) == len(turn)
-    rows = np.arange(len(turn)) if per_point else np.asarray(mesh.face_vertex_indices, dtype=np.int64)
-    turned = np.einsum("nij,nj->ni", turn[rows], normals)
-    length = np.linalg.norm(turned, axis=1, keepdims=True)
-    return np.asarray(turned / np.where(length == 0, 1.0, length))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,21 +266,11 @@ def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLi
     return BoneLimits(lower=np.minimum(np.minimum(one, other), rest), upper=np.maximum(np.maximum(one, other), rest))
 
 
-def sliders_on(parts: FaceParts, person: Person, new: NewRest) -> tuple[Slider, ...]:
-    """The sliders with the person's values as their defaults, which then add nothing.
-
-    Gains are those of the coefficients of ``inverse(M(person)) M(person + change)``, to first order.
-    """
-    change = _Changes(parts, person, new)
-    return tuple(change.slider(slider) for slider in parts.sliders)
-
-
-def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork | None:
+def network_on(parts: FaceParts, change: _Changes) -> SliderNetwork | None:
     """The learned network of the sliders, adding nothing at the person's values."""
     network = parts.slider_network
     if network is None:
         return None
-    change = _Changes(parts, person, new)
     values = {slider.name: clamped_value(slider) for slider in parts.sliders}
     start = evaluate(network, np.array([values[name] for name in network.sliders]))
     rows = [change.channels(joint, channel) for joint, channel in network.channels]
@@ -306,7 +290,10 @@ def network_on(parts: FaceParts, person: Person, new: NewRest) -> SliderNetwork 
 
 
 class _Changes:
-    """Changes of one bone coefficient of a joint, relative to the person's rest."""
+    """Changes of one bone coefficient of a joint, relative to the person's rest.
+
+    They are those of the coefficients of ``inverse(M(person)) M(person + change)``, to first order.
+    """
 
     def __init__(self, parts: FaceParts, person: Person, new: NewRest) -> None:
         self.index = {joint: i for i, joint in enumerate(parts.skeleton.joints)}
@@ -323,7 +310,7 @@ class _Changes:
         return {(joint, name): by for name, by in zip(CHANNELS, row, strict=True) if abs(by) > _NO_GAIN}
 
     def slider(self, slider: Slider) -> Slider:
-        """The slider on top of the person."""
+        """The slider with the person's value as its default, which then adds nothing."""
         value = clamped_value(slider)
         gains: dict[tuple[str, str, Curve | None], float] = defaultdict(float)
         for (joint, channel, gain), curve in channel_entries(slider):
@@ -382,11 +369,7 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
     person = person_of(parts, pose)
     if person.is_rest:
         return SetFace(parts=parts, pose=person.description, error=None)
-    return _set_face(parts, person, in_joints=pose == "set-joints")
-
-
-def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
-
+    in_joints = pose == "set-joints"
     rig = build(parts)
     rig.weight_vector(person.weights)  # refuses shapes that the face lacks
     by_person = f"by the person ({person.description})"
@@ -410,6 +393,7 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
         for animation in parts.animations
         if not is_person(parts, animation, person)
     )
+    change = _Changes(parts, person, new)
     result = replace(
         parts,
         meshes=tuple(
@@ -419,8 +403,8 @@ def _set_face(parts: FaceParts, person: Person, *, in_joints: bool) -> SetFace:
         skeleton=new.skeleton,
         animations=animations,
         played=parts.played if parts.played in {animation.name for animation in animations} else None,
-        sliders=sliders_on(parts, person, new),
-        slider_network=network_on(parts, person, new),
+        sliders=tuple(change.slider(slider) for slider in parts.sliders),
+        slider_network=network_on(parts, change),
         bone_limits=limits_on(parts.bone_limits, person, new),
         person=None,
     )
@@ -456,29 +440,24 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
         moved = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
         np.maximum(largest, np.linalg.norm(moved - exact, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
-    return SetError(
-        mean_mm=float(largest.mean()) if len(largest) else 0.0,
-        max_mm=float(largest.max(initial=0.0)),
-        shapes=len(shapes),
-        poses=len(poses),
-        sliders_max_mm=1000 * parts.meters_per_unit * _sliders_apart(before, after, parts, result),
-    )
-
-
-def _sliders_apart(before: Rig, after: Rig, parts: FaceParts, result: FaceParts) -> float:
-    """Largest distance between points under the same slider values, in stage units."""
     random, farthest = np.random.default_rng(_POSE_SEED), 0.0
     for _ in range(POSES if parts.sliders else 0):
         values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
-        exact, moved = (
+        as_before, as_after = (
             rig.evaluate(weights, coefficients=coefficients)
             for rig, (coefficients, weights) in (
                 (before, slide(parts.sliders, before.joints, values, parts.slider_network)),
                 (after, slide(result.sliders, after.joints, values, result.slider_network)),
             )
         )
-        farthest = max(farthest, float(np.linalg.norm(moved - exact, axis=1).max(initial=0.0)))
-    return farthest
+        farthest = max(farthest, float(np.linalg.norm(as_after - as_before, axis=1).max(initial=0.0)))
+    return SetError(
+        mean_mm=float(largest.mean()) if len(largest) else 0.0,
+        max_mm=float(largest.max(initial=0.0)),
+        shapes=len(shapes),
+        poses=len(poses),
+        sliders_max_mm=1000 * parts.meters_per_unit * farthest,
+    )
 
 
 def random_poses(rig: Rig, parts: FaceParts) -> list[tuple[dict[str, float], FloatArray]]:

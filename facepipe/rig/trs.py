@@ -42,7 +42,12 @@ def decompose(matrices: FloatArray) -> Trs:
     gram = np.swapaxes(rotation, -1, -2) @ rotation
     skewed = flat | (np.abs(gram - np.eye(3)).max(axis=(-1, -2)) > _SHEAR_TOLERANCE)
     if skewed.any():
-        rotation[skewed], scale[skewed] = _nearest(linear[skewed])
+        bent = linear[skewed]
+        U, _, Vt = np.linalg.svd(bent)
+        sign = np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)
+        mirror = np.eye(3) * np.stack([sign, np.ones_like(sign), np.ones_like(sign)], axis=-1)[..., None, :]
+        nearest = U @ Vt @ mirror
+        rotation[skewed], scale[skewed] = nearest, np.einsum("...ij,...ij->...j", nearest, bent)
     rebuilt = rotation * scale[..., None, :]
     size = np.abs(linear).max(axis=(-1, -2))
     sheared = np.abs(rebuilt - linear).max(axis=(-1, -2)) > _SHEAR_TOLERANCE * np.where(size == 0, 1.0, size)
@@ -62,15 +67,6 @@ def accumulate(local: FloatArray, parents: IntArray) -> FloatArray:
         if parent >= 0:
             worlds[..., joint, :, :] = worlds[..., parent, :, :] @ local[..., joint, :, :]
     return worlds
-
-
-def _nearest(linear: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nearest rotations (polar decomposition) and the scales that go with them."""
-    U, _, Vt = np.linalg.svd(linear)
-    sign = np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)
-    mirror = np.eye(3) * np.stack([sign, np.ones_like(sign), np.ones_like(sign)], axis=-1)[..., None, :]
-    rotation = U @ Vt @ mirror
-    return rotation, np.einsum("...ij,...ij->...j", rotation, linear)
 
 
 def quaternions(rotations: FloatArray) -> FloatArray:

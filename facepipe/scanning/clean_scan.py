@@ -59,6 +59,7 @@ class CleanScan:
             raise error.under(scan.name) from None
 
     def _surface(self, scan: Scan) -> CleanedScan:
+        # Normals are made anew: the file's are of points that may have been merged, or of triangles turned.
         cleaned = clean_surface(scan.points, scan.triangles, smallest=self.smallest)
         mended = replace(
             scan,
@@ -68,11 +69,20 @@ class CleanScan:
             colors=None if scan.colors is None else scan.colors[cleaned.source],
             texture=None,
         )
+        lines, found = [], cleaned.report
+        if found.small_components:
+            lines.append(f"{found.small_components} small pieces dropped ({found.small_triangles} triangles)")
+        if found.non_manifold_edges:
+            lines.append(f"{found.non_manifold_edges} edges of more than two triangles cut open")
+        if found.one_sided_edges:
+            lines.append(f"a one-sided surface cut open along {found.one_sided_edges} edges")
+        if found.turned_triangles:
+            lines.append(f"{found.turned_triangles} triangles turned to face outward")
         report = CleanScanReport(
             points=len(cleaned.points),
             triangles=len(cleaned.triangles),
-            surface=cleaned.report,
-            warnings=_warnings(cleaned.report),
+            surface=found,
+            warnings=tuple(lines),
         )
         return CleanedScan(scan=mended, border=cleaned.border, component=cleaned.component, report=report)
 
@@ -81,6 +91,7 @@ class CleanScan:
         points = scan.points[first]
         cloud = cloud_normals(points, self.neighbours)
         kept, normals, turned = ~cloud.lone, cloud.normals, False
+        # A scanner knows which side it saw: the planes of neighbours only tell whether all normals point inward.
         if scan.normals is not None:
             normals = scan.normals[first]
             turned = bool(np.einsum("ni,ni->n", normals, cloud.normals).mean() < 0)
@@ -101,17 +112,3 @@ class CleanScan:
         )
         border, component = np.zeros(count, bool), np.zeros(count, np.int64)
         return CleanedScan(scan=mended, border=border, component=component, report=report)
-
-
-def _warnings(report: SurfaceReport) -> tuple[str, ...]:
-    """What a user should know of the scan."""
-    lines = []
-    if report.small_components:
-        lines.append(f"{report.small_components} small pieces dropped ({report.small_triangles} triangles)")
-    if report.non_manifold_edges:
-        lines.append(f"{report.non_manifold_edges} edges of more than two triangles cut open")
-    if report.one_sided_edges:
-        lines.append(f"a one-sided surface cut open along {report.one_sided_edges} edges")
-    if report.turned_triangles:
-        lines.append(f"{report.turned_triangles} triangles turned to face outward")
-    return tuple(lines)

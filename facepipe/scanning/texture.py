@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.core.images import open_image, pixels
@@ -21,9 +20,9 @@ from facepipe.geometry.scan_surface import cloud_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.geometry.texels import Texels, spread
 from facepipe.heads.skin import jpeg, to_bytes
-from facepipe.parts import FaceParts, Texture, TextureInput
-from facepipe.scanning.rebuild import BakeScanOptions
-from facepipe.scans import Scan, ScanTexture, SurfaceColors
+from facepipe.parts import FaceParts, TextureInput
+from facepipe.scanning.rebuild.declared import BakeScanOptions
+from facepipe.scans import Scan
 from facepipe.stage import Face
 from facepipe.textures.bake import Baker
 from facepipe.textures.evened import inner, missed_light, one_sided
@@ -76,7 +75,13 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
     points = place.apply(scan.points)
     inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
     if scan.is_cloud:
-        return _of_cloud(scan, points, inside, place)
+        from scipy.spatial import cKDTree
+
+        kept = np.flatnonzero(inside)
+        near = cKDTree(points[kept]).query(points[kept], k=2)[0][:, 1] if len(kept) > 1 else np.ones(1)
+        own = cloud_normals(points, _NEIGHBOURS).normals if scan.normals is None else scan.normals @ place.rotation.T
+        colors = None if scan.colors is None else scan.colors[kept].astype(np.float32)
+        return ScanSamples(points=points[kept], normals=own[kept], colors=colors, spacing=float(np.median(near)))
     # Any corner, not all: else the box would have a rim without samples, as wide as the scan's triangles.
     triangles = np.flatnonzero(inside[scan.triangles].any(axis=1))
     normals = point_normals(points, scan.triangles)
@@ -89,28 +94,13 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
         colors=_colors(scan, owners, corners, shares),
         spacing=spacing,
     )
-    return samples if scan.photos is None else _photographed(samples, scan.photos, place)
-
-
-def _photographed(samples: ScanSamples, photos: SurfaceColors, place: Similarity) -> ScanSamples:
-    """The samples with the colours of the photos where these show them."""
+    if scan.photos is None:
+        return samples
     assert samples.colors is not None  # scans of photos have some at their points
-    colors = photos(place.undo(samples.points), samples.normals @ place.rotation, samples.spacing / place.scale)
-    return replace(samples, colors=np.where(np.isfinite(colors), colors, samples.colors))
-
-
-def _of_cloud(scan: Scan, points: FloatArray, inside: BoolArray, place: Similarity) -> ScanSamples:
-    normals = cloud_normals(points, _NEIGHBOURS).normals if scan.normals is None else scan.normals @ place.rotation.T
-    from scipy.spatial import cKDTree
-
-    kept = np.flatnonzero(inside)
-    near = cKDTree(points[kept]).query(points[kept], k=2)[0][:, 1] if len(kept) > 1 else np.ones(1)
-    return ScanSamples(
-        points=points[kept],
-        normals=normals[kept],
-        colors=None if scan.colors is None else scan.colors[kept].astype(np.float32),
-        spacing=float(np.median(near)),
-    )
+    # the colours of the photos where these show a place
+    there, normals, spacing = place.undo(samples.points), samples.normals @ place.rotation, spacing / place.scale
+    photographed = scan.photos(there, normals, spacing)
+    return replace(samples, colors=np.where(np.isfinite(photographed), photographed, samples.colors))
 
 
 def _lattice(corners: FloatArray, spacing: float) -> tuple[IntArray, FloatArray, float]:
@@ -124,30 +114,27 @@ def _lattice(corners: FloatArray, spacing: float) -> tuple[IntArray, FloatArray,
     owners, shares = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
     for count in np.unique(steps):
         here = np.flatnonzero(steps == count)
-        middles = _middles(int(count))
+        # (count^2, 3) barycentrics of the middles of the triangles that a triangle is cut into
+        first, second = (axis.ravel() for axis in np.meshgrid(np.arange(count), np.arange(count), indexing="ij"))
+        up, down = first + second < count, first + second < count - 1
+        ups = np.column_stack([first[up] + 1 / 3, second[up] + 1 / 3])
+        downs = np.column_stack([first[down] + 2 / 3, second[down] + 2 / 3])
+        two = np.concatenate([ups, downs]) / count
+        middles = np.column_stack([two, 1 - two.sum(axis=1)])
         owners.append(np.repeat(here, len(middles)))
         shares.append(np.tile(middles, (len(here), 1)))
     return np.concatenate(owners), np.concatenate(shares), spacing
-
-
-def _middles(steps: int) -> FloatArray:
-    """(steps^2, 3) barycentrics of the middles of the triangles that a triangle is cut into."""
-    first, second = (axis.ravel() for axis in np.meshgrid(np.arange(steps), np.arange(steps), indexing="ij"))
-    up, down = first + second < steps, first + second < steps - 1
-    ups = np.column_stack([first[up] + 1 / 3, second[up] + 1 / 3])
-    downs = np.column_stack([first[down] + 2 / 3, second[down] + 2 / 3])
-    two = np.concatenate([ups, downs]) / steps
-    return np.column_stack([two, 1 - two.sum(axis=1)])
 
 
 def _colors(scan: Scan, owners: IntArray, corners: IntArray, shares: FloatArray) -> Float32Array | None:
     colors = None if scan.colors is None else _mixed(scan.colors, corners, shares).astype(np.float32)
     if scan.texture is None or colors is None:
         return colors
-    for number, texels in enumerate(_texels(scan.texture)):
+    for number, picture in enumerate(scan.texture.pictures):
+        name = f"picture {number + 1} of the scan"
+        texels = pixels(open_image(picture.data, name), "RGB", name)
         here = np.flatnonzero(scan.texture.picture[owners] == number)
         uv = np.einsum("sk,skc->sc", shares[here], scan.texture.uvs[owners[here]])
-        picture = scan.texture.pictures[number]
         # (s, 3) linear colours of the texels (h, w, 3) at UVs (s, 2), bilinear
         height, width = texels.shape[:2]
         x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
@@ -164,13 +151,6 @@ def _colors(scan: Scan, owners: IntArray, corners: IntArray, shares: FloatArray)
             total += share.astype(np.float32)[:, None] * levels[texels[row % height, column % width]]
         colors[here] = np.asarray(np.clip(total * np.array(picture.gain) + np.array(picture.bias), 0, 1), np.float32)
     return colors
-
-
-def _texels(texture: ScanTexture) -> Iterator[npt.NDArray[np.uint8]]:
-    """(h, w, 3) sRGB bytes of each picture."""
-    for number, picture in enumerate(texture.pictures):
-        where = f"picture {number + 1} of the scan"
-        yield pixels(open_image(picture.data, where), "RGB", where)
 
 
 def _mixed(values: FloatArray, corners: IntArray, shares: FloatArray) -> FloatArray:
@@ -309,11 +289,20 @@ def baked_relief(on_scan: SkinOnScan, number: int, own: TextureInput, edge: floa
     :param edge: millimetres, of the scan's triangles
     :raises InputError: a map that can't be read
     """
+    from PIL import Image
+
     skin, texels = on_scan.skin, on_scan.skin.textures[number].texels
-    result = _normals(own, texels.size)
+    size, count = (texels.size, texels.size), len(skin.points)
+    picture = open_image(own.texture.image(), f"texture {own.texture.name}").convert("RGB")
+    values = np.asarray(picture.resize(size, Image.Resampling.BICUBIC), np.float32) / 255
+    before = (values * np.array(own.scale[:3]) + np.array(own.bias[:3])).reshape(-1, 3)
+    flat = np.asarray(unit(before), np.float32)
     shown = on_scan.shown(number)
     part = texels.taken(shown.place)
-    across, up = (part.carried(direction) for direction in _directions(texels, skin.points))
+    # (n, 3) directions at points in which u and v grow, means of those of the texels around
+    places = spread(texels, texels.carried(skin.points))
+    growing = (sign * np.gradient(places, axis=axis).reshape(-1, 3)[texels.at] for axis, sign in ((1, 1), (0, -1)))
+    across, up = (part.carried(unit(texels.summed(unit(one), count))) for one in growing)
     normal = unit(part.carried(on_scan.normals))
     across = unit(across - (across * normal).sum(axis=1, keepdims=True) * normal)
     binormal = np.cross(normal, across)
@@ -325,12 +314,11 @@ def baked_relief(on_scan: SkinOnScan, number: int, own: TextureInput, edge: floa
     trust = (shown.trust * step(facing, *_ALIKE))[:, None]
     # Slopes (x / z, y / z) of two reliefs add up, unit normals don't; 0.1 bounds those seen edge-on.
     slopes = slopes / np.maximum(facing, 0.1)[:, None]
-    flat = result.reshape(-1, 3)
     before = flat[part.at]
     kept = 1 - trust if edge <= _PORES_MM else 1.0
     both = kept * before[:, :2] / np.maximum(before[:, 2:], 0.1) + trust * slopes
     flat[part.at] = unit(np.column_stack([both, np.ones(len(both))]))
-    return result
+    return flat.reshape(*size, 3)
 
 
 def is_finer(on_scan: SkinOnScan, edge: float) -> bool:
@@ -344,22 +332,6 @@ def median_edge(points: FloatArray, triangles: IntArray) -> float:
     """Of the edges of triangles (t, 3) between points (n, 3)."""
     lengths = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
     return float(np.median(lengths)) if lengths.size else 0.0
-
-
-def _normals(own: TextureInput, size: int) -> Float32Array:
-    from PIL import Image
-
-    picture = open_image(own.texture.image(), f"texture {own.texture.name}").convert("RGB")
-    values = np.asarray(picture.resize((size, size), Image.Resampling.BICUBIC), np.float32) / 255
-    normals = (values * np.array(own.scale[:3]) + np.array(own.bias[:3])).reshape(-1, 3)
-    return np.asarray(unit(normals), np.float32).reshape(size, size, 3)
-
-
-def _directions(texels: Texels, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) unit directions at points in which u and v grow, means of those of the texels around."""
-    places = spread(texels, texels.carried(points))
-    across, down = (np.gradient(places, axis=axis).reshape(-1, 3)[texels.at] for axis in (1, 0))
-    return (unit(texels.summed(unit(across), len(points))), unit(texels.summed(unit(-down), len(points))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -424,14 +396,24 @@ def bake_scan(on_scan: SkinOnScan, even: float) -> ScanTextures:
     skin, baker = on_scan.skin, Baker(on_scan.skin)
     observed = [on_scan.observed(number, flat) for number, flat in enumerate(baker.flats)]
     colors, trust = baker.at_points(observed)
-    # Colours are logarithms of ratios: light multiplies, so it is subtracted here.
-    light = even * _light(skin, on_scan.normals, colors, trust) if even > 0 else np.zeros_like(colors)
+    # Colours are logarithms of ratios: light multiplies, so it is subtracted here. Light is what goes with the
+    # direction of the surface, and what changes from side to side.
+    light = np.zeros_like(colors)
+    if even > 0:
+        weight = trust * skin.areas * (_OFF_THE_FACE + (1 - _OFF_THE_FACE) * inner(skin))
+        light = missed_light(on_scan.normals, colors, weight)
+        light = even * (light + one_sided(skin, colors - light, trust, uneven=1.0))
     observed = [baker.evened(number, one, light, np.ones(len(trust))) for number, one in enumerate(observed)]
     areas = skin.areas * skin.outside
     if on_scan.covered is not None:
         areas = areas * ~on_scan.covered
+    whole, pictures = baker.completed(*baker.at_points(observed)), []
+    for texture, flat, one in zip(skin.textures, baker.flats, observed, strict=True):
+        ratio = texture.texels.carried(whole)
+        ratio[one.place] += one.trust[:, None] * (one.ratio - ratio[one.place])
+        pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)).astype(np.float32))
     return ScanTextures(
-        pictures=tuple(_pictures(baker, observed)),
+        pictures=tuple(pictures),
         coverage=float(trust @ areas / areas.sum()),
         light=float(np.abs(light).mean(axis=1) @ (areas * trust) / max(areas @ trust, 1e-12)),
         brows=_brows(skin, (baker.template + colors - light).mean(axis=1), trust),
@@ -445,11 +427,8 @@ def _brows(skin: SkinSurface, brightness: FloatArray, trust: FloatArray) -> floa
     """
     from scipy.spatial import cKDTree
 
-    marks, tree, reach = (
-        skin.points[skin.landmarks],
-        cKDTree(skin.points),
-        _BROWS_REACH * skin.eye_distance(skin.points),
-    )
+    marks, tree = skin.points[skin.landmarks], cKDTree(skin.points)
+    reach = _BROWS_REACH * skin.eye_distance(skin.points)
     up = marks[27] - marks[8]
 
     def around(shares: tuple[float, ...]) -> FloatArray:
@@ -457,28 +436,11 @@ def _brows(skin: SkinSurface, brightness: FloatArray, trust: FloatArray) -> floa
         rows = np.unique(np.concatenate([np.asarray(one, np.int64) for one in near]))
         return np.asarray(brightness[rows[trust[rows] > _BRIGHT_SHOWN]])
 
+    # A quantile, not the mean: hairs may cover a quarter of where brows are.
     forehead, brows = around(_FOREHEAD), around(_ON_BROWS)
     if not len(forehead) or not len(brows):
         return 0.0
     return float(np.median(forehead) - np.quantile(brows, _DARK_SHARE))
-
-
-def _light(skin: SkinSurface, normals: FloatArray, colors: FloatArray, trust: FloatArray) -> FloatArray:
-    """(n, 3) what of colours (n, 3) is light: what goes with the direction of the surface, and from side to side."""
-    weight = trust * skin.areas * (_OFF_THE_FACE + (1 - _OFF_THE_FACE) * inner(skin))
-    light = missed_light(normals, colors, weight)
-    return light + one_sided(skin, colors - light, trust, uneven=1.0)
-
-
-def _pictures(baker: Baker, observed: Sequence[Observed]) -> list[Float32Array]:
-    colors, trust = baker.at_points(observed)
-    whole = baker.completed(colors, trust)
-    pictures = []
-    for texture, flat, one in zip(baker.skin.textures, baker.flats, observed, strict=True):
-        ratio = texture.texels.carried(whole)
-        ratio[one.place] += one.trust[:, None] * (one.ratio - ratio[one.place])
-        pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)).astype(np.float32))
-    return pictures
 
 
 def author_scan_textures(
@@ -505,9 +467,16 @@ def author_scan_textures(
         on_scan = lay_on(skin, scan, place, under_hair(parts, points, skin))
         edge = place.scale * median_edge(scan.points, scan.triangles)
         if relief and is_finer(on_scan, edge):
-            for image, materials in _reliefs(parts, on_scan, edge):
-                face.new_texture(materials, image.name, image.data, "normal")
-                files[image.name] = materials
+            # normal maps, where materials have one of the same texture coordinates
+            normals = {material.name: material.normal for material in parts.materials}
+            for number, texture in enumerate(skin.textures):
+                for own in dict.fromkeys(normals[name] for name in texture.materials):
+                    if own is not None and own.uv_set == texture.source.uv_set:
+                        materials = tuple(name for name in texture.materials if normals[name] == own)
+                        relief_map = (baked_relief(on_scan, number, own, edge) + 1) / 2
+                        image = jpeg(_name(own), to_bytes(relief_map))
+                        face.new_texture(materials, image.name, image.data, "normal")
+                        files[image.name] = materials
         if colors:
             baked = bake_scan(on_scan, options.even)
             colored = baked.coverage
@@ -517,17 +486,6 @@ def author_scan_textures(
                 files[image.name] = texture.materials
             hidden = hide_brow_cards(face, on_scan.skin) if baked.brows > _BROWS_SHOW else ()
     return BakeScanReport(textures=files, colored=colored, hidden=hidden)
-
-
-def _reliefs(parts: FaceParts, on_scan: SkinOnScan, edge: float) -> Iterator[tuple[Texture, tuple[str, ...]]]:
-    """Normal maps, and the materials that show them, where these have one of the same texture coordinates."""
-    normals = {material.name: material.normal for material in parts.materials}
-    for number, texture in enumerate(on_scan.skin.textures):
-        for own in dict.fromkeys(normals[name] for name in texture.materials):
-            if own is not None and own.uv_set == texture.source.uv_set:
-                names = tuple(name for name in texture.materials if normals[name] == own)
-                picture = baked_relief(on_scan, number, own, edge)
-                yield jpeg(_name(own), to_bytes((picture + 1) / 2)), names
 
 
 def _name(source: TextureInput) -> str:

@@ -7,7 +7,7 @@ takes all variants and payloads, and instances in full.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,19 +42,6 @@ def check_counts(where: object, stage: Usd.Stage) -> None:
         to themselves
     """
     root = stage.GetPseudoRoot()
-    _check_schemas(where, root)
-    steps: dict[Sdf.Path, int] = {}
-    for path in root.FindAllAttributeConnectionPaths(_EVERYTHING):
-        if path.IsPropertyPath():
-            _check_steps(where, stage, path, steps)
-    for prim in Usd.PrimRange(root, _EVERYTHING):
-        if prim.IsA(UsdSkel.Skeleton):
-            _check_joints(where, prim)
-        for relationship in prim.GetAuthoredRelationships():
-            _check_steps(where, stage, relationship.GetPath(), steps)
-
-
-def _check_schemas(where: object, root: Usd.Prim) -> None:
     lists: set[tuple[str, ...]] = set()
     squares = 0
     for prim in Usd.PrimRange(root, _EVERYTHING):
@@ -65,16 +52,21 @@ def _check_schemas(where: object, root: Usd.Prim) -> None:
             if squares > MOST_SCHEMAS**2:
                 found = f"{len(applied)} API schemas here and {sum(map(len, lists)) - len(applied)} on other prims"
                 raise InputError(f"{where} -> {prim.GetPath()}", f"{found}, expected at most {MOST_SCHEMAS}")
-
-
-def _check_joints(where: object, prim: Usd.Prim) -> None:
-    try:
-        joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() or ()
-        deepest = max((str(joint).count("/") for joint in joints), default=0)
-    except UNREADABLE:
-        return  # its reader reports that
-    if deepest >= MOST_LEVELS:
-        raise InputError(f"{where} -> {prim.GetPath()}.joints", f"nests joints more than {MOST_LEVELS} deep")
+    steps: dict[Sdf.Path, int] = {}
+    for path in root.FindAllAttributeConnectionPaths(_EVERYTHING):
+        if path.IsPropertyPath():
+            _check_steps(where, stage, path, steps)
+    for prim in Usd.PrimRange(root, _EVERYTHING):
+        if prim.IsA(UsdSkel.Skeleton):
+            try:
+                joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() or ()
+                deepest = max((str(joint).count("/") for joint in joints), default=0)
+            except UNREADABLE:
+                deepest = 0  # its reader reports that
+            if deepest >= MOST_LEVELS:
+                raise InputError(f"{where} -> {prim.GetPath()}.joints", f"nests joints more than {MOST_LEVELS} deep")
+        for relationship in prim.GetAuthoredRelationships():
+            _check_steps(where, stage, relationship.GetPath(), steps)
 
 
 def _check_steps(where: object, stage: Usd.Stage, start: Sdf.Path, steps: dict[Sdf.Path, int]) -> None:
@@ -119,28 +111,19 @@ def check_arrays(prims: Sequence[Usd.Prim], where: object) -> None:
         if file.is_file():
             budget.grant(os.stat(file).st_size, same_file(file))  # noqa: PTH116
     for prim in prims:
-        if prim.GetTypeName() in _KINDS_COUNTED:
-            for size in _sizes(prim):
-                budget.spend(size, lambda what: InputError(where, what))
-
-
-def _sizes(prim: Usd.Prim) -> Iterator[int]:
-    """Bytes of each array of a prim; of an animation, all time samples, and else one, as no more is read."""
-    for attribute in prim.GetAuthoredAttributes():
-        if not attribute.GetTypeName().isArray:
-            continue
-        times = attribute.GetNumTimeSamples()
-        try:
-            value = attribute.Get(Usd.TimeCode.EarliestTime() if times else _DEFAULT)
-        except UNREADABLE:
-            continue  # its reader reports that
-        yield (max(times, 1) if prim.IsA(UsdSkel.Animation) else 1) * _bytes(value, attribute.GetTypeName())
-
-
-def _bytes(value: Any, kind: Sdf.ValueTypeName) -> int:
-    if value is None or not hasattr(value, "__len__"):
-        return 0
-    return len(value) * _SCALAR_BYTES.get(str(kind.scalarType), np.asarray(kind.scalarType.defaultValue).nbytes)
+        arrays = prim.GetAuthoredAttributes() if prim.GetTypeName() in _KINDS_COUNTED else ()
+        for attribute in arrays:
+            kind, times = attribute.GetTypeName(), attribute.GetNumTimeSamples()
+            try:
+                value = attribute.Get(Usd.TimeCode.EarliestTime() if times else _DEFAULT) if kind.isArray else None
+            except UNREADABLE:
+                continue  # its reader reports that
+            if value is not None and hasattr(value, "__len__"):
+                scalar = kind.scalarType
+                each = _SCALAR_BYTES.get(str(scalar), np.asarray(scalar.defaultValue).nbytes)
+                # all samples of an animation are read, of other prims one
+                samples = max(times, 1) if prim.IsA(UsdSkel.Animation) else 1
+                budget.spend(samples * len(value) * each, lambda what: InputError(where, what))
 
 
 class _Count(NamedTuple):
@@ -240,7 +223,10 @@ class Composition:
             if index.hasAnyPayloads:
                 cache.RequestPayloads([path], [])
                 index, _ = cache.ComputePrimIndex(path)
-            nodes = _nodes(index.rootNode)
+            nodes, below = 0, [index.rootNode]
+            while below:
+                nodes += 1
+                below.extend(below.pop().children)
             composed += nodes
             if composed > most:
                 raise self.too_much(f"more than {most}", most)
@@ -340,24 +326,21 @@ class Composition:
                 self._stacks[key] = None
             else:
                 variables = {**root.layer.expressionVariables, **variables}
-                self._stacks[key] = _Stack(tuple(self._sublayers(root, variables)), variables)
+                tables = []
+                todo: list[tuple[LayerTable, tuple[str, ...]]] = [(root, (root.layer.identifier,))]
+                while todo:
+                    table, trail = todo.pop()
+                    tables.append(table)
+                    if len(tables) > MOST_SUBLAYERS or len(trail) > MOST_LEVELS:
+                        most = f"{MOST_SUBLAYERS} sublayers or {MOST_LEVELS} levels of them"
+                        raise InputError(self.path, f"a layer has more than {most}")
+                    for name in reversed(table.layer.subLayerPaths):
+                        named = _identifier(table.layer, name, variables)
+                        below = self._table(named) if named else None
+                        if below is not None and below.layer.identifier not in trail:  # USD passes over a circle
+                            todo.append((below, (*trail, below.layer.identifier)))
+                self._stacks[key] = _Stack(tuple(tables), variables)
         return self._stacks[key]
-
-    def _sublayers(self, root: LayerTable, variables: dict[str, Any]) -> list[LayerTable]:
-        tables = []
-        todo: list[tuple[LayerTable, tuple[str, ...]]] = [(root, (root.layer.identifier,))]
-        while todo:
-            table, trail = todo.pop()
-            tables.append(table)
-            if len(tables) > MOST_SUBLAYERS or len(trail) > MOST_LEVELS:
-                most = f"{MOST_SUBLAYERS} sublayers or {MOST_LEVELS} levels of them"
-                raise InputError(self.path, f"a layer has more than {most}")
-            for name in reversed(table.layer.subLayerPaths):
-                identifier = _identifier(table.layer, name, variables)
-                below = self._table(identifier) if identifier else None
-                if below is not None and below.layer.identifier not in trail:  # USD passes over a circle
-                    todo.append((below, (*trail, below.layer.identifier)))
-        return tables
 
     def _table(self, identifier: str) -> LayerTable | None:
         try:
@@ -393,11 +376,3 @@ def _joined(base: _Count, parts: Sequence[_Count]) -> _Count:
         base.most + sum(part.most for part in parts),
         max(base.levels, 1 + max(part.levels for part in parts)),
     )
-
-
-def _nodes(root: Any) -> int:
-    todo, count = [root], 0
-    while todo:
-        count += 1
-        todo.extend(todo.pop().children)
-    return count

@@ -14,7 +14,6 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
-from facepipe.parts import Animation, Slider
 from facepipe.rig.neural_rig import Control
 from facepipe.stage.api_schemas import check_property_name, is_applied
 from facepipe.stage.files import check_suffix, new_stage, open_stage, save_layer
@@ -39,7 +38,7 @@ def save_controls(
     """
     check_suffix(Path(path))
     require_finite(np.asarray(values), str(path), "controls")
-    stage = new_stage(0.001, "Y", codes_per_second)
+    stage = new_stage(0.001, "Y", codes_per_second)  # as a point cache: stages without a unit are in centimetres
     prim = UsdGeom.Scope.Define(stage, "/Controls").GetPrim()
     stage.SetDefaultPrim(prim)
     if len(codes):
@@ -130,12 +129,23 @@ def read_controls(path: str | os.PathLike[str], prims: Sequence[str] = ()) -> tu
     """
     with errors_below(str(Path(path))):
         stage = open_stage(path)
-        found = _of_prims(stage, prims) if prims else _declared(stage)
-        if found:
-            return found
+        tracks = [] if prims else list(_declared(stage))
+        for named in prims:
+            valid = Sdf.Path.IsValidPathString(named) and named.startswith("/")
+            prim = stage.GetPrimAtPath(named) if valid else None
+            if not prim:
+                raise InputError(f"<{named}>", "no such prim, expected the path of one with controls")
+            own = [one for one in prim.GetAuthoredAttributes() if one.IsCustom() and one.HasAuthoredValue()]
+            numbers = [attribute for attribute in own if str(attribute.GetTypeName()) in _NUMBER_TYPES]
+            if not numbers:
+                raise InputError(f"<{named}>", "no custom attribute that is a number, expected controls")
+            tracks += map(_track, numbers)
+        if tracks:
+            return tuple(tracks)
         sliders, driven = _sliders(stage)
-        clip = _clip(_playing(stage))
-        return (*sliders, *(track for track in clip.tracks if track.name not in driven))
+        playing = _playing(stage)
+        shapes = _clip(playing).tracks if playing else ()
+        return (*sliders, *(track for track in shapes if track.name not in driven))
 
 
 def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
@@ -189,24 +199,6 @@ def _declared(stage: Usd.Stage) -> tuple[ControlTrack, ...]:
     )
 
 
-def _of_prims(stage: Usd.Stage, paths: Sequence[str]) -> tuple[ControlTrack, ...]:
-    tracks = []
-    for path in paths:
-        prim = stage.GetPrimAtPath(path) if Sdf.Path.IsValidPathString(path) and path.startswith("/") else None
-        if not prim:
-            raise InputError(f"<{path}>", "no such prim, expected the path of one with controls")
-        numbers = [
-            attribute
-            for attribute in prim.GetAuthoredAttributes()
-            if attribute.IsCustom() and attribute.HasAuthoredValue()
-        ]
-        numbers = [number for number in numbers if str(number.GetTypeName()) in _NUMBER_TYPES]
-        if not numbers:
-            raise InputError(f"<{path}>", "no custom attribute that is a number, expected controls")
-        tracks += [_track(number) for number in numbers]
-    return tuple(tracks)
-
-
 def _track(attribute: Usd.Attribute) -> ControlTrack:
     where, kind = str(attribute.GetPath()), str(attribute.GetTypeName())
     if kind not in _NUMBER_TYPES:
@@ -248,15 +240,11 @@ def _sliders(stage: Usd.Stage) -> tuple[tuple[ControlTrack, ...], set[str]]:
             for slider in read_sliders(prim):
                 attribute = prim.GetAttribute(f"{tokens.SLIDER_PREFIX}{slider.name}:value")
                 if attribute.GetNumTimeSamples():
-                    tracks.append(_of_slider(attribute, slider))
+                    low, high, default = slider.minimum, slider.maximum, slider.default
+                    track = replace(_track(attribute), name=slider.name, minimum=low, maximum=high, default=default)
+                    tracks.append(track)
                     driven |= {slider.name, *(shape for shape, _ in slider.shapes)}
     return tuple(tracks), driven
-
-
-def _of_slider(attribute: Usd.Attribute, slider: Slider) -> ControlTrack:
-    return replace(
-        _track(attribute), name=slider.name, minimum=slider.minimum, maximum=slider.maximum, default=slider.default
-    )
 
 
 def _animations(stage: Usd.Stage) -> list[Usd.Prim]:
@@ -284,11 +272,12 @@ def _playing(stage: Usd.Stage) -> Usd.Prim | None:
 
 
 @reads_prim
-def _shape_tracks(prim: Usd.Prim) -> tuple[Animation, tuple[ControlTrack, ...]]:
+def _clip(prim: Usd.Prim) -> Clip:
+    """The shapes of a SkelAnimation as controls."""
     animation, where = read_animation(prim), str(prim.GetPath())
     codes = np.array(UsdSkel.Animation(prim).GetBlendShapeWeightsAttr().GetTimeSamples(), dtype=np.float64)
     if animation.shape_weights is None:
-        return animation, ()
+        return Clip(name=animation.name, tracks=(), moves_joints=bool(animation.joints))
     rate = prim.GetStage().GetTimeCodesPerSecond() or 24.0
     rows = np.asarray(animation.shape_weights, np.float64)
     if len(codes):  # samples of joints alone are none of the shapes
@@ -298,14 +287,8 @@ def _shape_tracks(prim: Usd.Prim) -> tuple[Animation, tuple[ControlTrack, ...]]:
     if len(bad):
         when = f" at time code {codes[bad[0]]:g}" if len(codes) else ""
         raise InputError(f"{where}.blendShapeWeights", f"NaN or infinity{when}, expected finite numbers")
-    return animation, tuple(
+    tracks = tuple(
         ControlTrack(name=shape, where=f"{where} -> {shape}", codes=codes, values=rows[:, number], default=0.0)
         for number, shape in enumerate(animation.shapes)
     )
-
-
-def _clip(prim: Usd.Prim | None) -> Clip:
-    if prim is None:
-        return Clip(name="", tracks=())
-    animation, tracks = _shape_tracks(prim)
     return Clip(name=animation.name, tracks=tracks, moves_joints=bool(animation.joints))

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from pxr import Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray, IntArray, require_finite
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Mesh
 from facepipe.rig.neural_rig import Control
@@ -85,7 +85,33 @@ def read_point_cache(path: str | os.PathLike[str], also: Collection[float] = ())
     with errors_below(str(Path(path))):
         stage = open_stage(path)
         check_units(Path(path), stage)
-        return _read(stage, also)
+        prims = [prim for prim in _prims(stage) if prim.IsA(UsdGeom.Mesh)]
+        names = [str(prim.GetName()) for prim in prims]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise InputError(twice, "is the name of more than one mesh, expected different names")
+        # time codes at which points or the place of a mesh are authored, apart from `also`: at codes of the controls
+        # alone USD interpolates points, which nobody recorded
+        own: set[float] = set()
+        for prim in prims:
+            own |= set(UsdGeom.Mesh(prim).GetPointsAttr().GetTimeSamples())
+            place = prim
+            while place and not place.IsPseudoRoot():
+                own |= set(UsdGeom.Xformable(place).GetTimeSamples() if place.IsA(UsdGeom.Xformable) else ())
+                place = place.GetParent()
+        codes = sorted(own | set(also))
+        if len(codes) > MOST_SAMPLES:
+            raise InputError("time samples", f"{len(codes)}, expected at most {MOST_SAMPLES}")
+        times = [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
+        return PointCache(
+            meshes=tuple(_cached(prim, times) for prim in prims),
+            codes=np.array(codes, dtype=np.float64),
+            moving=np.array([code in own for code in codes] or [False]),
+            codes_per_second=stage.GetTimeCodesPerSecond() or 24.0,
+            meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
+            up_axis=str(UsdGeom.GetStageUpAxis(stage)),
+            has_face=any(is_applied(prim, tokens.FACE_API) for prim in _prims(stage)),
+        )
 
 
 def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]:
@@ -95,54 +121,22 @@ def read_loose_animations(path: str | os.PathLike[str]) -> tuple[Animation, ...]
         fit each other
     """
     with errors_below(str(Path(path))):
-        stage = open_stage(path)
-        return tuple(_loose(prim) for prim in _prims(stage) if prim.IsA(UsdSkel.Animation))
-
-
-def _loose(prim: Usd.Prim) -> Animation:
-    animation = read_animation(prim)
-    require_finite(animation, str(prim.GetPath()))
-    twice = next((name for name, count in Counter((*animation.joints, *animation.shapes)).items() if count > 1), None)
-    if twice is not None:
-        raise InputError(str(prim.GetPath()), f"'{twice}' twice, expected each joint and shape once")
-    return animation
+        stage, animations = open_stage(path), []
+        for prim in _prims(stage):
+            if not prim.IsA(UsdSkel.Animation):
+                continue
+            animation, where = read_animation(prim), str(prim.GetPath())
+            require_finite(animation, where)
+            count = Counter((*animation.joints, *animation.shapes))
+            twice = next((name for name, times in count.items() if times > 1), None)
+            if twice is not None:
+                raise InputError(where, f"'{twice}' twice, expected each joint and shape once")
+            animations.append(animation)
+        return tuple(animations)
 
 
 def _prims(stage: Usd.Stage) -> Iterator[Usd.Prim]:
     return prims_below(stage.GetPseudoRoot(), "stage")
-
-
-def _read(stage: Usd.Stage, also: Collection[float]) -> PointCache:
-    prims = [prim for prim in _prims(stage) if prim.IsA(UsdGeom.Mesh)]
-    names = [str(prim.GetName()) for prim in prims]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(twice, "is the name of more than one mesh, expected different names")
-    # kept apart from `also`: at codes of the controls alone USD interpolates points, which nobody recorded
-    own = {code for prim in prims for code in _codes(prim)}
-    codes = sorted(own | set(also))
-    if len(codes) > MOST_SAMPLES:
-        raise InputError("time samples", f"{len(codes)}, expected at most {MOST_SAMPLES}")
-    times = [Usd.TimeCode(code) for code in codes] or [Usd.TimeCode.Default()]
-    return PointCache(
-        meshes=tuple(_cached(prim, times) for prim in prims),
-        codes=np.array(codes, dtype=np.float64),
-        moving=np.array([code in own for code in codes] or [False]),
-        codes_per_second=stage.GetTimeCodesPerSecond() or 24.0,
-        meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        up_axis=str(UsdGeom.GetStageUpAxis(stage)),
-        has_face=any(is_applied(prim, tokens.FACE_API) for prim in _prims(stage)),
-    )
-
-
-def _codes(prim: Usd.Prim) -> set[float]:
-    """Time codes at which the points or the place of a mesh are authored."""
-    codes = set(UsdGeom.Mesh(prim).GetPointsAttr().GetTimeSamples())
-    while prim and not prim.IsPseudoRoot():
-        if prim.IsA(UsdGeom.Xformable):
-            codes |= set(UsdGeom.Xformable(prim).GetTimeSamples())
-        prim = prim.GetParent()
-    return codes
 
 
 @reads_prim
@@ -153,9 +147,14 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
     if other is not None:
         what = f"{len(samples[other])} points at a time sample, expected {len(samples[0])} as at the first"
         raise TopologyError(where, f"{what} (time code {times[other].GetValue():g})")
-    counts, indices = (
-        _still(attribute, where) for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
-    )
+    faces = []
+    for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+        given = [ints(attribute.Get(time)) for time in attribute.GetTimeSamples()] or [ints(attribute.Get())]
+        # exporters may write samples of the faces too, all alike
+        if any(not np.array_equal(sample, given[0]) for sample in given):
+            raise TopologyError(where, f"{attribute.GetName()} change over time, expected the same faces throughout")
+        faces.append(given[0])
+    counts, indices = faces
     if counts.sum() != len(indices) or (indices.size and not 0 <= indices.min() <= indices.max() < len(samples[0])):
         raise TopologyError(where, f"faces that don't fit {len(samples[0])} points")
     points = np.stack(samples)
@@ -173,17 +172,6 @@ def _cached(prim: Usd.Prim, times: list[Usd.TimeCode]) -> CachedMesh:
         untimed_world=matrix(place.ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
         authored=np.array([time.GetValue() in sampled for time in times]),
     )
-
-
-def _still(attribute: Usd.Attribute, where: str) -> IntArray:
-    """The numbers of an attribute that may have time samples but doesn't change.
-
-    :raises TopologyError: it does
-    """
-    samples = [ints(attribute.Get(time)) for time in attribute.GetTimeSamples()] or [ints(attribute.Get())]
-    if any(not np.array_equal(sample, samples[0]) for sample in samples):
-        raise TopologyError(where, f"{attribute.GetName()} change over time, expected the same faces throughout")
-    return samples[0]
 
 
 _MILLIMETRE = 0.001
@@ -220,20 +208,16 @@ def save_point_cache(
     ends = np.cumsum([len(mesh.points) for mesh in meshes])
     for mesh, end in zip(meshes, ends, strict=True):
         own = slice(end - len(mesh.points), end)
-        _author_mesh(stage, root.GetPath().AppendChild(mesh.name), mesh, points[:, own], rest[own], codes)
+        frames, still = points[:, own], rest[own]
+        prim = UsdGeom.Mesh.Define(stage, root.GetPath().AppendChild(mesh.name))
+        prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
+        prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
+        prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        attribute = prim.CreatePointsAttr(to_vec3f(still))
+        bounds = np.stack([frames.min(axis=1), frames.max(axis=1)], axis=1)
+        # an extent without samples would hide what moves out of it, where a viewer culls by it
+        extent = prim.CreateExtentAttr(to_vec3f(np.stack([still.min(axis=0), still.max(axis=0)])))
+        for code, frame, box in zip(codes.tolist(), frames, bounds, strict=True):
+            attribute.Set(to_vec3f(frame), code)
+            extent.Set(to_vec3f(box), code)
     save_layer(stage.GetRootLayer(), path)
-
-
-def _author_mesh(
-    stage: Usd.Stage, path: Sdf.Path, mesh: Mesh, points: FloatArray, rest: FloatArray, codes: FloatArray
-) -> None:
-    prim = UsdGeom.Mesh.Define(stage, path)
-    prim.CreateFaceVertexCountsAttr(to_ints(mesh.face_vertex_counts))
-    prim.CreateFaceVertexIndicesAttr(to_ints(mesh.face_vertex_indices))
-    prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    attribute = prim.CreatePointsAttr(to_vec3f(rest))
-    ends = np.concatenate([points.min(axis=1)[:, None], points.max(axis=1)[:, None]], axis=1)
-    extent = prim.CreateExtentAttr(to_vec3f(np.stack([rest.min(axis=0), rest.max(axis=0)])))
-    for code, frame, bounds in zip(codes.tolist(), points, ends, strict=True):
-        attribute.Set(to_vec3f(frame), code)
-        extent.Set(to_vec3f(bounds), code)

@@ -141,21 +141,16 @@ def source_files(path: Path) -> set[Path]:
         return photos
     suffix = path.suffix.lower()
     if suffix in SUFFIXES:
-        layers = {path.resolve()} | {
-            dependency for dependency in dependencies(path) if dependency.suffix.lower() in SUFFIXES
-        }
-        return {layer.resolve() for layer in layers}
-    return {path, *(_buffers(path) if suffix == ".gltf" else ())}
-
-
-def _buffers(path: Path) -> set[Path]:
-    """Files that the buffers of a glTF are in; none of one that is damaged."""
+        return {path.resolve(), *(one.resolve() for one in dependencies(path) if one.suffix.lower() in SUFFIXES)}
+    if suffix != ".gltf":
+        return {path}
     try:
         buffers = read_json_object(path, _MOST_GLTF_BYTES).get("buffers")
     except InputError:
-        return set()
+        return {path}  # its reader says what is damaged
     uris = [buffer.get("uri") for buffer in buffers if isinstance(buffer, dict)] if isinstance(buffers, list) else []
-    return {path.parent / unquote(uri) for uri in uris if isinstance(uri, str) and not uri.startswith("data:")}
+    files = [uri for uri in uris if isinstance(uri, str) and not uri.startswith("data:")]
+    return {path, *(path.parent / unquote(uri) for uri in files)}
 
 
 def attribution_of(path: Path) -> str:

@@ -1,99 +1,34 @@
-"""Rebuilds a face from bone coefficients, in its limits or beyond: poses or a clip on a stage, or points."""
+"""Rebuild a face from bone coefficients: an animation on an override layer, or its points.
+
+COEFFICIENTS is a payload (.fpb) for the joints of FACE. OUT holds a SkelAnimation below FACE: a pose, a clip where the
+payload has sample times, or poses NAME_1, NAME_2 ... where it has frames without times; the (first) one is what the
+skeleton plays. An .npz holds `points`, (n, 3) or (frames, n, 3) in stage units, and `times`. Exit code 1: done, but
+coefficients are beyond the limits of FACE; --clamp brings them into these.
+
+examples:
+  facepipe apply-bones head.usda --info person.fpb
+  facepipe apply-bones head.usda person.fpb -o person.usda
+  facepipe apply-bones head.usda person.fpb -o points.npz
+"""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from facepipe.core.arrays import FloatArray
-from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.names import first_names
-from facepipe.core.reading import read_bytes
+from facepipe.core.names import check_identifier, first_names, identifier
 from facepipe.core.reports import Report
-from facepipe.parts import Animation, BoneLimits, Recipe
-from facepipe.payload import PayloadContent, as_stored, decode, encode
-from facepipe.rig import CHANNELS, Rig
-from facepipe.stage import Face
-from facepipe.stage.animation_source import on_frames, play
-from facepipe.stage.author_changes import author_changes
+from facepipe.declare import option, source
+from facepipe.kinds import Job, StageAction, action
 
-SUFFIX = ".fpb"
-MAX_BYTES = 1 << 30
+if TYPE_CHECKING:
+    from facepipe.parts import Recipe
+    from facepipe.payload import PayloadContent
+    from facepipe.stage import Face
+
 MAX_POSES = 4096  # prims that one payload may make
-_SHOWN = 4  # names of a list
-_REST = np.array([0.0] * 6 + [1.0] * 3)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PayloadReport(Report):
-    """What a payload holds, and the largest errors of its rounding."""
-
-    path: Path
-    bytes: int
-    precision: str
-    joints: int
-    stored: int  # joints in the file
-    frames: int
-    error_mm: float  # of a point of the face, over all frames
-    translation_error: float  # stage units
-    rotation_error: float  # radians
-    scale_error: float  # factor
-
-
-def write_payload(path: str | os.PathLike[str], content: PayloadContent, rig: Rig) -> PayloadReport:
-    """Write bone coefficients of a rig, atomically.
-
-    :param rig: its points show what rounding does
-    :raises InputError: another suffix, content that is not the rig's or can't be stored, or a folder that can't be
-        written
-    """
-    target = Path(path)
-    check_payload_suffix(target)
-    if tuple(content.joints) != tuple(rig.joints):
-        raise InputError(target, f"coefficients of other joints, expected the {len(rig.joints)} of {rig.name}")
-    try:
-        encoded = encode(content)
-    except InputError as error:
-        raise error.under(target) from None
-    # read back, not estimated: the report has what readers of these very bytes get
-    read_back = decode(encoded.data, rig.joints, target)
-    largest = max(
-        float(np.linalg.norm(rig.evaluate(coefficients=one) - rig.evaluate(coefficients=other), axis=1).max())
-        for one, other in zip(content.frames, read_back.frames, strict=True)
-    )
-    write_bytes(target, encoded.data)
-    return PayloadReport(
-        path=target,
-        bytes=len(encoded.data),
-        precision=content.precision,
-        joints=len(content.joints),
-        stored=encoded.stored,
-        frames=len(content.frames),
-        error_mm=largest * content.meters_per_unit * 1000.0,
-        translation_error=encoded.translation_error,
-        rotation_error=encoded.rotation_error,
-        scale_error=encoded.scale_error,
-    )
-
-
-def payload_bytes(path: Path) -> bytes:
-    """The bytes of a payload's file.
-
-    :raises InputError: another suffix, not readable, or larger than any payload
-    """
-    check_payload_suffix(path)
-    return read_bytes(path, MAX_BYTES)
-
-
-def check_payload_suffix(path: Path) -> None:
-    """:raises InputError: another suffix than .fpb"""
-    if path.suffix.lower() != SUFFIX:
-        raise InputError(path, f"suffix '{path.suffix}', expected {SUFFIX}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,145 +42,93 @@ class ApplyBonesReport(Report):
     authored: tuple[str, ...] = ()
 
 
+@action("apply-bones", "rebuild a face from bone coefficients")
 @dataclass(frozen=True, kw_only=True)
-class ApplyBones:
-    """Coefficients authored as a SkelAnimation: a pose, or a clip of frames with times.
+class ApplyCoefficients(StageAction[ApplyBonesReport]):
+    """The action."""
+
+    face: Path = source("face stage")
+    coefficients: Path = source("bone coefficients: .fpb")
+    clamp: bool = option(False, "bring coefficients into the bone limits of FACE")
+    name: str | None = option(None, "name of the animation (default: the file's)")
+
+    def check(self) -> None:
+        super().check()
+        if self.name is not None:
+            check_identifier("--name", self.name)
+
+    def author(self, face: Face, job: Job) -> ApplyBonesReport:
+        from facepipe.payload import decode
+        from facepipe.verbs.bone_payload import payload_bytes
+
+        recipe, data = job.recipe(), payload_bytes(self.coefficients)
+        content = decode(data, face.skeleton.joints, self.coefficients)
+        name = self.name or identifier(self.coefficients.stem)
+        return apply_bones(face, content, name, clamp=self.clamp, recipe=recipe)
+
+    def missed(self, report: ApplyBonesReport) -> bool:
+        return bool(report.beyond_limits) and not self.clamp
+
+    def text(self, report: ApplyBonesReport, out: Path) -> str:
+        names = first_names(report.animations, 4)
+        return f"{out}: {names}: {report.frames} frame(s) of {report.joints} joints"
+
+
+def apply_bones(
+    face: Face, content: PayloadContent, name: str, *, clamp: bool = False, recipe: Recipe | None = None
+) -> ApplyBonesReport:
+    """Author coefficients as a SkelAnimation: a pose, or a clip of frames with times.
 
     Frames without times become poses ``<name>_1``, ``<name>_2`` ... Joints that never leave rest are in none of them.
     The face's skeleton plays the (first) animation: what opens the stage shows the rebuilt face. A pose is the person
     from then on, a clip is not.
 
-    :param name: of the animation
     :param clamp: bring coefficients into the face's limits; else what is beyond them is a warning
+    :param recipe: authored with the result; None leaves what the face has
+    :raises InputError: other joints or units than the face has, a name that is taken, too many poses, limits that
+        cross, or scales that SkelAnimation can't hold
     """
+    import numpy as np
 
-    content: PayloadContent
-    name: str
-    clamp: bool = False
+    from facepipe.parts import Animation
+    from facepipe.rig import rest_coefficients
+    from facepipe.stage.animation_source import on_frames, play
+    from facepipe.stage.author_changes import author_changes
+    from facepipe.verbs.bone_payload import beyond_limits, check_fits, limit_warnings, within_limits
 
-    def __call__(self, face: Face, *, recipe: Recipe | None = None) -> ApplyBonesReport:
-        """Author them.
-
-        :param recipe: authored with the result; None leaves what the face has
-        :raises InputError: other joints or units than the face has, a name that is taken, too many poses, limits that
-            cross, or scales that SkelAnimation can't hold
-        """
-        check_fits(face, self.content)
-        parts, beyond = face.parts(), beyond_limits(face, self.content)
-        content = within_limits(face, self.content) if self.clamp else self.content
-        if content.times is not None:
-            content = replace(content, times=on_frames(face, content.times))
-        added = _animations(content, self.name)
-        taken = sorted({animation.name for animation in parts.animations} & {one.name for one in added})
-        if taken:
-            raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
-        changed = replace(
-            parts,
-            animations=(*parts.animations, *added),
-            # a pose is the person, which exports deliver as the rest state; a clip is a layer on top of it
-            person=parts.person if content.times is not None else added[0].name,
-            recipe=recipe or parts.recipe,
-        )
-        authored = author_changes(face, changed)
-        play(face, added[0].name)
-        return ApplyBonesReport(
-            animations=tuple(one.name for one in added),
-            joints=len(added[0].joints),
-            frames=len(content.frames),
-            beyond_limits=beyond,
-            authored=authored,
-            warnings=limit_warnings(beyond, clamped=self.clamp),
-        )
-
-
-def _animations(content: PayloadContent, name: str) -> tuple[Animation, ...]:
-    frames = content.frames
-    moving = np.flatnonzero((frames != _REST).any(axis=(0, 2)))
-    moving = moving if moving.size else np.arange(len(content.joints))
-    joints, values = tuple(content.joints[i] for i in moving), frames[:, moving]
-    if content.times is not None or np.ndim(content.coefficients) == 2:
-        return (Animation(name=name, times=content.times, joints=joints, coefficients=values),)
-    if len(values) > MAX_POSES:
-        raise InputError(name, f"{len(values)} poses without times, expected at most {MAX_POSES}")
-    return tuple(
-        Animation(name=f"{name}_{number}", joints=joints, coefficients=pose[None])
-        for number, pose in enumerate(values, 1)
-    )
-
-
-def limit_warnings(beyond: tuple[str, ...], *, clamped: bool) -> tuple[str, ...]:
-    """A line where coefficients are beyond limits."""
-    if not beyond:
-        return ()
-    some = first_names([one.rpartition("/")[2] for one in beyond], _SHOWN)
-    done = "brought into" if clamped else "beyond"
-    return (f"{len(beyond)} channels {done} the limits of the face: {some}",)
-
-
-def check_limits(joints: Sequence[str], limits: BoneLimits) -> None:
-    """:raises InputError: a lower limit above its upper one"""
-    crossed = np.argwhere(np.asarray(limits.lower) > np.asarray(limits.upper))
-    if len(crossed):
-        joint, channel = crossed[0]
-        what = f"lower limit {limits.lower[joint, channel]:g} above the upper {limits.upper[joint, channel]:g}"
-        raise InputError(f"bone limits -> {joints[joint]} -> {CHANNELS[channel]}", what)
-
-
-def beyond_limits(face: Face, content: PayloadContent) -> tuple[str, ...]:
-    """``joint:channel`` of what some frame has beyond the face's limits, as these are in the payload's precision.
-
-    :raises InputError: limits of the face that cross
-    """
-    limits = _limits(face)
-    if limits is None:
-        return ()
-    stored = as_stored(content.frames, content.precision)
-    lower, upper = (as_stored(one, content.precision) for one in (limits.lower, limits.upper))
-    beyond = ((stored < lower) | (stored > upper)).any(axis=0)
-    return tuple(f"{content.joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(beyond))
-
-
-def within_limits(face: Face, content: PayloadContent) -> PayloadContent:
-    """The coefficients brought into the face's limits.
-
-    :raises InputError: limits of the face that cross
-    """
-    limits = _limits(face)
-    if limits is None:
-        return content
-    return replace(content, coefficients=np.clip(content.coefficients, limits.lower, limits.upper))
-
-
-def _limits(face: Face) -> BoneLimits | None:
-    limits = face.parts().bone_limits
-    if limits is not None:
-        check_limits(face.skeleton.joints, limits)
-    return limits
-
-
-def check_fits(face: Face, content: PayloadContent) -> None:
-    """:raises InputError: the coefficients are of other joints or in other units than the face"""
-    joints = face.skeleton.joints
-    if content.joints != joints:
-        raise InputError(face.where, f"{len(joints)} joints, expected the {len(content.joints)} of the coefficients")
-    if np.float32(content.meters_per_unit) != np.float32(face.meters_per_unit):
-        what = f"translations in units of {content.meters_per_unit:g} m, expected {face.meters_per_unit:g} m"
-        raise InputError(face.where, what)
-
-
-def posed_points(face: Face, content: PayloadContent, done: Callable[[], object] = lambda: None) -> FloatArray:
-    """(n, 3) or (T, n, 3) float32 world points, in stage units.
-
-    :param done: called after every frame
-    :raises InputError: other joints or units than the face has, or points that float32 can't hold
-    """
     check_fits(face, content)
-    points = np.empty((len(content.frames), len(face.rig().points), 3), np.float32)
-    for number, (frame, coefficients) in enumerate(zip(points, content.frames, strict=True)):
-        with np.errstate(over="ignore", invalid="ignore"):
-            frame[:] = face.evaluate(coefficients=coefficients)
-        if not np.isfinite(frame).all():
-            what = "points too large for float32, expected smaller coefficients"
-            raise InputError(f"{face.where} -> frame {number}", what)
-        done()
-    return points if np.ndim(content.coefficients) == 3 else points[0]
+    parts, beyond, times = face.parts(), beyond_limits(face, content), content.times
+    frames = (within_limits(face, content) if clamp else content).frames
+    times = None if times is None else on_frames(face, times)
+    moving = np.flatnonzero((frames != rest_coefficients(1)).any(axis=(0, 2)))
+    moving = moving if moving.size else np.arange(len(content.joints))
+    joints, values = tuple(content.joints[joint] for joint in moving), frames[:, moving]
+    if times is not None or np.ndim(content.coefficients) == 2:
+        added: tuple[Animation, ...] = (Animation(name=name, times=times, joints=joints, coefficients=values),)
+    elif len(values) > MAX_POSES:
+        raise InputError(name, f"{len(values)} poses without times, expected at most {MAX_POSES}")
+    else:
+        added = tuple(
+            Animation(name=f"{name}_{number}", joints=joints, coefficients=pose[None])
+            for number, pose in enumerate(values, 1)
+        )
+    taken = sorted({animation.name for animation in parts.animations} & {one.name for one in added})
+    if taken:
+        raise InputError(face.where, f"has an animation '{taken[0]}' already, expected another name")
+    changed = replace(
+        parts,
+        animations=(*parts.animations, *added),
+        # a pose is the person, which exports deliver as the rest state; a clip is a layer on top of it
+        person=parts.person if times is not None else added[0].name,
+        recipe=recipe or parts.recipe,
+    )
+    authored = author_changes(face, changed)
+    play(face, added[0].name)
+    return ApplyBonesReport(
+        animations=tuple(one.name for one in added),
+        joints=len(joints),
+        frames=len(content.frames),
+        beyond_limits=beyond,
+        authored=authored,
+        warnings=limit_warnings(beyond, clamped=clamp),
+    )

@@ -1,34 +1,115 @@
-"""Authors the regions of a face from a map painted over its UV layout."""
+"""List the regions of a face; with --map author them from a picture painted over its UV layout.
+
+The map is a PNG, the legend a JSON object {"#ff0000": "eyes", ...} or {"regions": {"eyes": "#ff0000", ...}}. Beside the
+colours a legend may have "outside": the region of points that the map does not cover (without it they keep the regions
+they have), "meshes": {"Eye*": "eyes"}: regions of other meshes, whole, and "background": a colour that means unpainted.
+A map covers the UV tile 0 to 1 unless --tile says otherwise. OUT is an override layer over FACE.
+
+examples:
+  facepipe regions head.usda --picture regions.png
+  facepipe regions head.usda --map map.png --legend legend.json -o head.regions.usda
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from facepipe.core.arrays import BoolArray, ByteArray, FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names, identifier, select, unknown
 from facepipe.core.reading import read_json_object
 from facepipe.core.reports import Report, table
+from facepipe.declare import beside, option, source
 from facepipe.geometry.map_sampling import MapSampling
-from facepipe.geometry.region_map import region_masks
-from facepipe.parts import Mesh, UvSet
-from facepipe.stage import Face
-from facepipe.stage.author_mesh import author_region_subsets, author_regions, check_region_name
+from facepipe.kinds import Job, StageAction, action
 from facepipe.verbs.landmarks import mesh_of
+
+if TYPE_CHECKING:
+    from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+    from facepipe.parts import Mesh
+    from facepipe.stage import Face
+
+    Masks = Mapping[str, FloatArray]  # region -> (n,) how much of each point it has, 0..1
 
 RGB = tuple[int, int, int]
 
 MOST_COLORS = 512
-_MOST_BYTES = 1 << 20
+_MOST_BYTES = 1 << 20  # of a legend
 _KEYS = ("regions", "outside", "meshes", "background")
 _TAKEN = "default"
-Masks = Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionCount:
+    """How much of some points a region has."""
+
+    points: int  # with a mask above 0
+    most: int  # where no other region has more
+    share: float  # mean of the mask over the points, 0..1
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshRegions:
+    """What one mesh got."""
+
+    mesh: str
+    points: int
+    covered: int  # points that the map covers
+    outside: int = 0  # points that it does not, and that got the legend's outside region
+    kept: int = 0  # points that it does not, and that kept the regions they had
+    regions: Mapping[str, RegionCount] = field(default_factory=dict)
+    removed: tuple[str, ...] = ()  # regions that it had and has no more
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionsReport(Report):
+    """What was authored, mesh by mesh: those with the map first, then those that the legend names."""
+
+    meshes: tuple[MeshRegions, ...]
+
+
+@action("regions", "list regions, or author them from a painted map")
+@dataclass(frozen=True, kw_only=True)
+class AuthorRegions(MapSampling, StageAction[RegionsReport]):
+    """The action."""
+
+    face: Path = source("face stage")
+    map: Path = source("regions painted over the UV layout, a colour each", flag="--map", metavar="PNG")
+    legend: Path = source("a JSON file that says which colour is which region", flag="--legend", metavar="JSON")
+    mesh: str | None = option(None, "meshes the map covers, globs (default: that of most points)", metavar="NAMES")
+    uv_set: str | None = option(None, "UV set that it was painted over (default: st, or the first)", metavar="NAME")
+    picture: Path | None = beside("draw the regions on the face", ".png", "draw")
+
+    def author(self, face: Face, job: Job) -> RegionsReport:
+        from facepipe.core.images import read_png
+        from facepipe.stage.skeleton import author_recipe
+
+        recipe, image, legend = job.recipe(), read_png(self.map), read_legend(self.legend)
+        report = set_regions(
+            face, image, legend, mesh=self.mesh, uv_set=self.uv_set, where=str(self.map), sampling=self
+        )
+        author_recipe(face.prim, recipe)
+        return report
+
+    def draw(self, face: Face, report: RegionsReport, path: Path) -> None:
+        """The picture of the regions."""
+        draw_regions(face, path)
+
+    def text(self, report: RegionsReport, out: Path) -> str:
+        lines = []
+        for mesh in report.meshes:
+            counts = ((mesh.outside, "outside the map"), (mesh.kept, "kept"))
+            facts = [f"{mesh.points} points", *(f"{count} {what}" for count, what in counts if count)]
+            if not mesh.covered:
+                facts += [f"all in {name}" for name, count in mesh.regions.items() if count.points]
+            facts += [f"removed: {', '.join(mesh.removed)}"] if mesh.removed and mesh.covered else []
+            lines.append(f"{out} -> {mesh.mesh}: {', '.join(facts)}")
+            lines += [region_table(mesh.regions)] if mesh.covered else []
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +131,7 @@ class RegionLegend:
         seen: dict[RGB, str] = {} if self.background is None else {self.background: "the background"}
         for color, name in self.colors:
             if color in seen:
-                both = f"{_hex(color)} for {seen[color]} and {name}"
+                both = f"#{bytes(color).hex()} for {seen[color]} and {name}"
                 raise InputError(self.where, f"{both}, expected each colour once")
             seen[color] = name
         if _TAKEN in self.regions:
@@ -63,11 +144,6 @@ class RegionLegend:
         """Every region that it names, each once: those with colours first."""
         names = [name for _, name in self.colors]
         return tuple(dict.fromkeys([*names, *([self.outside] if self.outside else []), *self.meshes.values()]))
-
-    @property
-    def color_array(self) -> ByteArray:
-        """(k, 3) its colours."""
-        return np.array([color for color, _ in self.colors], dtype=np.uint8).reshape(-1, 3)
 
 
 def read_legend(path: Path) -> RegionLegend:
@@ -115,42 +191,17 @@ def _color(where: str, value: object) -> RGB:
     raise InputError(where, f"colour {str(value)[:40]}, expected one like #ff0000 or [255, 0, 0]")
 
 
-def _hex(color: RGB) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RegionCount:
-    """How much of some points a region has."""
-
-    points: int  # with a mask above 0
-    most: int  # where no other region has more
-    share: float  # mean of the mask over the points, 0..1
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshRegions:
-    """What one mesh got."""
-
-    mesh: str
-    points: int
-    covered: int  # points that the map covers
-    outside: int = 0  # points that it does not, and that got the legend's outside region
-    kept: int = 0  # points that it does not, and that kept the regions they had
-    regions: Mapping[str, RegionCount] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()  # regions that it had and has no more
-
-
-@dataclass(frozen=True, kw_only=True)
-class RegionsReport(Report):
-    """What was authored, mesh by mesh: those with the map first, then those that the legend names."""
-
-    meshes: tuple[MeshRegions, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SetRegions:
-    """Regions of meshes from a map; those they had are replaced.
+def set_regions(
+    face: Face,
+    image: ByteArray,
+    legend: RegionLegend,
+    *,
+    mesh: str | None = None,
+    uv_set: str | None = None,
+    where: str = "region map",
+    sampling: MapSampling | None = None,
+) -> RegionsReport:
+    """Author regions of meshes from a map; those they had are replaced.
 
     Points that the map does not cover (UVs in other tiles, unpainted texels, no face) take the legend's outside
     region, or keep the regions they have. Other meshes keep theirs, but those that the legend's `meshes` names lie in
@@ -161,128 +212,123 @@ class SetRegions:
     :param legend: what its colours mean
     :param mesh: names or globs of the meshes that the map covers, comma-separated; default the one with most points
     :param uv_set: the UV set that it was painted over; default ``st``, or a mesh's first
+    :param where: what messages call the image
+    :raises InputError: no such mesh or UV set, a colour that the legend lacks, a region name that USD can't hold,
+        points without map that have no region to keep, or meshes in instances
     """
+    import numpy as np
 
-    image: ByteArray
-    legend: RegionLegend
-    mesh: str | None = None
-    uv_set: str | None = None
-    where: str = "region map"  # what messages call the image
-    sampling: MapSampling = field(default_factory=MapSampling)
+    from facepipe.stage.author_mesh import author_region_subsets, author_regions, check_region_name
 
-    def __call__(self, face: Face) -> RegionsReport:
-        """Author them.
+    for name in legend.regions:
+        check_region_name(legend.where, name)
+    names = [] if mesh is None else select([one.name for one in face.meshes], mesh, "mesh")
+    chosen = [mesh_of(face, name) for name in names] or [mesh_of(face, None)]
+    whole = _named(face, legend, {one.name for one in chosen})
+    done: dict[str, tuple[Masks, MeshRegions]] = {
+        one.name: _mapped(face, one, image, legend, sampling or MapSampling(), uv_set, where) for one in chosen
+    }
+    for name, region in whole.items():
+        points = len(mesh_of(face, name).points)
+        in_region = {one: np.full(points, float(one == region), np.float32) for one in legend.regions}
+        done[name] = in_region, MeshRegions(mesh=name, points=points, covered=0)
+    masks_of: dict[str, Masks] = {name: masks for name, (masks, _) in done.items()}
+    masks_of |= {one.name: one.regions for one in face.meshes if one.name not in done and one.regions}
+    # regions that no point of the face is left in go from all meshes, but for those of the legend
+    alive = {name for masks in masks_of.values() for name, mask in masks.items() if np.any(mask)} | {*legend.regions}
+    masks_of = {one: {name: mask for name, mask in masks.items() if name in alive} for one, masks in masks_of.items()}
+    reports = []
+    for name, masks in masks_of.items():
+        old, prim = mesh_of(face, name), face.mesh_prim(name)
+        if name in done:
+            removed = tuple(region for region in old.regions if region not in masks)
+            reports.append(replace(done[name][1], regions=count_regions(masks), removed=removed))
+        if name in done or len(masks) < len(old.regions):
+            subsets = [region for region in old.regions if identifier(region) in old.point_subsets]
+            if subsets:
+                # region -> the points where no other has more
+                first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
+                points_of: dict[str, IntArray] = {
+                    identifier(region): np.flatnonzero(first == number).astype(np.int32)
+                    for number, region in enumerate(masks)
+                }
+                gone = tuple(identifier(region) for region in subsets if region not in masks)
+                author_region_subsets(prim, points_of, gone)
+            author_regions(prim, replace(old, regions=masks))
+    return RegionsReport(meshes=tuple(reports), warnings=_warnings(face, legend, reports, masks_of))
 
-        :raises InputError: no such mesh or UV set, a colour that the legend lacks, a region name that USD can't hold,
-            points without map that have no region to keep, or meshes in instances
-        """
-        for name in self.legend.regions:
-            check_region_name(self.legend.where, name)
-        chosen = self._chosen(face)
-        named = self._named(face, chosen)
-        done = {mesh.name: self._mapped(face, mesh) for mesh in chosen}
-        for mesh_name, region in named.items():
-            points = len(mesh_of(face, mesh_name).points)
-            whole = {one: np.full(points, float(one == region), np.float32) for one in self.legend.regions}
-            done[mesh_name] = whole, MeshRegions(mesh=mesh_name, points=points, covered=0)
-        masks_of = _without_dead(face, {name: masks for name, (masks, _) in done.items()}, self.legend.regions)
-        reports = tuple(_counted(face, report, masks_of[name]) for name, (_, report) in done.items())
-        for name, masks in masks_of.items():
-            if name in done or len(masks) < len(mesh_of(face, name).regions):
-                mesh, prim = mesh_of(face, name), face.mesh_prim(name)
-                old = [region for region in mesh.regions if identifier(region) in mesh.point_subsets]
-                if old:
-                    # region -> the points where no other has more
-                    first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
-                    author_region_subsets(
-                        prim,
-                        {
-                            identifier(name): np.flatnonzero(first == number).astype(np.int32)
-                            for number, name in enumerate(masks)
-                        },
-                        tuple(identifier(one) for one in old if one not in masks),
-                    )
-                author_regions(prim, replace(mesh, regions=masks))
-        return RegionsReport(meshes=reports, warnings=self._warnings(face, reports, masks_of))
 
-    def _chosen(self, face: Face) -> tuple[Mesh, ...]:
-        if self.mesh is None:
-            return (mesh_of(face, None),)
-        names = select([mesh.name for mesh in face.meshes], self.mesh, "mesh")
-        return tuple(mesh_of(face, name) for name in names) or (mesh_of(face, None),)
+def _named(face: Face, legend: RegionLegend, mapped: Collection[str]) -> dict[str, str]:
+    """Mesh -> region, of those that the legend names and that are not `mapped`."""
+    named: dict[str, str] = {}
+    for glob, region in legend.meshes.items():
+        names = [mesh.name for mesh in face.meshes if fnmatchcase(mesh.name, glob)]
+        if not names:
+            some = ", ".join(mesh.name for mesh in face.meshes[:6])
+            raise InputError(f"{legend.where} -> meshes", f"'{glob[:60]}' matches none of {some}")
+        if glob in mapped:
+            raise InputError(f"{legend.where} -> meshes", f"'{glob}' has the map, expected another mesh")
+        for name in names:
+            if name not in mapped:
+                named.setdefault(name, region)
+    return named
 
-    def _named(self, face: Face, chosen: tuple[Mesh, ...]) -> dict[str, str]:
-        """Mesh -> region, of those that the legend names."""
-        mapped = {mesh.name for mesh in chosen}
-        named: dict[str, str] = {}
-        for glob, region in self.legend.meshes.items():
-            names = [mesh.name for mesh in face.meshes if fnmatchcase(mesh.name, glob)]
-            if not names:
-                some = ", ".join(mesh.name for mesh in face.meshes[:6])
-                raise InputError(f"{self.legend.where} -> meshes", f"'{glob[:60]}' matches none of {some}")
-            if glob in mapped:
-                raise InputError(f"{self.legend.where} -> meshes", f"'{glob}' has the map, expected another mesh")
-            for name in names:
-                if name not in mapped:
-                    named.setdefault(name, region)
-        return named
 
-    def _mapped(self, face: Face, mesh: Mesh) -> tuple[Masks, MeshRegions]:
-        """Masks of one mesh under the map, and what became of its points."""
-        where = f"{face.where} -> {mesh.name}"
-        uv = _uv_of(where, mesh, self.uv_set)
-        background = self.legend.background
-        shares, covered = region_masks(
-            self.image,
-            self.legend.color_array,
-            np.asarray(uv.values)[mesh.face_vertex_indices if uv.indices is None else uv.indices],
-            mesh.face_vertex_counts,
-            mesh.face_vertex_indices,
-            len(mesh.points),
-            self.sampling,
-            background=None if background is None else np.array(background, dtype=np.uint8),
-            where=f"{self.where} -> {mesh.name}",
-        )
-        masks: dict[str, FloatArray] = {name: np.zeros(len(mesh.points)) for name in self.legend.regions}
-        for (_, name), column in zip(self.legend.colors, shares.T, strict=True):
-            # added up: several colours of a legend may be one region
-            masks[name] += column
-        bare = ~covered
-        if not covered.any():
-            tile = self.sampling.tile or "all"
-            raise InputError(where, f"no UV lies on a painted texel of tile {tile}, expected some")
-        if self.legend.outside:
-            masks[self.legend.outside][bare] = 1.0
-        elif bare.any():
-            _keep(where, masks, mesh, bare)
-        rest = int(bare.sum())
-        outside = rest if self.legend.outside else 0
-        report = MeshRegions(
-            mesh=mesh.name, points=len(bare), covered=int(covered.sum()), outside=outside, kept=rest - outside
-        )
-        return {name: mask.astype(np.float32) for name, mask in masks.items()}, report
+def _mapped(
+    face: Face,
+    mesh: Mesh,
+    image: ByteArray,
+    legend: RegionLegend,
+    sampling: MapSampling,
+    uv_set: str | None,
+    map_name: str,
+) -> tuple[Masks, MeshRegions]:
+    """Masks of one mesh under the map, and what became of its points."""
+    import numpy as np
 
-    def _warnings(self, face: Face, reports: tuple[MeshRegions, ...], masks_of: Mapping[str, Masks]) -> tuple[str, ...]:
-        used = {mesh: [name for name, mask in masks.items() if np.any(mask)] for mesh, masks in masks_of.items()}
-        empty = [name for name in self.legend.regions if not any(name in names for names in used.values())]
-        warnings = [f"no point in {first_names(empty, 8)} of the legend"] if empty else []
-        for report in reports:
-            if report.kept:
-                advice = 'which keep their regions; "outside" in the legend would give them another'
-                warnings.append(f"{report.mesh}: the map does not cover {report.kept} points, {advice}")
-        whole = mesh_of(face, None).name in {one.mesh for one in reports if one.covered}  # not one more loose part
-        done = {one.mesh for one in reports} if whole else set(used)
-        foreign = {mesh: [name for name in names if name not in self.legend.regions] for mesh, names in used.items()}
-        meshes = [mesh for mesh, names in foreign.items() if names and mesh not in done]
-        if meshes:
-            names = first_names(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])), 8)
-            advice = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{self.legend.regions[0]}"}}'
-            warnings.append(f"{first_names(meshes, 8)} keep regions that the legend lacks ({names}); {advice}")
-        return tuple(warnings)
+    from facepipe.geometry.region_map import region_masks
+
+    where = f"{face.where} -> {mesh.name}"
+    uv_sets = {one.name: one for one in mesh.uv_sets}
+    if not uv_sets:
+        raise InputError(where, "no UV set, expected one that the map was painted over")
+    if uv_set is not None and uv_set not in uv_sets:
+        raise InputError(where, unknown(uv_set, uv_sets, "UV set"))
+    uv = uv_sets[uv_set] if uv_set is not None else uv_sets.get("st", mesh.uv_sets[0])
+    shares, covered = region_masks(
+        image,
+        np.array([color for color, _ in legend.colors], dtype=np.uint8).reshape(-1, 3),
+        np.asarray(uv.values)[mesh.face_vertex_indices if uv.indices is None else uv.indices],
+        mesh.face_vertex_counts,
+        mesh.face_vertex_indices,
+        len(mesh.points),
+        sampling,
+        background=None if legend.background is None else np.array(legend.background, dtype=np.uint8),
+        where=f"{map_name} -> {mesh.name}",
+    )
+    masks: dict[str, FloatArray] = {name: np.zeros(len(mesh.points)) for name in legend.regions}
+    for (_, name), column in zip(legend.colors, shares.T, strict=True):
+        # added up: several colours of a legend may be one region
+        masks[name] += column
+    bare = ~covered
+    if not covered.any():
+        raise InputError(where, f"no UV lies on a painted texel of tile {sampling.tile or 'all'}, expected some")
+    if legend.outside:
+        masks[legend.outside][bare] = 1.0
+    elif bare.any():
+        _keep(where, masks, mesh, bare)
+    rest = int(bare.sum())
+    outside = rest if legend.outside else 0
+    report = MeshRegions(
+        mesh=mesh.name, points=len(bare), covered=int(covered.sum()), outside=outside, kept=rest - outside
+    )
+    return {name: mask.astype(np.float32) for name, mask in masks.items()}, report
 
 
 def _keep(where: str, masks: dict[str, FloatArray], mesh: Mesh, bare: BoolArray) -> None:
     """Give points without map the regions that they have, in sum 1."""
+    import numpy as np
+
     old = {name: np.maximum(np.asarray(mask, dtype=np.float64), 0.0) for name, mask in mesh.regions.items()}
     total = np.sum([np.zeros(len(bare)), *old.values()], axis=0)
     missing = int(np.count_nonzero(bare & (total <= 0)))
@@ -294,21 +340,31 @@ def _keep(where: str, masks: dict[str, FloatArray], mesh: Mesh, bare: BoolArray)
         mine[bare] = mask[bare] / total[bare]
 
 
-def _without_dead(face: Face, done: Mapping[str, Masks], keep: tuple[str, ...]) -> dict[str, Masks]:
-    """Masks of every mesh that has any, without the regions that no point of the face is left in."""
-    every = dict(done)
-    every |= {mesh.name: mesh.regions for mesh in face.meshes if mesh.name not in done and mesh.regions}
-    alive = {name for masks in every.values() for name, mask in masks.items() if np.any(mask)} | set(keep)
-    return {mesh: {name: mask for name, mask in masks.items() if name in alive} for mesh, masks in every.items()}
-
-
-def _counted(face: Face, report: MeshRegions, masks: Masks) -> MeshRegions:
-    old = mesh_of(face, report.mesh).regions
-    return replace(report, regions=count_regions(masks), removed=tuple(name for name in old if name not in masks))
+def _warnings(
+    face: Face, legend: RegionLegend, reports: Sequence[MeshRegions], masks_of: Mapping[str, Masks]
+) -> tuple[str, ...]:
+    used = {mesh: [name for name, mask in masks.items() if mask.any()] for mesh, masks in masks_of.items()}
+    empty = [name for name in legend.regions if not any(name in names for names in used.values())]
+    warnings = [f"no point in {first_names(empty, 8)} of the legend"] if empty else []
+    for report in reports:
+        if report.kept:
+            advice = 'which keep their regions; "outside" in the legend would give them another'
+            warnings.append(f"{report.mesh}: the map does not cover {report.kept} points, {advice}")
+    whole = mesh_of(face, None).name in {one.mesh for one in reports if one.covered}  # not one more loose part
+    done = {one.mesh for one in reports} if whole else set(used)
+    foreign = {mesh: [name for name in names if name not in legend.regions] for mesh, names in used.items()}
+    meshes = [mesh for mesh, names in foreign.items() if names and mesh not in done]
+    if meshes:
+        names = first_names(list(dict.fromkeys(name for mesh in meshes for name in foreign[mesh])), 8)
+        advice = f'"meshes" in the legend gives them one, like {{"{meshes[0]}": "{legend.regions[0]}"}}'
+        warnings.append(f"{first_names(meshes, 8)} keep regions that the legend lacks ({names}); {advice}")
+    return tuple(warnings)
 
 
 def count_regions(masks: Masks) -> dict[str, RegionCount]:
     """How much of the points (n,) each region has."""
+    import numpy as np
+
     if not masks:
         return {}
     table = np.stack([np.asarray(mask, dtype=np.float64) for mask in masks.values()], axis=1)
@@ -333,12 +389,3 @@ def draw_regions(face: Face, path: Path) -> None:
 
     parts = face.parts()
     save_png(picture(parts, face.evaluate(), PictureOptions(regions=RegionColors.from_parts(parts))), path)
-
-
-def _uv_of(where: str, mesh: Mesh, name: str | None) -> UvSet:
-    named = {uv_set.name: uv_set for uv_set in mesh.uv_sets}
-    if not named:
-        raise InputError(where, "no UV set, expected one that the map was painted over")
-    if name is not None and name not in named:
-        raise InputError(where, unknown(name, named, "UV set"))
-    return named[name] if name is not None else named.get("st", mesh.uv_sets[0])

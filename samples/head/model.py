@@ -60,7 +60,7 @@ def read(data: Path) -> Model:
 
 
 def _arkit(shapes: dict[str, Floats]) -> dict[str, Floats]:
-    found: dict[str, Any] = {shape_name(name, True): offsets for name, offsets in shapes.items()}
+    found: dict[str, Any] = {shape_name(name): offsets for name, offsets in shapes.items()}
     for name, halves in JOINED.items():
         found[name] = sum(found.pop(half) for half in halves)
     return {name: found[name] for name in sorted(found)}

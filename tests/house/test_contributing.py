@@ -18,7 +18,7 @@ from pxr import Usd
 from facepipe.stage import save_parts
 
 PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
-ACTION, TEST = "facepipe/verbs/scale_shapes_action.py", "tests/verbs/test_scale_shapes.py"
+ACTION, TEST = "facepipe/verbs/scale_shapes.py", "tests/verbs/test_scale_shapes.py"
 HOUSE = ("test_action_page.py", "test_action_schemas.py", "test_readme.py")
 FILES = ("README.md", "pyproject.toml", "tests/conftest.py", *(f"tests/house/{name}" for name in HOUSE))
 FILES += tuple(f"schemas/{name}" for name in ("generate.py", "manifest.py"))

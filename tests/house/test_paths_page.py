@@ -202,7 +202,7 @@ OPENED = {
         facepipe.scanning.database.info_action:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
-        facepipe.scanning.rebuild.scan_input:scan_input facepipe.scanning.photos.photos:read_photos
+        facepipe.scanning.rebuild.scan_fit:scan_input facepipe.scanning.photos.photos:read_photos
         facepipe.photo.frames.clip:_most_pixels facepipe.stage.files:check_stage_file
         facepipe_blender.panel:FACEPIPE_OT_export.invoke facepipe_blender.panel:FACEPIPE_OT_export.execute
         facepipe_blender.panel:_deliver
@@ -210,7 +210,7 @@ OPENED = {
     "it is made here: in a temporary folder, or as a result whose place was checked": """
         facepipe.cli.action_line:ActionLine.run facepipe.hosting.host_face:face_to_bytes
         facepipe.verbs.array_file:write_arrays
-        facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval_action:Eval.write
+        facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval:Eval.write
         facepipe.neural.bake_action:Bake.text
         facepipe.scanning.rebuild.rebuild_report:RebuildPictures.write
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
@@ -224,14 +224,14 @@ OPENED = {
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
         facepipe.scanning.rebuild.steps:WorkFolder._read
-        facepipe.scanning.rebuild.steps:Steps._show facepipe.stage.files:open_stage facepipe.stage.layer_files:_check
-        facepipe.stage.textures:TextureFolder.write
+        facepipe.scanning.rebuild.rebuild:Rebuild._step facepipe.stage.files:open_stage
+        facepipe.stage.layer_files:_check facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:TextureFolder._has_place facepipe.stage.textures:texture_home
         facepipe.stage.composition:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
         facepipe.cooking.cooking:Node.below facepipe.cooking.cooking:Node.lost facepipe.hosting.host_face:recipe_from
-        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:_with_relative_sources
+        facepipe.hosting.host_face:author_neural_rig facepipe.stage.author:save_parts
         """,
 }
 

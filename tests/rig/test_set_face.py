@@ -378,7 +378,7 @@ def test_what_verbs_set_is_exported_rendered_and_can_be_left_out(tmp_path: Path,
     capsys.readouterr()
     face, posed = facepipe.open(person), tmp_path / "posed.usda"
     from facepipe.payload import PayloadContent
-    from facepipe.verbs.apply_bones import ApplyBones
+    from facepipe.verbs.apply_bones import apply_bones
     from facepipe.verbs.sliders import SetSliders
 
     coefficients = rest_coefficients(len(face.skeleton.joints))
@@ -387,7 +387,7 @@ def test_what_verbs_set_is_exported_rendered_and_can_be_left_out(tmp_path: Path,
         joints=face.skeleton.joints, meters_per_unit=face.meters_per_unit, coefficients=coefficients
     )
     with face.deriving(posed) as derived:
-        ApplyBones(content=content, name="applied")(derived)
+        apply_bones(derived, content, "applied")
     applied = facepipe.open(posed)
     assert worst(applied.evaluate(pose="set"), applied.evaluate(coefficients=coefficients)) < 1e-5
     assert worst(applied.evaluate(pose="set"), played(posed)[0]) < 1e-4 * applied.head_height  # what a USD viewer shows

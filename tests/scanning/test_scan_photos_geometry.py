@@ -203,8 +203,9 @@ def test_each_photo_of_a_known_camera_has_a_lens_of_its_own() -> None:
     folders = []
     for cameras in (known, None):
         with mock.patch.multiple(
-            module, _match=DEFAULT, _mapped=DEFAULT, _triangulated=DEFAULT, _structure=DEFAULT
+            module, colmap_module=DEFAULT, _match=DEFAULT, _triangulated=DEFAULT, _structure=DEFAULT
         ) as to:
+            to["colmap_module"].return_value.incremental_mapping.return_value = {0: mock.Mock()}
             find_structure(photos, ScanPhotosOptions(lens="shared"), cameras)
         folders.append([file.split("/")[0] for file in to["_structure"].call_args.args[1]])
     assert folders == [["0000", "0001"], ["0000", "0000"]]

@@ -63,7 +63,7 @@ class Eyes:
 
 def expressions(subject: Subject) -> tuple[str, ...]:
     """Shapes of expressions, by the names of ARKit or of its halves: a head may have others for who it is."""
-    known = ARKIT_SHAPES | {shape_name(name, True) for name in EXPRESSIONS}
+    known = ARKIT_SHAPES | {shape_name(name) for name in EXPRESSIONS}
     return tuple(name for name in subject.shapes if name in known)
 
 

@@ -20,7 +20,7 @@ from facepipe.payload import PayloadContent, Precision, encode
 from facepipe.rig import rest_coefficients
 from facepipe.stage import Face, save_parts
 from facepipe.stage.animation_source import play
-from facepipe.verbs.apply_bones import ApplyBones
+from facepipe.verbs.apply_bones import apply_bones
 
 Capsys = pytest.CaptureFixture[str]
 TOLERANCE = 1e-5  # head heights
@@ -203,4 +203,4 @@ def test_info_and_units_of_another_face(tmp_path: Path, capsys: Capsys) -> None:
     err = failed(capsys, "apply-bones", tmp_path / "face.usda", payload, "-o", tmp_path / "out.npz", folder=tmp_path)
     assert "units of 1 m, expected 0.01 m" in err
     with pytest.raises(InputError, match="units of 1 m"):
-        ApplyBones(content=replace(moved(face), meters_per_unit=1.0), name="x")(Face.from_parts(tiny_face()))
+        apply_bones(Face.from_parts(tiny_face()), replace(moved(face), meters_per_unit=1.0), "x")

@@ -32,7 +32,8 @@ from facepipe.importers import load
 from facepipe.parts import FaceParts
 from facepipe.payload import MAX_VALUES, PayloadContent, Precision, decode, encode, read_header
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.apply_bones import ApplyBones, write_payload
+from facepipe.verbs.apply_bones import apply_bones
+from facepipe.verbs.bone_payload import write_payload
 
 JOINTS = tuple(f"root/joint{i}" for i in range(11))
 TOLERANCE = 1e-5  # of the head height
@@ -494,4 +495,4 @@ def test_only_a_rigs_own_joints_are_written(tmp_path: Path) -> None:
         write_payload(tmp_path / "x.bin", wrong, one.rig())
     assert not list(tmp_path.glob("*x.*"))
     with pytest.raises(InputError, match="expected the 11 of the coefficients"):
-        ApplyBones(content=content(), name="x")(one)
+        apply_bones(one, content(), "x")

@@ -6,7 +6,9 @@ import dataclasses
 import json
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +34,7 @@ from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
 from facepipe.pictures.heatmap import NO_VALUE
 from facepipe.pictures.overlay import region_colors
 from facepipe.stage import Face, save_parts
-from facepipe.verbs.regions import RegionLegend, SetRegions, read_legend
+from facepipe.verbs.regions import RegionLegend, RegionsReport, read_legend, set_regions
 
 RED, GREEN, BLUE = COLORS[:3]
 Array = np.ndarray[Any, Any]
@@ -281,13 +283,14 @@ def test_ict_tile_by_tile(tmp_path: Path) -> None:
     colors = tuple((tuple(COLORS[number].tolist()), name) for number, name in enumerate(mesh.regions))
     covered = []
     for number in range(2):
-        set_regions = SetRegions(
+        author = partial(
+            set_regions,
             image=paint(mesh, 1024, tile=(number, 0)),
             legend=RegionLegend(colors=colors),  # type: ignore[arg-type]
             sampling=MapSampling(tile=1001 + number),
         )
         with facepipe.open(tmp_path / f"{number}.usdc").deriving(tmp_path / f"{number + 1}.usdc") as face:
-            (report,) = set_regions(face).meshes
+            (report,) = author(face).meshes
         covered.append(report.covered)
         assert report.covered + report.kept == len(mesh.points)
     assert sum(covered) >= len(mesh.points)
@@ -309,7 +312,7 @@ def halves(*names: str, **more: Any) -> RegionLegend:
 LEFT_RIGHT = solid((RED, GREEN))
 
 
-def derived(source: Path, out: Path, processor: SetRegions) -> tuple[Any, Face]:
+def derived(source: Path, out: Path, processor: Callable[[Face], RegionsReport]) -> tuple[Any, Face]:
     """The report, and the face as it is read back; it has to be valid."""
     with facepipe.open(source).deriving(out) as face:
         report = processor(face)
@@ -325,7 +328,9 @@ def tiny(tmp_path: Path) -> Path:
 
 
 def test_a_new_set_of_regions_replaces_the_old_one(tiny: Path, tmp_path: Path) -> None:
-    report, face = derived(tiny, tmp_path / "a.usda", SetRegions(image=LEFT_RIGHT, legend=halves("left", "right")))
+    report, face = derived(
+        tiny, tmp_path / "a.usda", partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right"))
+    )
     head, teeth = face.meshes
     assert report.meshes[0].removed == ("mouth", "neck")
     assert set(head.regions) == {"left", "right"}
@@ -337,7 +342,7 @@ def test_a_new_set_of_regions_replaces_the_old_one(tiny: Path, tmp_path: Path) -
     ]
     assert set(head.point_subsets) == {"lips"}  # named for no region: left alone
     _, back = derived(
-        tmp_path / "a.usda", tmp_path / "b.usda", SetRegions(image=LEFT_RIGHT, legend=halves("neck", "mouth"))
+        tmp_path / "a.usda", tmp_path / "b.usda", partial(set_regions, image=LEFT_RIGHT, legend=halves("neck", "mouth"))
     )
     assert set(back.meshes[0].regions) == {"mouth", "neck"}
     with back.deriving(tmp_path / "flat.usda", flatten=True) as _:
@@ -346,7 +351,7 @@ def test_a_new_set_of_regions_replaces_the_old_one(tiny: Path, tmp_path: Path) -
 
 
 def test_the_same_map_again_changes_nothing(tiny: Path, tmp_path: Path) -> None:
-    processor = SetRegions(image=LEFT_RIGHT, legend=halves("left", "right", meshes={"Teeth": "left"}))
+    processor = partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right", meshes={"Teeth": "left"}))
     derived(tiny, tmp_path / "a.usda", processor)
     derived(tmp_path / "a.usda", tmp_path / "b.usda", processor)
     assert authored(tmp_path / "a.usda")
@@ -362,14 +367,16 @@ def test_indexed_masks_are_replaced_whole(tiny: Path, tmp_path: Path) -> None:
         primvar.Set(Vt.FloatArray([0.0, 1.0]))
         primvar.SetIndices(Vt.IntArray([0, 1] * 18))
     _, face = derived(
-        tmp_path / "indexed.usda", tmp_path / "a.usda", SetRegions(image=LEFT_RIGHT, legend=halves("mouth", "neck"))
+        tmp_path / "indexed.usda",
+        tmp_path / "a.usda",
+        partial(set_regions, image=LEFT_RIGHT, legend=halves("mouth", "neck")),
     )
     assert np.array_equal(face.meshes[0].regions["mouth"], tiny_face().meshes[0].points[:, 0] < 0)
 
 
 def test_meshes_that_the_legend_names_lie_in_one_region(tiny: Path, tmp_path: Path) -> None:
     legend = halves("left", "right", meshes={"Te*": "teeth"})
-    report, face = derived(tiny, tmp_path / "a.usda", SetRegions(image=LEFT_RIGHT, legend=legend))
+    report, face = derived(tiny, tmp_path / "a.usda", partial(set_regions, image=LEFT_RIGHT, legend=legend))
     masks = face.meshes[1].regions
     assert (masks["teeth"] == 1).all()
     assert not masks["left"].any()
@@ -380,7 +387,7 @@ def test_meshes_that_the_legend_names_lie_in_one_region(tiny: Path, tmp_path: Pa
 
 def test_loose_meshes_that_keep_regions_of_another_set_are_named(sample: Path, tmp_path: Path) -> None:
     legend = halves("left", "right")
-    report, face = derived(sample, tmp_path / "a.usdc", SetRegions(image=LEFT_RIGHT, legend=legend))
+    report, face = derived(sample, tmp_path / "a.usdc", partial(set_regions, image=LEFT_RIGHT, legend=legend))
     (warning,) = report.warnings
     assert warning.startswith("GumsAndTongue, Teeth, EyeballLeft")
     assert "keep regions that the legend lacks (mouth, eyes" in warning
@@ -392,7 +399,9 @@ def test_loose_meshes_that_keep_regions_of_another_set_are_named(sample: Path, t
     assert kept == {"eyes", "mouth"}  # those where no point is left are gone from all
     whole = {"Eye*": "left", "*": "right"}
     report, face = derived(
-        sample, tmp_path / "b.usdc", SetRegions(image=LEFT_RIGHT, legend=halves("left", "right", meshes=whole))
+        sample,
+        tmp_path / "b.usdc",
+        partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right", meshes=whole)),
     )
     assert report.warnings == ()
     assert all(set(mesh.regions) == {"left", "right"} for mesh in face.meshes)
@@ -413,7 +422,7 @@ def test_points_that_the_map_does_not_cover(tmp_path: Path) -> None:
     save_parts(parts, tmp_path / "tiny.usda")
     old = parts.meshes[0]
     inside = (old.uv_sets[0].values <= 1).all(axis=1)
-    keeping = SetRegions(image=LEFT_RIGHT, legend=halves("left", "right"))
+    keeping = partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right"))
     report, face = derived(tmp_path / "tiny.usda", tmp_path / "a.usda", keeping)
     head = face.meshes[0]
     for name in ("mouth", "neck"):
@@ -423,7 +432,7 @@ def test_points_that_the_map_does_not_cover(tmp_path: Path) -> None:
     (warning,) = report.warnings
     assert "keep their regions" in warning
     assert '"outside"' in warning
-    outside = SetRegions(image=LEFT_RIGHT, legend=halves("left", "right", outside="skull"))
+    outside = partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right", outside="skull"))
     report, face = derived(tmp_path / "tiny.usda", tmp_path / "b.usda", outside)
     assert set(face.meshes[0].regions) == {"left", "right", "skull"}
     assert np.array_equal(face.meshes[0].regions["skull"], ~inside)
@@ -434,7 +443,7 @@ def test_points_that_the_map_does_not_cover(tmp_path: Path) -> None:
 
 
 def test_one_map_for_several_meshes(tiny: Path, tmp_path: Path) -> None:
-    processor = SetRegions(image=LEFT_RIGHT, legend=halves("left", "right"), mesh="Head,Teeth")
+    processor = partial(set_regions, image=LEFT_RIGHT, legend=halves("left", "right"), mesh="Head,Teeth")
     report, face = derived(tiny, tmp_path / "a.usda", processor)
     assert [one.covered for one in report.meshes] == [36, 9]
     assert all(set(mesh.regions) == {"left", "right"} for mesh in face.meshes)

@@ -61,13 +61,21 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
     if count > _MAX_COUNT:
         raise value.error(f"count {count}, expected at most {_MAX_COUNT}")
     components = _COMPONENTS[kind.text()]
+    base, view = None, value.get("bufferView")
+    if view is not None:
+        stride = document.entry("bufferViews", view).get("byteStride")
+        size = components * dtype.itemsize
+        step = size if stride is None else stride.integer(1)
+        if stride is not None and step < size:
+            raise stride.error(f"{step} bytes, expected at least the element's {size}")
+        base = _strided(document, value, view, count, components, dtype, step)
     return Accessor(
         value=value,
         count=count,
         components=components,
         dtype=dtype,
         normalized=value.get_or("normalized", False).flag(),
-        base=_base(document, value, count, components, dtype),
+        base=base,
         sparse=_sparse(document, value, count, components, dtype),
     )
 
@@ -144,20 +152,6 @@ def _dtype(value: Value) -> np.dtype[np.generic]:
     if number not in _DTYPES:
         raise value.error(f"{number}, expected one of {', '.join(map(str, _DTYPES))}")
     return np.dtype(_DTYPES[number])
-
-
-def _base(
-    document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]
-) -> RawArray | None:
-    reference = value.get("bufferView")
-    if reference is None:
-        return None
-    stride = document.entry("bufferViews", reference).get("byteStride")
-    size = components * dtype.itemsize
-    step = size if stride is None else stride.integer(1)
-    if stride is not None and step < size:
-        raise stride.error(f"{step} bytes, expected at least the element's {size}")
-    return _strided(document, value, reference, count, components, dtype, step)
 
 
 def _strided(

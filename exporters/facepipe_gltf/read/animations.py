@@ -1,6 +1,6 @@
 """glTF animations of joints and morph weights as animations of the face.
 
-All channels of an animation are resampled at the union of their key times and of those that `sample_times` adds for
+All channels of an animation are resampled at the union of their key times and of those that `_times` adds for
 STEP and CUBICSPLINE; between these the result is linear (rotations: slerp), which is what LINEAR channels are anyway.
 """
 
@@ -20,7 +20,7 @@ from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coeffici
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.skins import Joints, Nodes, local_trs
 from facepipe_gltf.read.values import Value, given_name
 
@@ -70,28 +70,6 @@ def read_sampler(document: Document, value: Value, kind: str, width: int) -> Sam
     return Sampler(value, mode, times, triples[:, 1], (triples[:, 0], triples[:, 2]))
 
 
-def sample(sampler: Sampler, times: FloatArray, rotation: bool = False) -> FloatArray:
-    """(t, width) values at `times` (t,), held before the first key and after the last; rotations get unit length."""
-    left, right, share = between(sampler.times, times)
-    span, share = sampler.times[right] - sampler.times[left], share[:, None]
-    a, b = sampler.keys[left], sampler.keys[right]
-    if sampler.mode == "STEP" or len(sampler.times) == 1:
-        values = a
-    elif sampler.tangents is not None:
-        arrive, leave = sampler.tangents
-        out = span[:, None] * leave[left]
-        into = span[:, None] * arrive[right]
-        s2, s3 = share * share, share * share * share
-        values = np.asarray(
-            (2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + share) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into
-        )
-    elif rotation:
-        values = slerp(_unit(sampler, a), _unit(sampler, b), share)
-    else:
-        values = np.where(share == 0.0, a, a + share * (b - a))
-    return _unit(sampler, values) if rotation else values
-
-
 def _unit(sampler: Sampler, quaternions: FloatArray) -> FloatArray:
     length = np.linalg.norm(quaternions, axis=1, keepdims=True)
     if length.min() < 1e-6:
@@ -108,29 +86,30 @@ class Channel:
     sampler: Sampler
 
     def at(self, times: FloatArray) -> FloatArray:
-        """(t, width) values at `times` (t,)."""
-        return sample(self.sampler, times, self.path == "rotation")
+        """(t, width) values at `times` (t,), held before the first key and after the last; rotations of unit length."""
+        sampler, rotation = self.sampler, self.path == "rotation"
+        left, right, share = between(sampler.times, times)
+        span, share = sampler.times[right] - sampler.times[left], share[:, None]
+        a, b = sampler.keys[left], sampler.keys[right]
+        if sampler.mode == "STEP" or len(sampler.times) == 1:
+            values = a
+        elif sampler.tangents is not None:
+            # Hermite's cubic of glTF 2.0, appendix C.5: tangents are per second, so times the length of the span
+            arrive, leave = sampler.tangents
+            out = span[:, None] * leave[left]
+            into = span[:, None] * arrive[right]
+            s2, s3 = share * share, share * share * share
+            values = np.asarray(
+                (2 * s3 - 3 * s2 + 1) * a + (s3 - 2 * s2 + share) * out + (3 * s2 - 2 * s3) * b + (s3 - s2) * into
+            )
+        elif rotation:
+            values = slerp(_unit(sampler, a), _unit(sampler, b), share)
+        else:
+            values = np.where(share == 0.0, a, a + share * (b - a))
+        return _unit(sampler, values) if rotation else values
 
 
-def sample_times(channels: Sequence[Channel], fps: float | None) -> FloatArray:
-    """(t,) seconds to sample all `channels` at: their keys and times added between them, or whole frames of `fps`."""
-    if fps is not None:
-        first = min(channel.sampler.times[0] for channel in channels)
-        last = max(channel.sampler.times[-1] for channel in channels)
-        return whole_frames(first, last, fps)
-    times_of_all = [channel.sampler.times for channel in channels]
-    times_of_all += [_holds(channel.sampler) for channel in channels if channel.sampler.mode == "STEP"]
-    times_of_all += [_bends(channel) for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    times = np.concatenate(times_of_all)
-    return times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
-
-
-def frame_rate(times: FloatArray) -> float:
-    """The lowest of `_RATES` whose frames all `times` fall on; that of film where there is none."""
-    return next((rate for rate in _RATES if _frames_off(times, rate).max(initial=0.0) < ON_FRAME), _RATES[0])
-
-
-def on_frames(times: FloatArray, rate: float) -> FloatArray:
+def _on_frames(times: FloatArray, rate: float) -> FloatArray:
     """`times`, rounded to whole frames where float32 makes no difference; unchanged where two would become one."""
     found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
     return found if (np.diff(found) > 0).all() else times
@@ -150,13 +129,6 @@ def _frames_off(times: FloatArray, rate: float) -> FloatArray:
     return np.asarray(np.abs(times * rate - np.rint(times * rate)))
 
 
-def _holds(sampler: Sampler) -> FloatArray:
-    """Times just before each key whose value differs from the one before."""
-    changes = (np.diff(sampler.keys, axis=0) != 0).any(axis=1)
-    span = np.diff(sampler.times)
-    return np.asarray((sampler.times[1:] - np.minimum(TICK, span / 2))[changes])
-
-
 def _bends(channel: Channel) -> FloatArray:
     """Times between keys that make lines of each curve, more where it bends more."""
     start, end = channel.sampler.times[:-1], channel.sampler.times[1:]
@@ -171,31 +143,28 @@ def _bends(channel: Channel) -> FloatArray:
 
 def _deviation(channel: Channel, start: FloatArray, end: FloatArray, lines: int) -> FloatArray:
     """(k,) largest distance of a channel from `lines` straight lines between each `start` and `end` (k,)."""
-    points = lines * _WITHIN
+    points, rotation = lines * _WITHIN, channel.path == "rotation"
     step = max(1, _AT_ONCE // ((points + 1) * channel.sampler.keys.shape[1]))
     distances: list[FloatArray] = [np.zeros(0)]
     for first in range(0, len(start), step):
         begin, span = start[first : first + step, None], (end - start)[first : first + step, None]
         times = begin + span * (np.arange(points + 1) / points)
         values = channel.at(times.ravel()).reshape(*times.shape, -1)
-        distances.append(_from_lines(values, channel.path == "rotation"))
+        # from the lines through every `_WITHIN`th value
+        ends = values[:, ::_WITHIN]
+        a, b = ends[:, :-1, None], ends[:, 1:, None]
+        if rotation:
+            b = np.where((a * b).sum(axis=-1, keepdims=True) < 0.0, -b, b)
+        line = a + (np.arange(_WITHIN) / _WITHIN)[:, None] * (b - a)
+        curve = values[:, :-1].reshape(line.shape)
+        if not rotation:
+            distances.append(np.abs(curve - line).max(axis=(1, 2, 3)))
+            continue
+        # the angle of a turn by its chord on the sphere of quaternions, where q and -q turn alike
+        line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
+        chord = np.minimum(np.linalg.norm(curve - line, axis=-1), np.linalg.norm(curve + line, axis=-1))
+        distances.append(4.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)).max(axis=(1, 2)))
     return np.concatenate(distances)
-
-
-def _from_lines(values: FloatArray, rotation: bool) -> FloatArray:
-    """(k,) largest distance of (k, lines * _WITHIN + 1, width) values from the lines through every `_WITHIN`th."""
-    ends = values[:, ::_WITHIN]
-    a, b = ends[:, :-1, None], ends[:, 1:, None]
-    if rotation:
-        b = np.where((a * b).sum(axis=-1, keepdims=True) < 0.0, -b, b)
-    share = (np.arange(_WITHIN) / _WITHIN)[:, None]
-    line = a + share * (b - a)
-    curve = values[:, :-1].reshape(line.shape)
-    if not rotation:
-        return np.asarray(np.abs(curve - line).max(axis=(1, 2, 3)))
-    line = line / np.maximum(np.linalg.norm(line, axis=-1, keepdims=True), 1e-9)
-    chord = np.minimum(np.linalg.norm(curve - line, axis=-1), np.linalg.norm(curve + line, axis=-1))
-    return np.asarray(4.0 * np.arcsin(np.minimum(chord / 2.0, 1.0)).max(axis=(1, 2)))
 
 
 class Animations(NamedTuple):
@@ -229,29 +198,43 @@ def read_animations(
         if channels:
             read.append((value, channels))
     keys = [channel.sampler.times for _, channels in read for channel in channels]
-    # of the keys of all animations: a stage has one timeCodesPerSecond
-    rate = fps or frame_rate(np.concatenate(keys) if keys else np.zeros(0))
+    # whole frames of the keys of all animations, as a stage has one timeCodesPerSecond; film's where no rate fits
+    every = np.concatenate(keys) if keys else np.zeros(0)
+    fitting = (rate for rate in _RATES if _frames_off(every, rate).max(initial=0.0) < ON_FRAME)
+    rate = fps or next(fitting, _RATES[0])
     names = handles([given_name(value) or "" for value, _ in read], "Animation")
     animations = [
         _animation(document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps))
         for name, (value, channels) in zip(names, read, strict=True)
     ]
-    at_rate = (one if one.times is None else replace(one, times=on_frames(one.times, rate)) for one in animations)
+    at_rate = (one if one.times is None else replace(one, times=_on_frames(one.times, rate)) for one in animations)
     return Animations(tuple(at_rate), rate)
 
 
 def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
-    """When to sample an animation; warns of what this does to its keys."""
+    """(t,) seconds to sample an animation at: its keys and times added between them, or whole frames of `fps`.
+
+    Warns of what this does to its keys.
+    """
     if fps is not None:
-        ends = [channel.sampler.times[[0, -1]] for channel in channels]
-        document.budget.spend(int(min(8.0 * fps * float(np.ptp(ends)), 1e15)), value.error)
-    times = sample_times(channels, fps)
-    curves = [channel for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
-    document.budget.spend(8 * len(times), value.error)
-    if fps is not None:
+        first = min(channel.sampler.times[0] for channel in channels)
+        last = max(channel.sampler.times[-1] for channel in channels)
+        document.budget.spend(int(min(8.0 * fps * float(last - first), 1e15)), value.error)
+        times = whole_frames(first, last, fps)
+        document.budget.spend(8 * len(times), value.error)
         document.warn(value, f"sampled at {fps:g} frames per second: off by at most {lines_error(channels, times)}")
         return times
-    if any(channel.sampler.mode == "STEP" for channel in channels):
+    held = [channel.sampler for channel in channels if channel.sampler.mode == "STEP"]
+    curves = [channel for channel in channels if channel.sampler.mode == "CUBICSPLINE"]
+    times_of_all = [channel.sampler.times for channel in channels]
+    for sampler in held:  # just before each key whose value differs from the one before
+        changes = (np.diff(sampler.keys, axis=0) != 0).any(axis=1)
+        span = np.diff(sampler.times)
+        times_of_all.append((sampler.times[1:] - np.minimum(TICK, span / 2))[changes])
+    times = np.concatenate(times_of_all + [_bends(channel) for channel in curves])
+    times = times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
+    document.budget.spend(8 * len(times), value.error)
+    if held:
         document.warn(value, f"STEP keys are held until {TICK * 1000:.2g} ms before the next")
     if curves:
         document.warn(value, f"CUBICSPLINE keys became lines: off by at most {lines_error(curves, times)}")
@@ -353,22 +336,17 @@ def _joint_motion(
             constant = np.tile(rest, (len(times), 1))
             parts.append(constant if channel is None else channel.at(times))
         # nodes between two joints are none on the stage: what they do goes into the lower joint's track
-        tracks.append(_under(document, value, joints.above[joint], parts))
+        above = joints.above[joint]
+        if not np.array_equal(above, np.eye(4)):
+            matrices = above @ compose(*parts)
+            if not np.isfinite(matrices).all():
+                raise value.error("joint transforms that are not finite")
+            parts = [*decompose(matrices)[:3]]
+            lost = float(np.abs(compose(*parts) - matrices).max(initial=0.0))
+            if lost > 1e-5 * max(1.0, float(np.abs(matrices).max())):
+                document.warn(value, f"scaled nodes between joints shear them: lost up to {lost:.2g}")
+        tracks.append(parts)
     return [np.stack(parts, axis=1) for parts in zip(*tracks, strict=True)]
-
-
-def _under(document: Document, value: Value, above: FloatArray, track: Sequence[FloatArray]) -> Sequence[FloatArray]:
-    """`track` below the fixed nodes `above`, as one transform."""
-    if np.array_equal(above, np.eye(4)):
-        return track
-    matrices = above @ compose(*track)
-    if not np.isfinite(matrices).all():
-        raise value.error("joint transforms that are not finite")
-    folded = decompose(matrices)[:3]
-    lost = float(np.abs(compose(*folded) - matrices).max(initial=0.0))
-    if lost > 1e-5 * max(1.0, float(np.abs(matrices).max())):
-        document.warn(value, f"scaled nodes between joints shear them: lost up to {lost:.2g}")
-    return folded
 
 
 def _shape_motion(

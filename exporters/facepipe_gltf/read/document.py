@@ -92,37 +92,47 @@ class Document:
         """The bytes of a buffer, its byteLength at least."""
         number = self.index("buffers", reference)
         if number not in self.loaded:
-            self.loaded[number] = self._load(number)
+            value = self.entries("buffers")[number]
+            length = value.require("byteLength").integer(1)
+            uri = value.get("uri")
+            if uri is not None:
+                data = self.content(uri)
+            elif number == 0 and self.binary is not None:
+                data = self.binary
+            else:
+                raise value.error("no uri, expected one (only the first buffer of a GLB goes without)")
+            if len(data) < length:
+                raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
+            # the bytes of files are granted as they are read
+            if uri is None or uri.text()[:5].lower() == "data:":
+                self.budget.grant(length, number)
+            self.loaded[number] = memoryview(data)[:length]
         return self.loaded[number]
 
     def view(self, reference: Value) -> tuple[memoryview, int, int]:
         """The buffer, first byte and length of a bufferView."""
-        value = self.entry("bufferViews", reference)
-        compressed = value.extension(EXTENSION)
-        if compressed is not None:
-            decoded = self._decode(self.index("bufferViews", reference), compressed)
-            return memoryview(decoded), 0, len(decoded)
+        number = self.index("bufferViews", reference)
+        value = self.entries("bufferViews")[number]
+        packed = value.extension(EXTENSION)
+        if packed is not None:
+            if number not in self._decoded:
+                data = self.buffer(packed.require("buffer"))
+                start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
+                count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
+                mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
+                steps = 4 * length if mode == "ATTRIBUTES" else 4 * length + 16 * count  # of Python, as bytes
+                self.budget.spend(count * size + steps, packed.error)
+                try:
+                    self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
+                except ValueError as error:
+                    raise packed.error(f"can't be decoded: {error}") from None
+            return memoryview(self._decoded[number]), 0, len(self._decoded[number])
         data = self.buffer(value.require("buffer"))
         start = value.get_or("byteOffset", 0).integer()
         length = value.require("byteLength").integer(1)
         if start + length > len(data):
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
         return data, start, length
-
-    def _decode(self, number: int, packed: Value) -> bytes:
-        """What a bufferView of compressed data holds."""
-        if number not in self._decoded:
-            data = self.buffer(packed.require("buffer"))
-            start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
-            count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
-            mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
-            steps = 4 * length if mode == "ATTRIBUTES" else 4 * length + 16 * count  # of Python, as bytes
-            self.budget.spend(count * size + steps, packed.error)
-            try:
-                self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
-            except ValueError as error:
-                raise packed.error(f"can't be decoded: {error}") from None
-        return self._decoded[number]
 
     def content(self, uri: Value) -> bytes:
         """The bytes behind a URI: base64 data, or a file beside the document or in its roots, each file read once.
@@ -146,22 +156,6 @@ class Document:
             self._contents[key] = _read_whole(path, f"{uri.trail} -> {quote(text)}")
             self.budget.grant(len(self._contents[key]), key)
         return self._contents[key]
-
-    def _load(self, number: int) -> memoryview:
-        value = self.entries("buffers")[number]
-        length = value.require("byteLength").integer(1)
-        uri = value.get("uri")
-        if uri is not None:
-            data = self.content(uri)
-        elif number == 0 and self.binary is not None:
-            data = self.binary
-        else:
-            raise value.error("no uri, expected one (only the first buffer of a GLB goes without)")
-        if len(data) < length:
-            raise value.error(f"holds {len(data)} bytes, expected byteLength {length}")
-        if uri is None or uri.text()[:5].lower() == "data:":
-            self.budget.grant(length, number)
-        return memoryview(data)[:length]
 
 
 def open_document(source: Path) -> Document:

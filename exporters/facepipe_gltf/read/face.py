@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
@@ -18,11 +19,11 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.imported import Imported, import_recipe, with_units
-from facepipe_gltf.read import materials, meshes, morphs, primitives
+from facepipe_gltf.read import materials, meshes, primitives
 from facepipe_gltf.read.animations import read_animations
 from facepipe_gltf.read.document import Document, open_document
 from facepipe_gltf.read.materials import material_names, read_materials
-from facepipe_gltf.read.morphs import Role
+from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
@@ -75,14 +76,15 @@ class _Built(NamedTuple):
     size: int  # bytes of its arrays
 
 
-def _size(mesh: Mesh) -> int:
+def _arrays(mesh: Mesh) -> list[npt.NDArray[Any]]:
+    """Its arrays, as many as there are."""
     arrays = [mesh.points, mesh.face_vertex_counts, mesh.face_vertex_indices, mesh.normals, mesh.colors]
     arrays += [array for uvs in mesh.uv_sets for array in (uvs.values, uvs.indices)]
     arrays += [] if mesh.skin is None else [mesh.skin.joint_indices, mesh.skin.joint_weights]
     for shape in mesh.blendshapes:
         arrays += [shape.point_indices]
         arrays += [array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)]
-    return sum(array.nbytes for array in arrays if array is not None)
+    return [array for array in arrays if array is not None]
 
 
 @dataclass
@@ -101,21 +103,27 @@ class Assembly:
 
     def meshes(self) -> tuple[Mesh, ...]:
         """All meshes of the scene, in its order."""
+        document = self.document
         shown = [node for node in self.nodes.shown if self.nodes.values[node].get("mesh") is not None]
-        check_counts(self.document.root.trail, {"Mesh": len(shown), "BlendShape": self._targets(shown)})
-        built = [self._show(node) for node in shown]
-        meshes = [mesh for mesh in built if mesh is not None]
-        names = handles([_exact(mesh) or "" for mesh in meshes], "mesh")
-        return tuple(_named(mesh, name) for mesh, name in zip(meshes, names, strict=True))
-
-    def _targets(self, shown: list[int]) -> int:
-        """How many morph targets the nodes show, those of a mesh that they share each time."""
-        times = Counter(self.document.index("meshes", self.nodes.values[node].require("mesh")) for node in shown)
-        total = 0
-        for mesh, count in times.items():
-            primitives = self.document.entries("meshes")[mesh].require("primitives").items()
-            total += count * max((len(one.get_or("targets", []).items()) for one in primitives), default=0)
-        return total
+        # morph targets of a mesh that nodes share count each time, as each node's mesh is written out
+        times = Counter(document.index("meshes", self.nodes.values[node].require("mesh")) for node in shown)
+        targets = 0
+        for number, count in times.items():
+            primitives = document.entries("meshes")[number].require("primitives").items()
+            targets += count * max((len(one.get_or("targets", []).items()) for one in primitives), default=0)
+        check_counts(document.root.trail, {"Mesh": len(shown), "BlendShape": targets})
+        meshes = [mesh for mesh in map(self._show, shown) if mesh is not None]
+        # called as the node that shows it; where that has no name, by the mesh's own
+        exact = [mesh.label if mesh.label is not None else mesh.data_label for mesh in meshes]
+        return tuple(
+            replace(
+                mesh,
+                name=name,
+                label=own if own != name else None,
+                data_label=mesh.data_label if mesh.data_label != own else None,
+            )
+            for mesh, own, name in zip(meshes, exact, handles([own or "" for own in exact], "mesh"), strict=True)
+        )
 
     def _show(self, node: int) -> Mesh | None:
         document, value = self.document, self.nodes.values[node]
@@ -140,7 +148,15 @@ class Assembly:
             return named
         if skin >= 0:
             return _placed(named, self.joints.skins[skin].geom_bind)
-        return self._unskinned(node, named)
+        # without a skin: carried by the joint that it hangs on, or placed once and for all
+        held = self.joints.holding(self.nodes, node)
+        if held is None:
+            return replace(named, transform=self.nodes.worlds[node])
+        joint, to_joint = held
+        count = len(mesh.points)
+        document.budget.spend(64 * count, value.error)
+        own = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
+        return _placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
 
     def _build(self, mesh_index: int, skin: int) -> _Built | None:
         document = self.document
@@ -154,31 +170,8 @@ class Assembly:
         if len(set(sides)) > 1 and not self.recorded:
             document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
         count = len(geometry.vertices.targets)
-        roles = morphs.roles(document, geometry.value, count, self.shape_names) if count else ()
-        return _Built(replace(mesh, double_sided=any(sides)), geometry, roles, _size(mesh))
-
-    def _unskinned(self, node: int, mesh: Mesh) -> Mesh:
-        """A mesh without skin: carried by the joint it hangs on, or placed once and for all."""
-        held = self.joints.holding(self.nodes, node)
-        if held is None:
-            return replace(mesh, transform=self.nodes.worlds[node])
-        joint, to_joint = held
-        count = len(mesh.points)
-        self.document.budget.spend(64 * count, self.nodes.values[node].error)
-        skin = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
-        bind = self.joints.skeleton.bind_transforms[joint]
-        return _placed(replace(mesh, skin=skin), bind @ to_joint)
-
-
-def _exact(mesh: Mesh) -> str | None:
-    """The name of the node that shows it; where that has none, the mesh's own."""
-    return mesh.label if mesh.label is not None else mesh.data_label
-
-
-def _named(mesh: Mesh, name: str) -> Mesh:
-    """The mesh with `name`; a label that equals it is dropped."""
-    exact, data = _exact(mesh), mesh.data_label
-    return replace(mesh, name=name, label=exact if exact != name else None, data_label=data if data != exact else None)
+        roles = meshes.roles(document, geometry.value, count, self.shape_names) if count else ()
+        return _Built(replace(mesh, double_sided=any(sides)), geometry, roles, sum(one.nbytes for one in _arrays(mesh)))
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -190,20 +183,15 @@ def read(source: Path, options: Options) -> Imported:
     """
     check_ranges(options)
     try:
-        with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which `_check_finite` refuses
+        with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which is refused below
             document = open_document(source)
             parts = _parts(document, source, options)
             skeleton = parts.skeleton
             if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
                 raise document.root.error("joint transforms that are not finite")
             for mesh in parts.meshes:
-                arrays = [mesh.points, mesh.transform, mesh.normals, mesh.colors, *(uvs.values for uvs in mesh.uv_sets)]
-                arrays += [mesh.skin.joint_weights, mesh.skin.geom_bind_transform] if mesh.skin is not None else []
-                for shape in mesh.blendshapes:
-                    arrays += [
-                        array for _, _, sculpt in shape.sculpts for array in (sculpt.offsets, sculpt.normal_offsets)
-                    ]
-                if not all(array is None or np.isfinite(array).all() for array in arrays):
+                matrices = [mesh.transform] if mesh.skin is None else [mesh.transform, mesh.skin.geom_bind_transform]
+                if not all(np.isfinite(array).all() for array in (*_arrays(mesh), *matrices)):
                     raise InputError(f"{document.root.trail} -> {mesh.name}", "values that are not finite")
             for animation in parts.animations:
                 moving = (animation.translations, animation.rotations, animation.scales, animation.shape_weights)
@@ -248,6 +236,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     if hidden:
         document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
     animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
+    bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
     return FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
@@ -256,17 +245,10 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         animations=animations.all,
         played=animations.first_clip,
         frames_per_second=animations.frames_per_second,
-        materials=read_materials(document, materials, _bound(meshes)),
+        materials=read_materials(document, materials, bound),
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
-
-
-def _bound(meshes: tuple[Mesh, ...]) -> Iterator[str]:
-    for mesh in meshes:
-        if mesh.material is not None:
-            yield mesh.material
-        yield from (faces.material for faces in mesh.material_faces)
 
 
 def _note_losses(document: Document, *, ours: bool) -> None:
@@ -279,7 +261,14 @@ def _note_losses(document: Document, *, ours: bool) -> None:
     primitives = [member for mesh in document.entries("meshes") for member in mesh.get_or("primitives", []).items()]
     _note_extras(document, "primitives", primitives)
     if not ours:
-        _note_tangents(document, primitives)
+        tangents = sum(one.require("attributes").get("TANGENT") is not None for one in primitives)
+        if tangents:
+            what = f"TANGENT of {_counted(tangents, 'primitive')}"
+            document.warn(document.root, f"{what} left out: exports compute it where a normal map needs it")
+        targets = [target for one in primitives for target in one.get_or("targets", []).items()]
+        turned = sum(target.get("TANGENT") is not None for target in targets)
+        if turned:
+            document.warn(document.root, f"tangents of {_counted(turned, 'morph target')} left out")
     cameras = len(document.entries("cameras"))
     if cameras:
         document.warn(document.root, f"{_counted(cameras, 'camera')} left out")
@@ -294,40 +283,19 @@ def _note_extras(document: Document, kind: str, values: Sequence[Value]) -> None
     keys: dict[str, None] = {}
     owners = 0
     for value in values:
-        unread = list(_extras(value))
+        found = value.get("extras")
+        if found is None:
+            continue
+        if isinstance(found.data, dict):
+            unread = [quote(key) for key in found.member_names() if key not in _READ]
+        else:
+            unread = [type(found.data).__name__]
         owners += bool(unread)
         keys.update(dict.fromkeys(unread))
     if owners:
         listed = ", ".join([*list(keys)[:_LISTED], *(["..."] if len(keys) > _LISTED else [])])
         what = kind if owners > 1 else kind.removesuffix("s") if kind != "meshes" else "mesh"
         document.warn(document.root, f"extras of {owners} {what} ({listed}) left out")
-
-
-def _extras(value: Value) -> Iterator[str]:
-    """Keys of an object's extras that nothing reads; extras that are no object as what they are."""
-    extras = value.get("extras")
-    if extras is None:
-        return
-    if isinstance(extras.data, dict):
-        yield from (quote(key) for key in extras.member_names() if key not in _READ)
-    else:
-        yield type(extras.data).__name__
-
-
-def _note_tangents(document: Document, primitives: Sequence[Value]) -> None:
-    tangents = sum(primitive.require("attributes").get("TANGENT") is not None for primitive in primitives)
-    if tangents:
-        document.warn(
-            document.root,
-            f"TANGENT of {_counted(tangents, 'primitive')} left out: exports compute it where a normal map needs it",
-        )
-    morphs = sum(
-        target.get("TANGENT") is not None
-        for primitive in primitives
-        for target in primitive.get_or("targets", []).items()
-    )
-    if morphs:
-        document.warn(document.root, f"tangents of {_counted(morphs, 'morph target')} left out")
 
 
 def _counted(count: int, what: str) -> str:

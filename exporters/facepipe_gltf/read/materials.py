@@ -38,7 +38,7 @@ def material_names(document: Document) -> list[str]:
     return list(handles([*given, _DEFAULT], "Material"))
 
 
-def read_materials(document: Document, names: list[str], used: Iterable[str]) -> tuple[Material, ...]:
+def read_materials(document: Document, names: list[str], used: Iterable[str | None]) -> tuple[Material, ...]:
     """The materials in `used`, in document order.
 
     :raises InputError: values or images that can't be read
@@ -79,52 +79,47 @@ class _Textures:
             return None
         sampler = texture.get("sampler")
         settings = Value({}, texture.trail) if sampler is None else document.entry("samplers", sampler)
+        image = self._image(document.index("images", source))
+        number = reference.get_or("texCoord", 0).integer()
+        transform = reference.extension("KHR_texture_transform")
+        if transform is not None:
+            moved = transform.get_or("offset", [0.0, 0.0]).numbers(2) != (0.0, 0.0)
+            scaled = transform.get_or("scale", [1.0, 1.0]).numbers(2) != (1.0, 1.0)
+            if moved or scaled or transform.get_or("rotation", 0.0).number() != 0.0:
+                document.warn(transform, "texture offsets, scales and rotations are left out")
+            number = transform.get_or("texCoord", number).integer()
         return TextureInput(
-            texture=self._image(document.index("images", source)),
+            texture=image,
             channels=channels,
-            uv_set=uv_name(self._uv_number(reference)),
+            uv_set=uv_name(number),
             scale=scale,
             bias=bias,
             wrap_s=_wrap(settings, "wrapS"),
             wrap_t=_wrap(settings, "wrapT"),
         )
 
-    def _uv_number(self, reference: Value) -> int:
-        number = reference.get_or("texCoord", 0).integer()
-        transform = reference.extension("KHR_texture_transform")
-        if transform is None:
-            return number
-        moved = transform.get_or("offset", [0.0, 0.0]).numbers(2) != (0.0, 0.0)
-        scaled = transform.get_or("scale", [1.0, 1.0]).numbers(2) != (1.0, 1.0)
-        if moved or scaled or transform.get_or("rotation", 0.0).number() != 0.0:
-            self._document.warn(transform, "texture offsets, scales and rotations are left out")
-        return transform.get_or("texCoord", number).integer()
-
     def _image(self, index: int) -> Texture:
         if index not in self._images:
             value = self._document.entries("images")[index]
-            data = self._bytes(value)
+            uri, view = value.get("uri"), value.get("bufferView")
+            if uri is not None:
+                data = self._document.content(uri)
+            elif view is not None:
+                buffer, start, length = self._document.view(view)
+                self._document.budget.spend(length, value.error)
+                data = bytes(buffer[start : start + length])
+            else:
+                raise value.error("neither uri nor bufferView, expected one")
             kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
             if kind is None:
                 raise value.error(f"image of unknown type (begins with {data[:4]!r}), expected PNG or JPEG")
             if data not in self._read:
-                uri = value.get("uri")
                 named = uri_name(uri.text()) if uri is not None else ""
                 stem = PurePosixPath(named).stem or given_name(value) or ""
                 name = f"{self._names.new(file_name(stem, 'texture'))}.{kind}"
                 self._read[data] = Texture(name=name, data=data)
             self._images[index] = self._read[data]
         return self._images[index]
-
-    def _bytes(self, value: Value) -> bytes:
-        uri, view = value.get("uri"), value.get("bufferView")
-        if uri is not None:
-            return self._document.content(uri)
-        if view is None:
-            raise value.error("neither uri nor bufferView, expected one")
-        data, start, length = self._document.view(view)
-        self._document.budget.spend(length, value.error)
-        return bytes(data[start : start + length])
 
 
 def _material(document: Document, textures: _Textures, value: Value, name: str) -> Material:
@@ -139,18 +134,35 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
     coat = value.extension("KHR_materials_clearcoat") or empty
     label = given_name(value)
+    # in this order: images are numbered as they are first asked for
+    diffuse = _color(textures, surface.get("baseColorTexture"), base)
+    gain = _factor(value.extension("KHR_materials_emissive_strength") or empty, "emissiveStrength")
+    red, green, blue = (gain * factor for factor in _factors(value, "emissiveFactor", 3, 0.0))
+    emissive: Color | TextureInput = (0.0, 0.0, 0.0)
+    if (red, green, blue) != emissive:
+        emissive = _color(textures, value.get("emissiveTexture"), (red, green, blue, 1.0))
+    # one picture holds both: by glTF roughness is its green channel, metallic its blue one
+    metallic = _scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal)
+    roughness = _scalar(textures, surface.get("metallicRoughnessTexture"), "g", rough)
+    occlusion, shaded = None, value.get("occlusionTexture")
+    if shaded is not None:
+        strength = _factor(shaded, "strength")  # ``1 + strength (texel - 1)``
+        occlusion = textures.input(shaded, "r", (strength,) * 4, (1.0 - strength,) * 4)
+    normal, bumped = None, value.get("normalTexture")
+    if bumped is not None:
+        scale = _factor(bumped, "scale")  # ``(2 texel - 1) * (scale, scale, 1)``
+        normal = textures.input(bumped, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
     return Material(
         name=name,
         label=label if label != name else None,
-        diffuse_color=_color(textures, surface.get("baseColorTexture"), base),
-        emissive_color=_emission(textures, value),
-        # one picture holds both: by glTF roughness is its green channel, metallic its blue one
-        metallic=_scalar(textures, surface.get("metallicRoughnessTexture"), "b", metal),
-        roughness=_scalar(textures, surface.get("metallicRoughnessTexture"), "g", rough),
+        diffuse_color=diffuse,
+        emissive_color=emissive,
+        metallic=metallic,
+        roughness=roughness,
         opacity=opacity,
         opacity_threshold=threshold,
-        occlusion=_occlusion(textures, value.get("occlusionTexture")),
-        normal=_normal(textures, value.get("normalTexture")),
+        occlusion=1.0 if occlusion is None else occlusion,
+        normal=normal,
         ior=_factor(ior, "ior", 1.5),
         **_clearcoat(textures, coat),
     )
@@ -179,14 +191,6 @@ def _scalar(textures: _Textures, reference: Value | None, channel: Channels, fac
     return factor if found is None else found
 
 
-def _emission(textures: _Textures, value: Value) -> Color | TextureInput:
-    gain = _factor(value.extension("KHR_materials_emissive_strength") or Value({}, value.trail), "emissiveStrength")
-    red, green, blue = (gain * factor for factor in _factors(value, "emissiveFactor", 3, 0.0))
-    if (red, green, blue) == (0.0, 0.0, 0.0):
-        return (0.0, 0.0, 0.0)
-    return _color(textures, value.get("emissiveTexture"), (red, green, blue, 1.0))
-
-
 def _opacity(textures: _Textures, value: Value, surface: Value, alpha: float) -> tuple[float | TextureInput, float]:
     name = value.get_or("alphaMode", "OPAQUE").text()
     if name not in ("OPAQUE", "MASK", "BLEND"):
@@ -195,23 +199,6 @@ def _opacity(textures: _Textures, value: Value, surface: Value, alpha: float) ->
     if name == "OPAQUE" or (name == "MASK" and threshold <= 0.0):
         return 1.0, 0.0
     return _scalar(textures, surface.get("baseColorTexture"), "a", alpha), threshold
-
-
-def _occlusion(textures: _Textures, reference: Value | None) -> float | TextureInput:
-    """``1 + strength (texel - 1)``."""
-    if reference is None:
-        return 1.0
-    strength = _factor(reference, "strength")
-    found = textures.input(reference, "r", (strength,) * 4, (1.0 - strength,) * 4)
-    return 1.0 if found is None else found
-
-
-def _normal(textures: _Textures, reference: Value | None) -> TextureInput | None:
-    """``(2 texel - 1) * (scale, scale, 1)``."""
-    if reference is None:
-        return None
-    scale = _factor(reference, "scale")
-    return textures.input(reference, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
 
 
 def _wrap(sampler: Value, key: str) -> Wrap:

@@ -22,6 +22,7 @@ _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
 _KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
 _STILL = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
+_LARGEST_NUMBER = 2.0**24  # that float32 and all below it hold exactly
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 
 
@@ -55,22 +56,40 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
     attributes = primitive.require("attributes")
     positions = accessors.floats(document, attributes.require("POSITION"), "VEC3")
     count = len(positions)
-    normal, point = attributes.get("NORMAL"), attributes.get("_FACEPIPE_POINT")
     joints, weights = _influences(document, primitive, attributes, count) if skinned else (None, None)
     if not skinned and attributes.get("JOINTS_0") is not None:
         document.warn(primitive, "has skin weights, but its node has no skin: they are left out")
     for name in attributes.member_names():
         if name not in _KNOWN:
             document.warn(primitive, f"the attribute {ascii(name)[:40]} is left out")
+    normals, uvs, colors, numbers = None, {}, None, None
+    if (normal := attributes.get("NORMAL")) is not None:
+        normals = accessors.floats(document, normal, "VEC3", count=count)
+    for number in range(_MAX_SETS):
+        if (uv := attributes.get(f"TEXCOORD_{number}")) is not None:
+            uvs[number] = accessors.floats(document, uv, "VEC2", count=count)
+    if attributes.get("COLOR_1") is not None:
+        document.warn(primitive, "colours beyond COLOR_0 are left out")
+    if (color := attributes.get("COLOR_0")) is not None:
+        colors = accessors.floats(document, color, "VEC3", "VEC4", count=count)
+        if colors.shape[1] == 4 and np.any(colors[:, 3] != 1.0):
+            document.warn(color, "the alpha of vertex colours is left out")
+        colors = colors[:, :3]
+    if (point := attributes.get("_FACEPIPE_POINT")) is not None:
+        values = accessors.floats(document, point, "SCALAR", count=count)[:, 0]
+        if values.min() < 0.0 or values.max() > _LARGEST_NUMBER or np.any(values != np.floor(values)):
+            raise point.error("point numbers that are no whole numbers from 0 to 2^24")
+        numbers = values.astype(np.int64)
+    targets = tuple(_target(document, target, count) for target in primitive.get_or("targets", []).items())
     return Vertices(
         positions=positions,
-        normals=None if normal is None else accessors.floats(document, normal, "VEC3", count=count),
-        uvs=_uvs(document, attributes, count),
-        colors=_colors(document, primitive, attributes, count),
+        normals=normals,
+        uvs=uvs,
+        colors=colors,
         joints=joints,
         weights=weights,
-        point_numbers=None if point is None else _point_numbers(document, point, count),
-        targets=tuple(_target(document, target, count) for target in primitive.get_or("targets", []).items()),
+        point_numbers=numbers,
+        targets=targets,
     )
 
 
@@ -81,41 +100,34 @@ def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
     # weights are those of the mesh: glTF 2.0 wants as many targets in each of its primitives
     if len({len(one.targets) for one in read}) > 1:
         raise value.error("its primitives have different numbers of morph targets, expected the same")
-    starts = np.cumsum([0, *(len(one.positions) for one in read[:-1])])
+    starts = np.cumsum([0, *(len(one.positions) for one in read[:-1])]).tolist()
     width = max(0 if one.joints is None else one.joints.shape[1] for one in read)
+    normals = _join_optional(document, value, "NORMAL", [one.normals for one in read])
+    uvs = {}
+    for number in sorted({number for one in read for number in one.uvs}):
+        if any(number not in one.uvs for one in read):
+            document.warn(value, f"only some primitives have TEXCOORD_{number}: it is 0 on the others")
+        zeros = [np.zeros((len(one.positions), 2), np.float32) for one in read]
+        uvs[number] = np.concatenate([one.uvs.get(number, zero) for one, zero in zip(read, zeros, strict=True)])
+    targets = []
+    for i in range(len(read[0].targets)):
+        turned = [one.targets[i].normals for one in read]
+        targets.append(
+            Target(
+                positions=_join_deltas([one.targets[i].positions for one in read], starts),
+                normals=_join_deltas([one or _STILL for one in turned], starts) if any(turned) else None,
+            )
+        )
     return Vertices(
         positions=np.concatenate([one.positions for one in read]),
-        normals=_join_optional(document, value, "NORMAL", [one.normals for one in read]),
-        uvs=_join_uvs(document, value, read),
+        normals=normals,
+        uvs=uvs,
         colors=_join_optional(document, value, "COLOR_0", [one.colors for one in read]),
         joints=None if width == 0 else np.concatenate([_widened(one.joints, width) for one in read]),
         weights=None if width == 0 else np.concatenate([_widened(one.weights, width) for one in read]),
         point_numbers=_join_optional(document, value, "_FACEPIPE_POINT", [one.point_numbers for one in read]),
-        targets=tuple(
-            _join_target([one.targets[i] for one in read], starts.tolist()) for i in range(len(read[0].targets))
-        ),
+        targets=tuple(targets),
     )
-
-
-def _uvs(document: Document, attributes: Value, count: int) -> dict[int, FloatArray]:
-    uvs = {}
-    for number in range(_MAX_SETS):
-        reference = attributes.get(f"TEXCOORD_{number}")
-        if reference is not None:
-            uvs[number] = accessors.floats(document, reference, "VEC2", count=count)
-    return uvs
-
-
-def _colors(document: Document, primitive: Value, attributes: Value, count: int) -> FloatArray | None:
-    reference = attributes.get("COLOR_0")
-    if attributes.get("COLOR_1") is not None:
-        document.warn(primitive, "colours beyond COLOR_0 are left out")
-    if reference is None:
-        return None
-    colors = accessors.floats(document, reference, "VEC3", "VEC4", count=count)
-    if colors.shape[1] == 4 and np.any(colors[:, 3] != 1.0):
-        document.warn(reference, "the alpha of vertex colours is left out")
-    return colors[:, :3]
 
 
 def _influences(document: Document, primitive: Value, attributes: Value, count: int) -> tuple[IntArray, FloatArray]:
@@ -133,13 +145,6 @@ def _influences(document: Document, primitive: Value, attributes: Value, count: 
     if not joints:
         raise primitive.error("no JOINTS_0 and WEIGHTS_0, but its node has a skin")
     return np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-
-
-def _point_numbers(document: Document, reference: Value, count: int) -> IntArray:
-    numbers = accessors.floats(document, reference, "SCALAR", count=count)[:, 0]
-    if numbers.min() < 0.0 or numbers.max() > 2.0**24 or np.any(numbers != np.floor(numbers)):
-        raise reference.error("point numbers that are no whole numbers from 0 to 2^24")
-    return numbers.astype(np.int64)
 
 
 def _target(document: Document, target: Value, count: int) -> Target:
@@ -164,28 +169,10 @@ def _join_optional(
     return None
 
 
-def _join_uvs(document: Document, value: Value, read: list[Vertices]) -> dict[int, FloatArray]:
-    joined = {}
-    for number in sorted({number for one in read for number in one.uvs}):
-        if any(number not in one.uvs for one in read):
-            document.warn(value, f"only some primitives have TEXCOORD_{number}: it is 0 on the others")
-        zeros = [np.zeros((len(one.positions), 2), np.float32) for one in read]
-        joined[number] = np.concatenate([one.uvs.get(number, zero) for one, zero in zip(read, zeros, strict=True)])
-    return joined
-
-
 def _widened(array: npt.NDArray[Any] | None, width: int) -> npt.NDArray[Any]:
     if array is None:
         raise AssertionError("skin weights are read on all primitives or none")
     return np.pad(array, ((0, 0), (0, width - array.shape[1])))
-
-
-def _join_target(targets: list[Target], starts: list[int]) -> Target:
-    normals = [target.normals for target in targets]
-    return Target(
-        positions=_join_deltas([target.positions for target in targets], starts),
-        normals=_join_deltas([normal or _STILL for normal in normals], starts) if any(normals) else None,
-    )
 
 
 def _join_deltas(parts: list[Deltas], starts: list[int]) -> Deltas:
@@ -236,7 +223,9 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         first, count = pools[key]
         corners = _triangles(document, primitive, number, count)
         triangles.append(corners + first)
-        materials.append(np.full(len(corners), _material(document, primitive), np.int64))
+        material = primitive.get("material")
+        shown = -1 if material is None else document.index("materials", material)
+        materials.append(np.full(len(corners), shown, np.int64))
     if sum(map(len, triangles)) == 0:
         return None
     return Geometry(
@@ -245,11 +234,6 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
     )
-
-
-def _material(document: Document, primitive: Value) -> int:
-    material = primitive.get("material")
-    return -1 if material is None else document.index("materials", material)
 
 
 def _triangles(document: Document, primitive: Value, mode: int, count: int) -> IntArray:

@@ -36,21 +36,6 @@ _NOISE = 5e-7  # what float32 leaves of a coefficient at rest
 _UNIT = 2e-7  # a direction this near to length 1 has it in float32
 
 
-def joints_as_recorded(record: Record, read: Skeleton) -> None:
-    """:raises InputError: other joints than the record's, or joints that were moved since"""
-    skeleton = record.face.skeleton
-    count = len(skeleton.joints)
-    shapes = {np.shape(one) for one in (skeleton.rest_transforms, skeleton.bind_transforms)}
-    if len(read.joints) != count or shapes != {(count, 4, 4)} or not np.array_equal(read.parents, skeleton.parents):
-        raise InputError("facepipe", f"{len(read.joints)} joints, expected {count} as facepipe wrote the file")
-    if not count:
-        return
-    found = _stage_matrices(record, read.rest_transforms, read.parents < 0)
-    size = float(np.abs(skeleton.rest_transforms).max())
-    if float(np.abs(found - skeleton.rest_transforms).max()) > _SAME * size:
-        raise InputError("facepipe", "joints moved by another program since facepipe wrote the file")
-
-
 def _animation(
     record: Record,
     skeleton: Skeleton,
@@ -64,40 +49,31 @@ def _animation(
     for numbers, count in ((joints, len(skeleton.joints)), (driven, len(shapes))):
         if numbers.ndim != 1 or (numbers.size and not (numbers.min() >= 0 and numbers.max() < count)):
             raise InputError(f"facepipe -> {husk.name}", f"numbers outside 0..{count - 1}")
-    rows = _rows(husk, read)
+    rows = np.zeros(1, np.int64)
+    if husk.times is not None:
+        # the samples that are keys of the record: inbetweens add more between them
+        times = np.asarray(husk.times, np.float64)
+        times = times - min(float(times.min(initial=0.0)), 0.0)
+        read_times = np.zeros(1) if read.times is None else np.asarray(read.times, np.float64)
+        after = np.minimum(np.searchsorted(read_times, times), len(read_times) - 1)
+        before = np.maximum(after - 1, 0)
+        rows = np.where(np.abs(read_times[before] - times) < np.abs(read_times[after] - times), before, after)
+        if np.abs(read_times[rows] - times).max(initial=0.0) > _NEAR:
+            raise InputError(f"facepipe -> {husk.name}", "other key times than facepipe wrote")
     names = tuple(shapes[i] for i in driven)
+    weights = np.zeros((len(rows), len(names)), np.float32)
+    column = {new_names.get(name): i for i, name in enumerate(read.shapes)}
+    for i, shape in enumerate(names):
+        if shape in column and read.shape_weights is not None:
+            weights[:, i] = read.shape_weights[rows, column[shape]]
     result = replace(
         husk,
         times=None if husk.times is None else np.asarray(husk.times, np.float64),
         joints=tuple(record.face.skeleton.joints[i] for i in joints),
         shapes=names,
-        shape_weights=None if husk.shape_weights is None else _weights(read, rows, names, new_names),
+        shape_weights=None if husk.shape_weights is None else weights,
     )
     return _moved(record, skeleton, result, read, rows, joints) if len(joints) else result
-
-
-def _rows(husk: Animation, read: Animation) -> IntArray:
-    """The samples that are keys of the record: inbetweens add more between them."""
-    if husk.times is None:
-        return np.zeros(1, np.int64)
-    times = np.asarray(husk.times, np.float64)
-    times = times - min(float(times.min(initial=0.0)), 0.0)
-    read_times = np.zeros(1) if read.times is None else np.asarray(read.times, np.float64)
-    after = np.minimum(np.searchsorted(read_times, times), len(read_times) - 1)
-    before = np.maximum(after - 1, 0)
-    rows = np.where(np.abs(read_times[before] - times) < np.abs(read_times[after] - times), before, after)
-    if np.abs(read_times[rows] - times).max(initial=0.0) > _NEAR:
-        raise InputError(f"facepipe -> {husk.name}", "other key times than facepipe wrote")
-    return rows
-
-
-def _weights(read: Animation, rows: IntArray, shapes: Sequence[str], new_names: Mapping[str, str]) -> FloatArray:
-    result = np.zeros((len(rows), len(shapes)), np.float32)
-    column = {new_names.get(name): i for i, name in enumerate(read.shapes)}
-    for i, shape in enumerate(shapes):
-        if shape in column and read.shape_weights is not None:
-            result[:, i] = read.shape_weights[rows, column[shape]]
-    return result
 
 
 def _moved(
@@ -177,12 +153,26 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
     counts = [len(read.meshes), len(face.meshes), len(record.meshes)]
     if len(set(counts)) > 1:
         raise _misfit(f"{counts[0]} meshes, expected {counts[1]}")
-    joints_as_recorded(record, read.skeleton)
-    pairs = zip(face.meshes, record.meshes, read.meshes, strict=True)
+    skeleton, count = face.skeleton, len(face.skeleton.joints)
+    sizes = {np.shape(one) for one in (skeleton.rest_transforms, skeleton.bind_transforms)}
+    same_tree = len(read.skeleton.joints) == count and np.array_equal(read.skeleton.parents, skeleton.parents)
+    if not same_tree or sizes != {(count, 4, 4)}:
+        found_joints = len(read.skeleton.joints)
+        raise InputError("facepipe", f"{found_joints} joints, expected {count} as facepipe wrote the file")
+    if count:
+        found = _stage_matrices(record, read.skeleton.rest_transforms, read.skeleton.parents < 0)
+        size = float(np.abs(skeleton.rest_transforms).max())
+        if float(np.abs(found - skeleton.rest_transforms).max()) > _SAME * size:
+            raise InputError("facepipe", "joints moved by another program since facepipe wrote the file")
+    pairs = [*zip(face.meshes, record.meshes, read.meshes, strict=True)]
     meshes = tuple(_mesh(*pair) for pair in pairs)
-    renamed = _new_names(read.meshes, face.meshes)
+    renamed = {
+        one.name: other.name
+        for own, _, found_mesh in pairs
+        for one, other in zip(found_mesh.blendshapes, own.blendshapes, strict=True)
+    }
     shapes = shape_names(face.meshes)
-    recorded = record.face.animations
+    recorded = face.animations
     if not len(recorded) == len(read.animations) == len(record.joints) == len(record.shapes):
         raise InputError("facepipe", f"{len(read.animations)} animations, expected {len(recorded)}")
     return replace(
@@ -198,11 +188,6 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
 
 def _misfit(what: str) -> InputError:
     return InputError("facepipe", f"{what}, as facepipe wrote the file")
-
-
-def _new_names(read: Sequence[Mesh], own: Sequence[Mesh]) -> dict[str, str]:
-    pairs = [zip(one.blendshapes, other.blendshapes, strict=True) for one, other in zip(read, own, strict=True)]
-    return {one.name: other.name for shapes in pairs for one, other in shapes}
 
 
 def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
@@ -221,6 +206,9 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
     corners, counts = _corners(husk, record, read)
     directions = _Directions(record.matrix)
     indices = numbers[read.face_vertex_indices[corners]].astype(np.int32)
+    colors = husk.colors
+    if colors is not None and not len(colors):  # the file has them
+        colors = None if read.colors is None else _spread(read.colors, numbers, record.point_count)
     result = replace(
         husk,
         points=points,
@@ -228,7 +216,7 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
         face_vertex_indices=indices,
         normals=_normals(husk, record, read, corners, numbers, directions),
         uv_sets=_uv_sets(husk, read, record.point_count, corners, numbers, indices),
-        colors=_colors(husk, read, record.point_count, numbers),
+        colors=colors,
         skin=_skin(husk, read, record.point_count, numbers),
         blendshapes=_blendshapes(husk, read, numbers, directions),
         material=husk.material if len(husk.face_vertex_counts) else read.material,
@@ -280,14 +268,11 @@ class _Directions:
         self._back = np.linalg.inv(self._linear)
         self._scale = np.cbrt(abs(np.linalg.det(self._linear)))
 
-    def normals(self, values: FloatArray) -> FloatArray:
-        return np.asarray((_summed(self._linear.T, values) / self._lengths(values)).astype(np.float32))
-
     def offsets(self, values: FloatArray) -> FloatArray:
         return _summed(self._back, values).astype(np.float32)
 
     def normal_offsets(self, values: FloatArray, normals: FloatArray) -> FloatArray:
-        """:param normals: (k, 3) of the same points, in the file"""
+        """Offsets of normals, or normals themselves; `normals` (k, 3) are those of the same points in the file."""
         return np.asarray((_summed(self._linear.T, values) / self._lengths(normals)).astype(np.float32))
 
     def _lengths(self, normals: FloatArray) -> FloatArray:
@@ -316,7 +301,7 @@ def _normals(
 ) -> FloatArray | None:
     if husk.normals is None or read.normals is None:
         return None
-    back = directions.normals(read.normals)
+    back = directions.normal_offsets(read.normals, read.normals)
     per_point = len(back) == len(read.points)
     if husk.normals.ndim == 2:
         return _spread(back, numbers, record.point_count) if per_point else None
@@ -340,12 +325,6 @@ def _uv_sets(
     return tuple(result)
 
 
-def _colors(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> FloatArray | None:
-    if husk.colors is None or len(husk.colors):
-        return husk.colors
-    return None if read.colors is None else _spread(read.colors, numbers, count)
-
-
 def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
     if (husk.skin is None) != (read.skin is None):
         raise _misfit(f"skin weights of {husk.name} came or went")
@@ -359,7 +338,9 @@ def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
 
 
 def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directions) -> tuple[Blendshape, ...]:
-    normals = _point_normals(husk, read)
+    normals = read.normals if read.normals is not None and len(read.normals) == len(read.points) else None
+    if husk.normals is not None and husk.normals.ndim == 1:  # at corners: the writer goes by smooth ones of points
+        normals = point_normals(read.points, read.face_vertex_indices.reshape(-1, 3))
     result = []
     for shape, read_shape in zip(husk.blendshapes, read.blendshapes, strict=True):
         at = normals[read_shape.point_indices] if normals is not None else np.zeros((len(read_shape.point_indices), 3))
@@ -392,13 +373,6 @@ def _turned_offsets(
     if husk.normal_offsets is None or read.normal_offsets is None:
         return None
     return directions.normal_offsets(read.normal_offsets, normals)
-
-
-def _point_normals(husk: Mesh, read: Mesh) -> FloatArray | None:
-    """Normals (n, 3) in the file that the normal offsets belong to."""
-    if husk.normals is not None and husk.normals.ndim == 1:  # the writer goes by smooth ones
-        return point_normals(read.points, read.face_vertex_indices.reshape(-1, 3))
-    return read.normals if read.normals is not None and len(read.normals) == len(read.points) else None
 
 
 def _check_points(mesh: Mesh) -> None:

@@ -8,7 +8,6 @@ section 7): where the nodes stand in bind pose that product is the same matrix f
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +41,26 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     """
     values = document.entries("nodes")
     children = [[document.index("nodes", child) for child in value.get_or("children", []).items()] for value in values]
-    parents = _parents(values, children)
+    parents = [-1] * len(values)
+    for node, below in enumerate(children):
+        for child in below:
+            if parents[child] >= 0:
+                raise values[child].error(
+                    f"is a child of nodes[{parents[child]}] and nodes[{node}], expected one parent"
+                )
+            parents[child] = node
     roots = [node for node, parent in enumerate(parents) if parent < 0]
     order = _depth_first(roots, children)
     # a cycle has no root: no walk from one comes there
     if len(order) < len(values):
         lost = sorted(set(range(len(values))) - set(order))[0]
         raise values[lost].error("is its own ancestor, expected a tree")
-    locals_ = np.array([_local_matrix(value) for value in values]).reshape(-1, 4, 4)
+    locals_ = np.tile(identity(), (len(values), 1, 1))
+    for node, value in enumerate(values):
+        if (matrix := value.get("matrix")) is not None:
+            locals_[node] = _matrix(matrix)
+        elif {"translation", "rotation", "scale"} & set(value.member_names()):
+            locals_[node] = compose(*local_trs(value))
     worlds = np.array(locals_)
     for node in order:
         if parents[node] >= 0:
@@ -79,34 +90,12 @@ def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
     )
 
 
-def _local_matrix(value: Value) -> FloatArray:
-    """(4, 4) of a node, from its matrix or from translation, rotation and scale."""
-    matrix = value.get("matrix")
-    if matrix is not None:
-        return _matrix(matrix)
-    if not {"translation", "rotation", "scale"} & set(value.member_names()):
-        return identity()
-    return compose(*local_trs(value))
-
-
 def _matrix(value: Value) -> FloatArray:
     matrix = np.array(value.numbers(16)).reshape(4, 4).T
     if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
         raise value.error("its last row is not 0 0 0 1")
     matrix[3] = (0.0, 0.0, 0.0, 1.0)
     return matrix
-
-
-def _parents(values: list[Value], children: list[list[int]]) -> list[int]:
-    parents = [-1] * len(values)
-    for node, below in enumerate(children):
-        for child in below:
-            if parents[child] >= 0:
-                raise values[child].error(
-                    f"is a child of nodes[{parents[child]}] and nodes[{node}], expected one parent"
-                )
-            parents[child] = node
-    return parents
 
 
 def _depth_first(roots: list[int], children: list[list[int]]) -> list[int]:
@@ -177,14 +166,14 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     order = _parent_first(nodes, [node for skin in listed for node in skin])
     of_node = {node: joint for joint, node in enumerate(order)}
     # parent joint of every joint, -1 for roots, and the matrices of the nodes between
-    parents, above = [], np.tile(identity(), (len(order), 1, 1))
+    parents: list[int] = []
+    above = np.tile(identity(), (len(order), 1, 1))
     for joint, node in enumerate(order):
         node = nodes.parents[node]
         while node >= 0 and node not in of_node:
             above[joint] = nodes.locals[node] @ above[joint]
             node = nodes.parents[node]
         parents.append(of_node.get(node, -1))
-    joint_parents, above = parents, above
     binds: dict[int, FloatArray] = {}
     skins = []
     for value, joint_nodes in zip(values, listed, strict=True):
@@ -193,13 +182,22 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
         worlds = nodes.worlds[joint_nodes]
         skins.append(BoundSkin(slots, _bind(document, value, slots, inverses, worlds, binds)))
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
-    paths = _paths(document, nodes, order, joint_parents)
+    siblings: dict[int, Names] = {}
+    paths: list[str] = []
+    given = [given_name(nodes.values[node]) for node in order]
+    for node, parent, own in zip(order, parents, given, strict=True):
+        name = siblings.setdefault(parent, Names()).new(joint_identifier(own or ""))
+        path = name if parent < 0 else f"{paths[parent]}/{name}"
+        document.budget.spend(len(path), nodes.values[node].error)  # a chain's paths grow with the square of its length
+        paths.append(path)
     skeleton = Skeleton(
-        joints=paths,
+        joints=tuple(paths),
         bind_transforms=np.array([binds[joint] for joint in range(len(order))]).reshape(-1, 4, 4),
         rest_transforms=rest,
     )
-    skeleton = skeleton.called(_names(nodes, order, skeleton.names))
+    # the nodes' own names; of those without the last parts of the paths
+    leaves = zip(given, skeleton.names, strict=True)
+    skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
     return Joints(skeleton, of_node, above, tuple(skins))
 
 
@@ -226,23 +224,6 @@ def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:
             node = nodes.parents[node]
         placed.update(dict.fromkeys(reversed(chain)))
     return list(placed)
-
-
-def _paths(document: Document, nodes: Nodes, order: list[int], parents: list[int]) -> tuple[str, ...]:
-    siblings: dict[int, Names] = {}
-    paths: list[str] = []
-    for node, parent in zip(order, parents, strict=True):
-        name = siblings.setdefault(parent, Names()).new(joint_identifier(given_name(nodes.values[node]) or ""))
-        path = name if parent < 0 else f"{paths[parent]}/{name}"
-        document.budget.spend(len(path), nodes.values[node].error)  # a chain's paths grow with the square of its length
-        paths.append(path)
-    return tuple(paths)
-
-
-def _names(nodes: Nodes, order: list[int], leaves: Sequence[str]) -> list[str]:
-    """The nodes' own names; of those without the last parts of the paths."""
-    given = (given_name(nodes.values[node]) for node in order)
-    return [leaf if name is None else name for name, leaf in zip(given, leaves, strict=True)]
 
 
 def _inverse_binds(document: Document, value: Value, count: int) -> FloatArray:

@@ -88,22 +88,28 @@ class FieldSystem:
     """
 
     def __init__(self, examples: Examples, options: SplitOptions) -> None:
+        from scipy.spatial import cKDTree
+
         self.examples = examples
         length = options.field_length
         self.sample = spread_points(examples.neutral, length / _SAMPLES_PER_LENGTH)
-        self.rows = _shape_rows(examples, self.sample, length)
         points = examples.neutral[self.sample]
-        moved = np.unique(np.concatenate([row.points for row in self.rows])) if self.rows else self.sample
-        nodes = spread_points(points[moved], _NODE_SPACING * length)
-        self.shared = SmoothBasis(points[moved][nodes], length)
+        self.rows: list[ShapeRows] = []
+        for shape in examples.excited:
+            template = examples.templates[shape][self.sample]
+            motion = np.linalg.norm(template, axis=1)
+            moved = np.flatnonzero(motion > _STILL_SHARE * motion.max(initial=0.0))
+            if len(moved):
+                basis = SmoothBasis(points[moved][spread_points(points[moved], _NODE_SPACING * length)], length)
+                self.rows.append(ShapeRows(int(shape), moved, basis, basis(points[moved]), template[moved]))
+        moving = points[np.unique(np.concatenate([row.points for row in self.rows]))] if self.rows else points
+        self.shared = SmoothBasis(moving[spread_points(moving, _NODE_SPACING * length)], length)
         self.shared_values = self.shared(points)
         self.own_spread = np.array([options.own_gain, *3 * [options.own_turn / np.sqrt(3.0)]])
         self.shared_spread = np.array([options.shared_gain, *3 * [options.shared_turn / np.sqrt(3.0)]])
         # (c, s) inverse variance of each sampled point: the area that it stands for, in areas of one error. What fields
-        # can't hold of the templates' motion counts as error here.
-        from scipy.spatial import cKDTree
-
-        nearest = cKDTree(examples.neutral[self.sample]).query(examples.neutral)[1]
+        # can't hold of the templates' motion counts as error here
+        nearest = cKDTree(points).query(examples.neutral)[1]
         areas = [np.bincount(nearest, examples.areas * row, minlength=len(self.sample)) for row in examples.confidence]
         squares = (examples.templates[:, self.sample] ** 2).sum(axis=2) / 3.0
         unheld = options.detail**2 * (examples.weights**2 @ squares)
@@ -138,7 +144,13 @@ class FieldSystem:
         shared = self.fields(z, len(self.rows), self.shared(points))
         for part, row in enumerate(self.rows):
             moving = np.flatnonzero(result[row.shape].any(axis=1))
-            field = _even(self.fields(z, part, row.basis(points[moving])) + shared[moving], self.examples.stiff[moving])
+            field = self.fields(z, part, row.basis(points[moving])) + shared[moving]
+            stiff = self.examples.stiff[moving]
+            inside = stiff >= 0
+            if inside.any():  # a stiff piece has one gain and turn all over: their mean
+                labels, group = np.unique(stiff[inside], return_inverse=True)
+                means = group_sums(group, field[inside], len(labels)) / np.bincount(group)[:, None]
+                field[inside] = means[group]
             result[row.shape, moving] += bent(field, result[row.shape, moving])
         return result
 
@@ -148,35 +160,10 @@ def bent(field: FloatArray, template: FloatArray) -> FloatArray:
     return np.asarray(field[:, :1] * template + crossed(field[:, 1:], template))
 
 
-def _even(field: FloatArray, stiff: IntArray) -> FloatArray:
-    """(p, 4) fields, the same all over each stiff piece (p,): their mean there."""
-    inside = stiff >= 0
-    if not inside.any():
-        return field
-    labels, group = np.unique(stiff[inside], return_inverse=True)
-    means = group_sums(group, field[inside], len(labels)) / np.bincount(group)[:, None]
-    result = field.copy()
-    result[inside] = means[group]
-    return result
-
-
 def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
     """(p, 3) cross products, axis by axis: much faster than np.cross."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
-
-
-def _shape_rows(examples: Examples, sample: IntArray, length: float) -> list[ShapeRows]:
-    points, rows = examples.neutral[sample], []
-    for shape in examples.excited:
-        template = examples.templates[shape][sample]
-        motion = np.linalg.norm(template, axis=1)
-        moved = np.flatnonzero(motion > _STILL_SHARE * motion.max(initial=0.0))
-        if len(moved):
-            nodes = spread_points(points[moved], _NODE_SPACING * length)
-            basis = SmoothBasis(points[moved][nodes], length)
-            rows.append(ShapeRows(int(shape), moved, basis, basis(points[moved]), template[moved]))
-    return rows
 
 
 def spread_points(points: FloatArray, spacing: float) -> IntArray:
@@ -300,17 +287,19 @@ class _Step:
         offsets = system.examples.offsets[:, system.sample]
         left = offsets - np.tensordot(self._weights, system.examples.templates[:, system.sample], axes=1)
         right = self._pulled(system.trust[:, :, None] * left)
-        start = np.zeros(size)
+        start, diagonal = np.zeros(size), [np.zeros(0)]  # the matrix's at the changes of weights
         start[: len(self._z)] = self._z
         for number, (composites, shape) in enumerate(self._pairs(self._moving)):
-            spread = self._spread[composites, shape]
+            spread, row = self._spread[composites, shape], system.rows[number]
             # the prior holds weights to the given ones: held to those of the last step they would drift
             behind = (given_weights[composites, shape] - self._weights[composites, shape]) / spread
             right[self._changes[number] : self._changes[number + 1]] += behind
+            information = system.trust[composites][:, row.points] @ (row.template**2).sum(axis=1)
+            diagonal.append(1.0 + spread**2 * information)
         if not right.any():
             return _Found(np.zeros(system.starts[-1]), np.zeros_like(given_weights), True)
         matrix = LinearOperator((size, size), matvec=self._applied, dtype=np.float64)
-        guess = Preconditioner(system, self._weights, self._weight_diagonal())
+        guess = Preconditioner(system, self._weights, np.concatenate(diagonal))
         inverse = LinearOperator((size, size), matvec=guess.solve, dtype=np.float64)
         unknowns, steps = cg(matrix, right, x0=start, rtol=_CG_TOLERANCE, maxiter=_CG_STEPS, M=inverse)
         change = np.zeros_like(given_weights)
@@ -333,7 +322,7 @@ class _Step:
         return np.asarray(x + self._pulled(self._system.trust[:, :, None] * added))
 
     def _pulled(self, forces: FloatArray) -> FloatArray:
-        """The transpose of `_pushed`."""
+        """P^T of forces (c, s, 3) on the composites."""
         system, result, fields = self._system, np.zeros(int(self._changes[-1])), []
         for number, row in enumerate(system.rows):
             weights = self._weights[self._uses[number], row.shape]
@@ -346,15 +335,6 @@ class _Step:
                 result[place] = self._spread[composite, row.shape] * along
         result[: system.starts[-1]] = system.pulled(fields)
         return result
-
-    def _weight_diagonal(self) -> FloatArray:
-        """(w,) of the system's matrix at the changes of weights."""
-        diagonal = []
-        for number, (composites, shape) in enumerate(self._pairs(self._moving)):
-            squares = (self._system.rows[number].template ** 2).sum(axis=1)
-            information = self._system.trust[composites][:, self._system.rows[number].points] @ squares
-            diagonal.append(1.0 + self._spread[composites, shape] ** 2 * information)
-        return np.concatenate(diagonal) if diagonal else np.zeros(0)
 
 
 class Preconditioner:

@@ -47,7 +47,8 @@ def added_detail(
     corners = examples.triangles
     slopes = poisson.gradient @ np.asarray(residuals.transpose(1, 0, 2).reshape(residuals.shape[1], -1))  # (2t, 3c)
     slopes = slopes.reshape(len(corners), 2, len(residuals), 3).transpose(0, 2, 1, 3).reshape(len(corners), -1, 6)
-    steep = _steepness(poisson, deltas) + motion[corners].mean(axis=1) / options.field_length
+    squares = [np.square(poisson.gradient @ delta).reshape(-1, 6).sum(axis=1) for delta in deltas]
+    steep = np.sqrt(np.array(squares).T) + motion[corners].mean(axis=1) / options.field_length
     steep[(examples.stiff[corners] >= 0).any(axis=1)] = 0.0
     trusted = examples.confidence[:, corners].min(axis=2).T
     noise = options.noise / options.noise_length
@@ -87,12 +88,6 @@ def normal_equations(
     covariance = (shares @ weights.T) * trusted[:, None, :]
     covariance += noise * noise * np.eye(len(weights))
     return shares, covariance, trusted
-
-
-def _steepness(poisson: AnchoredPoisson, deltas: FloatArray) -> FloatArray:
-    """(t, x) the length of each shape's gradient."""
-    found = [np.square(poisson.gradient @ delta).reshape(-1, 6).sum(axis=1) for delta in deltas]
-    return np.asarray(np.sqrt(np.array(found).T))
 
 
 def parts(count: int) -> list[slice]:
@@ -201,7 +196,10 @@ def _report(
     names: Sequence[str],
 ) -> Split:
     """The split with its measures and warnings; `shared` (e, e) is what `inseparable` gives."""
-    seen, together = observed(examples, solution.weights, options), _pairs(shared)
+    seen = observed(examples, solution.weights, options)
+    pairs = np.argwhere(shared > _TOGETHER_SHARE)
+    pairs = pairs[np.argsort(-shared[tuple(pairs.T)], kind="stable")]
+    together = tuple((int(a), int(b)) for a, b in pairs)
     undecided = np.unique(np.argwhere(shared >= _ONE_SHAPE_SHARE))
     seen[undecided] = 0.0
     left = examples.residuals(deltas, solution.weights)
@@ -210,19 +208,24 @@ def _report(
         distances = np.linalg.norm(vectors[confidence > 0], axis=1)
         if len(distances):
             means[number], p95[number] = distances.mean(), np.percentile(distances, 95)
-    # (e,) ``<template, delta> / <template, template>``, products weighted by area
-    gains = np.ones(len(deltas))
+    # gains ``<template, delta> / <template, template>``, products weighted by area; changes where a shape moves points
+    # by a twentieth of its largest motion: over all of the head they would hardly show
+    gains, changes = np.ones(len(deltas)), np.zeros(len(deltas))
     for shape in examples.excited:
         template = examples.templates[shape]
         square = (examples.areas[:, None] * template**2).sum()
         if square > 0:
             gains[shape] = (examples.areas[:, None] * template * deltas[shape]).sum() / square
+        motion = np.linalg.norm(template, axis=1)
+        area = np.where(motion > 0.05 * motion.max(), examples.areas, 0.0)
+        if area.any():
+            changes[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
     return Split(
         deltas=deltas,
         weights=solution.weights,
         observed=seen,
         gains=gains,
-        changes=_changes(examples, deltas),
+        changes=changes,
         residual_means=means,
         residual_p95=p95,
         rank=int(np.linalg.matrix_rank(examples.weights)),
@@ -230,18 +233,6 @@ def _report(
         warnings=_warnings(examples, solution, seen, together, names),
         undecided=tuple(undecided.tolist()),
     )
-
-
-def _changes(examples: Examples, deltas: FloatArray) -> FloatArray:
-    """(e,) mean distance from the template over the points that it moves by a twentieth of its largest motion."""
-    changes = np.zeros(len(deltas))
-    for shape in examples.excited:
-        template = examples.templates[shape]
-        motion = np.linalg.norm(template, axis=1)
-        area = np.where(motion > 0.05 * motion.max(), examples.areas, 0.0)
-        if area.any():
-            changes[shape] = np.average(np.linalg.norm(deltas[shape] - template, axis=1), weights=area)
-    return changes
 
 
 def _warnings(
@@ -278,7 +269,12 @@ def observed(examples: Examples, weights: FloatArray, options: SplitOptions) -> 
     chosen = weights[:, examples.excited]
     motion = np.linalg.norm(examples.templates[examples.excited], axis=2).T
     spreads = (options.shared_gain, options.own_gain, options.shared_turn, options.own_turn, options.detail)
-    shares = _resolution(chosen, np.hypot.reduce(spreads) * motion, options.noise, examples.confidence.T)
+    spread, confidence = np.hypot.reduce(spreads) * motion, examples.confidence.T
+    shares = np.empty(spread.shape)
+    for part in parts(len(spread)):
+        split, covariance, trusted = normal_equations(chosen, spread[part], options.noise, confidence[part])
+        shares[part] = (split * np.linalg.solve(covariance, trusted[:, :, None] * chosen)).sum(axis=1)
+    shares = np.clip(shares, 0.0, 1.0)
     energy = examples.areas[:, None] * motion**2
     found = np.zeros(weights.shape[1])
     found[examples.excited] = (shares * energy).sum(axis=0) / np.maximum(energy.sum(axis=0), np.finfo(float).tiny)
@@ -297,7 +293,12 @@ def inseparable(examples: Examples, sample: IntArray) -> FloatArray:
     patterns, places = np.unique(moves, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
         shapes, here = np.flatnonzero(pattern), np.flatnonzero(places.ravel() == number)
-        null = _null_projector(examples.weights[:, shapes])
+        # projector onto what no composite shows of them
+        weights, null = examples.weights[:, shapes], np.eye(len(shapes))
+        if weights.size:
+            _, values, rows = np.linalg.svd(weights / np.linalg.norm(weights, axis=0))
+            seen = rows[: int((values > _NULL_SINGULAR_VALUE * values[0]).sum())]
+            null -= seen.T @ seen
         root = np.sqrt(energy[np.ix_(here, shapes)])
         shared = root.T @ root
         # of two shapes alone the projector's other entries are at most a half
@@ -305,29 +306,3 @@ def inseparable(examples: Examples, sample: IntArray) -> FloatArray:
     total = energy.sum(axis=0)
     total[total <= 0] = 1.0
     return np.asarray(np.triu(mixed, 1) / np.sqrt(np.outer(total, total)))
-
-
-def _pairs(shared: FloatArray) -> tuple[tuple[int, int], ...]:
-    """The pairs of `inseparable` that are worth naming, most first."""
-    pairs = np.argwhere(shared > _TOGETHER_SHARE)
-    pairs = pairs[np.argsort(-shared[tuple(pairs.T)], kind="stable")]
-    return tuple((int(a), int(b)) for a, b in pairs)
-
-
-def _null_projector(weights: FloatArray) -> FloatArray:
-    """(x, x) projector onto what no composite (c, x) shows."""
-    if not weights.size:
-        return np.eye(weights.shape[1])
-    _, values, rows = np.linalg.svd(weights / np.linalg.norm(weights, axis=0))
-    seen = rows[: int((values > _NULL_SINGULAR_VALUE * values[0]).sum())]
-    return np.asarray(np.eye(weights.shape[1]) - seen.T @ seen)
-
-
-def _resolution(weights: FloatArray, spread: FloatArray, noise: float, confidence: FloatArray) -> FloatArray:
-    """(p, x) 0..1: the diagonal of the resolution matrix of `dealt_out`, whose parameters these are."""
-    diagonal = np.empty(spread.shape)
-    for part in parts(len(spread)):
-        shares, covariance, trusted = normal_equations(weights, spread[part], noise, confidence[part])
-        solved = np.linalg.solve(covariance, trusted[:, :, None] * weights)
-        diagonal[part] = (shares * solved).sum(axis=1)
-    return np.clip(diagonal, 0.0, 1.0)

@@ -93,17 +93,21 @@ class _Rows:
     @classmethod
     def from_pull(cls, surface: DeformableSurface, pull: Pull) -> _Rows:
         centre = pull.matches.places.mean(axis=0)
-        # (m, 1 + k + q) how far the base is from the planes, and what each unknown moves points and planes apart
-        matches, seen, normals = pull.matches, pull.seen, pull.matches.normals
-        local = matches.places - centre
-        columns: list[FloatArray] = [np.einsum("mi,mi->m", matches.places - surface.base[seen], normals)[:, None]]
+        # how far the base is from planes and anchors, and what each unknown moves points and these apart
+        matches, seen, normals, anchors = pull.matches, pull.seen, pull.matches.normals, pull.anchors
+        local, around = matches.places - centre, anchors.targets - centre
+        planes: list[FloatArray] = [np.einsum("mi,mi->m", matches.places - surface.base[seen], normals)[:, None]]
+        fixed: list[FloatArray] = [(anchors.targets - anchors.places(surface.base))[:, :, None]]
         for modes in (surface.modes, pull.shown.modes):
-            columns.append(np.einsum("kmi,mi->mk", modes[:, seen], normals))
-        columns += [-np.cross(local, normals), -normals]
+            planes.append(np.einsum("kmi,mi->mk", modes[:, seen], normals))
+            fixed.append(anchors.places(modes.transpose(1, 2, 0)))
+        planes += [-np.cross(local, normals), -normals]
+        fixed.append(-np.stack([np.cross(axis, around) for axis in np.eye(3)], axis=2))
+        fixed.append(-np.broadcast_to(np.eye(3), (len(around), 3, 3)))
         if pull.scale:
-            columns.append(-np.einsum("mi,mi->m", local, normals)[:, None])
-        planes, fixed = np.concatenate(columns, axis=1), _anchor_columns(surface, pull, centre)
-        return cls(pull=pull, planes=planes, fixed=fixed, centre=centre)
+            planes.append(-np.einsum("mi,mi->m", local, normals)[:, None])
+            fixed.append(-around[:, :, None])
+        return cls(pull=pull, planes=np.concatenate(planes, axis=1), fixed=np.concatenate(fixed, axis=2), centre=centre)
 
     def normal(self) -> FloatArray:
         """(1 + k + q, 1 + k + q) normal equations of the view's own unknowns, and its distances with them."""
@@ -169,33 +173,18 @@ class _System:
             of_scan = unknown[columns[1 + self.modes :] - 1]
             count = len(row.pull.shown.expected)
             weights.append(of_scan[:count])
-            moves.append(_similarity(of_scan[count:], row.centre))
+            pose = of_scan[count:]
+            # the similarity about `centre` that unknowns (ω, t, s), or (ω, t) without scale, stand for
+            from scipy.spatial.transform import Rotation
+
+            rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
+            scale = float(np.exp(pose[6])) if len(pose) > 6 else 1.0
+            moves.append(
+                Similarity(
+                    rotation=rotation, translation=row.centre + pose[3:6] - scale * rotation @ row.centre, scale=scale
+                )
+            )
         return Step(coefficients=unknown[: self.modes], residual=residual, moves=tuple(moves), weights=tuple(weights))
-
-
-def _anchor_columns(surface: DeformableSurface, pull: Pull, centre: FloatArray) -> FloatArray:
-    """(l, 3, 1 + k + q) the anchors' offsets from the base, and what each unknown moves them by."""
-    anchors = pull.anchors
-    local = anchors.targets - centre
-    offsets = anchors.targets - anchors.places(surface.base)
-    axes = np.eye(3)
-    columns: list[FloatArray] = [offsets[:, :, None]]
-    for modes in (surface.modes, pull.shown.modes):
-        columns.append(anchors.places(modes.transpose(1, 2, 0)))
-    columns.append(-np.stack([np.cross(axis, local) for axis in axes], axis=2))
-    columns.append(-np.broadcast_to(axes, (len(local), 3, 3)))
-    if pull.scale:
-        columns.append(-local[:, :, None])
-    return np.concatenate(columns, axis=2)
-
-
-def _similarity(unknown: FloatArray, centre: FloatArray) -> Similarity:
-    """The similarity about `centre` that unknowns (ω, t, s), or (ω, t) without scale, stand for."""
-    from scipy.spatial.transform import Rotation
-
-    rotation = Rotation.from_rotvec(unknown[:3]).as_matrix()
-    scale = float(np.exp(unknown[6])) if len(unknown) > 6 else 1.0
-    return Similarity(rotation=rotation, translation=centre + unknown[3:6] - scale * rotation @ centre, scale=scale)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,11 +291,13 @@ class ViewState:
         apart = np.abs(np.einsum("mi,mi->m", points[seen] - matches.places, matches.normals))
         sigmas = np.full(len(seen), options.surface_sigma_mm) if self._sigmas is None else self._sigmas[seen]
         off = np.linalg.norm(self._anchors.places(points) - self._anchors.targets, axis=1)
-        trusted = (
-            rough_trust(off, 3.0 * demand.huber)
-            if demand.huber > options.huber_mm
-            else np.asarray(np.maximum(1.0 - (off / max(farthest_anchor(off), 1e-12)) ** 2, 0.0) ** 2)
-        )
+        if demand.huber > options.huber_mm:
+            # Huber's weights for the first steps, where even right anchors lie off. A blunder counts nothing: a few of
+            # them would shrink the scan and bend the model to meet it
+            farthest = max(_ANCHOR_BLUNDER, 5.0 * float(np.median(off))) if len(off) else 0.0
+            trusted = np.asarray(huber_weights(off, 3.0 * demand.huber) * (off <= farthest))
+        else:
+            trusted = np.asarray(np.maximum(1.0 - (off / max(farthest_anchor(off), 1e-12)) ** 2, 0.0) ** 2)
         return Pull(
             seen=seen,
             matches=matches,
@@ -321,7 +312,12 @@ class ViewState:
 
     def advance(self, move: Similarity, weights: FloatArray) -> None:
         """Go where a step leads."""
-        self._anchors, self._place, self._weights = _moved(self._anchors, move), _after(self._place, move), weights
+        self._anchors, self._weights = _moved(self._anchors, move), weights
+        self._place = Similarity(
+            rotation=move.rotation @ self._place.rotation,
+            translation=move.apply(self._place.translation[None])[0],
+            scale=move.scale * self._place.scale,
+        )
 
     def registered(
         self, surface: DeformableSurface, coefficients: FloatArray, residual: FloatArray, steps: int
@@ -364,14 +360,6 @@ def _moved(anchors: Anchors, by: Similarity) -> Anchors:
     return replace(anchors, targets=by.apply(anchors.targets))
 
 
-def _after(first: Similarity, then: Similarity) -> Similarity:
-    return Similarity(
-        rotation=then.rotation @ first.rotation,
-        translation=then.apply(first.translation[None])[0],
-        scale=then.scale * first.scale,
-    )
-
-
 def across(labels: IntArray, seen: IntArray, points: FloatArray, triangles: IntArray, matches: Matches) -> BoolArray:
     """(m,) matches of a lip or lid that lie on the other one, judged by the face as it is now.
 
@@ -398,10 +386,3 @@ def huber_weights(distances: FloatArray, limits: FloatArray | float) -> FloatArr
 def farthest_anchor(off: FloatArray) -> float:
     """Distance beyond which an anchor is reported as an outlier."""
     return max(_ANCHOR_OUTLIER, 4.0 * float(np.median(off))) if len(off) else 0.0
-
-
-def rough_trust(off: FloatArray, limit: float) -> FloatArray:
-    """Huber's weights for the first steps, where even right anchors lie off. A blunder counts nothing: a few of them
-    would shrink the scan and bend the model to meet it."""
-    farthest = max(_ANCHOR_BLUNDER, 5.0 * float(np.median(off))) if len(off) else 0.0
-    return np.asarray(huber_weights(off, limit) * (off <= farthest))

@@ -90,28 +90,23 @@ class ScanTarget:
             it is sorted once for all searches
         :param roughly: the nearest points of the scan instead of places on its triangles, in a tenth of the time
         """
-        near, facing, distances, ended = self._nearest(place.undo(points), roughly or not len(self.triangles))
-        places, facing, distances = (
-            place.apply(near),
-            facing @ place.rotation.T,
-            place.scale * distances,
-        )
+        local = place.undo(points)
+        if roughly or not len(self.triangles):
+            distances, number = self._tree.query(local)
+            places, facing, ended = self.points[number], self.normals[number], self.border[number]
+        else:
+            nearest = self._search.closest(local)
+            shares = place_shares(nearest, self.points, self.triangles)
+            corners = self.triangles[nearest.triangles]
+            facing = unit_vectors(np.einsum("mc,mci->mi", shares, self.normals[corners]))
+            ended = np.asarray(((shares > _ON_EDGE) & self.border[corners]).any(axis=1))
+            places, distances = nearest.places, nearest.distances
+        places, facing, distances = place.apply(places), facing @ place.rotation.T, place.scale * distances
         alike = np.einsum("mi,mi->m", facing, normals) >= np.cos(angle)
         kept = alike & ~ended & (distances <= reach)
         if not len(self.triangles):  # gaps between points of a cloud are no distance from what they show
             distances = np.abs(np.einsum("mi,mi->m", points - places, facing))
         return Matches(places=places, normals=facing, distances=distances, kept=kept)
-
-    def _nearest(self, points: FloatArray, of_points: bool) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        if of_points:
-            distances, number = self._tree.query(points)
-            return self.points[number], self.normals[number], distances, self.border[number]
-        nearest = self._search.closest(points)
-        shares = place_shares(nearest, self.points, self.triangles)
-        corners = self.triangles[nearest.triangles]
-        normals = unit_vectors(np.einsum("mc,mci->mi", shares, self.normals[corners]))
-        ended = np.asarray(((shares > _ON_EDGE) & self.border[corners]).any(axis=1))
-        return nearest.places, normals, nearest.distances, ended
 
     @cached_property
     def _tree(self) -> Any:

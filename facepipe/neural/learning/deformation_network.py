@@ -53,8 +53,13 @@ def train_deformation_network(
             for one in (inputs / scale, outputs, deviations / scale)
         )
         first = noise * float(spread.square().mean().sqrt())
-        network = _layers(x.shape[1], width, y.shape[1])
+        last = nn.Linear(width, y.shape[1])
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        layers = [nn.Linear(x.shape[1], width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), last]
+        network = nn.Sequential(*layers).double()
         size = y.square().mean().sqrt().clamp_min(1e-12)
+        # The last frames are checked, not some of all: neighbours in time are nearly the same.
         kept = max(1, len(x) - max(1, round(CHECKED * len(x))))
         optimiser = torch.optim.Adam(network.parameters(), lr=RATE)
         best, best_step, weights = np.inf, 0, {}
@@ -94,11 +99,3 @@ def denoised(inputs: Tensor, deviations: Tensor, strength: float, random: torch.
         mean = noisy * deviations**2 / (deviations**2 + now**2)
         noisy = mean + (then / now) * (noisy - mean)
     return noisy
-
-
-def _layers(inputs: int, width: int, outputs: int) -> nn.Sequential:
-    last = nn.Linear(width, outputs)
-    nn.init.zeros_(last.weight)
-    nn.init.zeros_(last.bias)
-    layers = [nn.Linear(inputs, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), last]
-    return nn.Sequential(*layers).double()

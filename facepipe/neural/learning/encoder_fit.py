@@ -45,7 +45,12 @@ def reduced(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
     number = 0
     while f"{number}.attend" in weights:
         layer = {name: weights[f"{number}.{name}"] for name in LAYER}
-        tokens = tokens + _attention(_norm(tokens), layer, heads)
+        # attention of each token to all, by several heads
+        found = (_norm(tokens) @ layer["attend"] + layer["attend_bias"]).reshape(batch, count, 3, heads, -1)
+        queries, keys, values = found.permute(2, 0, 3, 1, 4)
+        shares = torch.softmax(queries @ keys.transpose(-1, -2) / math.sqrt(queries.shape[-1]), dim=-1)
+        joined = (shares @ values).transpose(1, 2).reshape(batch, count, -1)
+        tokens = tokens + (joined @ layer["join"] + layer["join_bias"])
         wide = torch.relu(_norm(tokens) @ layer["widen"] + layer["widen_bias"])
         tokens = tokens + wide @ layer["narrow"] + layer["narrow_bias"]
         number += 1
@@ -63,15 +68,6 @@ def evaluate(weights: Weights, offsets: Tensor, heads: int) -> Tensor:
 
 def _norm(tokens: Tensor) -> Tensor:
     return torch.nn.functional.layer_norm(tokens, tokens.shape[-1:], eps=EPSILON)
-
-
-def _attention(tokens: Tensor, layer: Weights, heads: int) -> Tensor:
-    batch, count, width = tokens.shape
-    found = (tokens @ layer["attend"] + layer["attend_bias"]).reshape(batch, count, 3, heads, width // heads)
-    queries, keys, values = found.permute(2, 0, 3, 1, 4)
-    shares = torch.softmax(queries @ keys.transpose(-1, -2) / math.sqrt(width / heads), dim=-1)
-    joined = (shares @ values).transpose(1, 2).reshape(batch, count, width)
-    return joined @ layer["join"] + layer["join_bias"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -81,15 +81,13 @@ class _Distance:
     def __call__(self, x: Tensor) -> Tensor:
         units = x @ self._hidden.T + self._hidden_bias
         outputs = x @ self._linear + torch.nn.functional.silu(units) @ self._last.T + self._last_bias
-        found = outputs if self._skin is None else self._points(self._skin, outputs)
+        found, skin, number = outputs, self._skin, self._number
+        if skin is not None:  # (f, n, 3)
+            frames = len(outputs)
+            morphed = self._rest + (outputs[:, :number] @ self._shapes).reshape(frames, -1, 3)
+            flat = self._coefficients.expand(frames, -1).index_add(1, self._channels, outputs[:, number:])
+            found = skin.skin(morphed, skin.skinning_matrices(flat.reshape(frames, -1, 9)))
         return (found - self._targets).square().sum() / self._count
-
-    def _points(self, skin: DifferentiableRig, outputs: Tensor) -> Tensor:
-        """(f, n, 3)."""
-        frames, number = len(outputs), self._number
-        morphed = self._rest + (outputs[:, :number] @ self._shapes).reshape(frames, -1, 3)
-        flat = self._coefficients.expand(frames, -1).index_add(1, self._channels, outputs[:, number:])
-        return skin.skin(morphed, skin.skinning_matrices(flat.reshape(frames, -1, 9)))
 
 
 def _tensor(values: FloatArray) -> Tensor:

@@ -65,23 +65,10 @@ def start_metadata(trained: Trained, options: StartOptions) -> dict[str, Any]:
         **flags,
         "held_out": {
             "pictures": trained.held_out,
-            "before": _rounded(trained.before),
-            "after": _rounded(trained.after),
+            "before": {name: _short(value) for name, value in trained.before.items()},
+            "after": {name: _short(value) for name, value in trained.after.items()},
         },
     }
-
-
-def held_out(trained: Trained) -> dict[str, Any]:
-    """The joint loss on pictures that training never saw, by term."""
-    return {
-        "pictures": trained.held_out,
-        "before": _rounded(trained.before),
-        "after": _rounded(trained.after),
-    }
-
-
-def _rounded(terms: dict[str, float]) -> dict[str, float]:
-    return {name: _short(value) for name, value in terms.items()}
 
 
 def _short(value: float) -> float:
@@ -98,7 +85,8 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
     :param metadata: as ``facepipe.photo``
     """
     write = GraphWriter()
-    places = _places(write, network)
+    off = write.add("Sub", "landmarks", write.constant("template", network.template))
+    places = write.add("Mul", write.reshape(off, -1, 2 * COUNT), write.constant("spread", np.array([1 / SPREAD])))
     at = write.add("Relu", write.conv("stem", "image", network.stem, network.stem_norm))
     for number, block in enumerate(network.blocks):
         at = write.block(f"block{number}", at, block)
@@ -114,8 +102,15 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
     inner = write.add("Relu", write.linear("middle", write.concat([picture, marks], 1), network.middle))
     straight = write.add("MatMul", places, write.constant("straight_weight", network.straight.weight.detach().T))
     values = write.add("Add", write.linear("last", inner, network.last), straight)
-    _outputs(write, network, values)
+    # the parts of the last layer, held in 0..1 or in units
     sizes = {"shares": network.counts[0], "expressions": network.counts[1], "pose": NUMBERS}
+    ends = np.cumsum([0, *network.counts]).tolist()
+    low, high = write.constant("zero", np.zeros(())), write.constant("one", np.ones(()))
+    for number, name in enumerate(("shares", "expressions")):
+        if sizes[name]:
+            write.add("Clip", write.slice(values, 1, ends[number], ends[number + 1]), low, high, name=name)
+    scaled = write.add("Mul", write.slice(values, 1, ends[2], ends[3]), write.constant("pose_std", np.array(POSE_STD)))
+    write.add("Add", scaled, write.constant("pose_mean", np.array(POSE_MEAN)), name="pose")
     operators = sorted({node.op_type for node in write.nodes})
     further = [name for name in operators if name in FURTHER_OPERATORS]
     described = {**metadata, "operators": operators, "further_operators": further}
@@ -125,20 +120,3 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
         {name: (count,) for name, count in sizes.items() if count},
         {KEY: json.dumps(described, sort_keys=True)},
     )
-
-
-def _places(write: GraphWriter, network: StartNetwork) -> str:
-    off = write.add("Sub", "landmarks", write.constant("template", network.template))
-    return write.add("Mul", write.reshape(off, -1, 2 * COUNT), write.constant("spread", np.array([1 / SPREAD])))
-
-
-def _outputs(write: GraphWriter, network: StartNetwork, values: str) -> None:
-    """The parts of the last layer, held in 0..1 or in units."""
-    sliders, expressions, _ = network.counts
-    ends = np.cumsum([0, *network.counts]).tolist()
-    low, high = write.constant("zero", np.zeros(())), write.constant("one", np.ones(()))
-    for name, number, count in (("shares", 0, sliders), ("expressions", 1, expressions)):
-        if count:
-            write.add("Clip", write.slice(values, 1, ends[number], ends[number + 1]), low, high, name=name)
-    scaled = write.add("Mul", write.slice(values, 1, ends[2], ends[3]), write.constant("pose_std", np.array(POSE_STD)))
-    write.add("Add", scaled, write.constant("pose_mean", np.array(POSE_MEAN)), name="pose")

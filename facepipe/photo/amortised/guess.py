@@ -21,6 +21,8 @@ from facepipe.photo.descent.landmark_fit import State
 from facepipe.photo.descent.subject import NUMBERS, PoseSpace, Subject
 from facepipe.photo.features.onnx_module import OnnxModule
 
+_OTHER = "other inputs or outputs, expected those of `facepipe train-photo`"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Guess:
@@ -73,7 +75,13 @@ def load_start(path: Path, subject: Subject) -> Guess:
     :raises InputError: no such network, a damaged one, or one of a face with other sliders or expressions
     """
     model = read_model(path)
-    metadata, expected = _described(path, model), controls(subject)
+    try:
+        metadata = json.loads(properties(model).get(KEY, ""))
+    except json.JSONDecodeError:
+        metadata = None
+    if not isinstance(metadata, dict) or metadata.get("kind") != KIND:
+        raise InputError(path, f"no metadata '{KEY}', expected a network of `facepipe train-photo`")
+    expected = controls(subject)
     if metadata.get("up_axis") != expected["up_axis"]:
         raise InputError(path, f"made for a face with another up axis, expected {expected['up_axis']}")
     guess = Guess(
@@ -84,7 +92,12 @@ def load_start(path: Path, subject: Subject) -> Guess:
         expressions=_places(path, "expression", metadata.get("expressions"), expected["expressions"]),
         session=_session(path, model),
     )
-    _check_signature(path, guess)
+    counts = {"shares": len(subject.sliders), "expressions": len(subject.expressions), "pose": NUMBERS}
+    inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
+    outputs = {output.name: output.shape[-1] for output in guess.session.get_outputs()}
+    given = {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)}
+    if inputs != given or outputs != {name: count for name, count in counts.items() if count}:
+        raise InputError(path, _OTHER)
     return guess
 
 
@@ -106,16 +119,6 @@ def _places(path: Path, kind: str, theirs: Any, controls: list[Any]) -> IntArray
     return np.array([theirs.index(one) for one in controls], dtype=np.int64)
 
 
-def _described(path: Path, model: Any) -> dict[str, Any]:
-    try:
-        metadata = json.loads(properties(model).get(KEY, ""))
-    except json.JSONDecodeError:
-        metadata = None
-    if not isinstance(metadata, dict) or metadata.get("kind") != KIND:
-        raise InputError(path, f"no metadata '{KEY}', expected a network of `facepipe train-photo`")
-    return metadata
-
-
 def _session(path: Path, model: Any) -> Any:
     import onnxruntime as ort
 
@@ -123,7 +126,7 @@ def _session(path: Path, model: Any) -> Any:
     module = OnnxModule(model, None, path)
     inputs = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
     if set(module.inputs) != set(inputs):
-        raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")
+        raise InputError(path, _OTHER)
     with torch.no_grad():
         module(*[inputs[name] for name in module.inputs])
     settings = ort.SessionOptions()
@@ -133,12 +136,3 @@ def _session(path: Path, model: Any) -> Any:
         return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own classes share no other base
         raise InputError(path, f"can't be run: {str(error)[:120]}") from None
-
-
-def _check_signature(path: Path, guess: Guess) -> None:
-    sizes = {"shares": len(guess.subject.sliders), "expressions": len(guess.subject.expressions), "pose": NUMBERS}
-    expected = {name: count for name, count in sizes.items() if count}
-    inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
-    outputs = {output.name: output.shape[-1] for output in guess.session.get_outputs()}
-    if inputs != {"image": (3, SIZE, SIZE), "landmarks": (COUNT, 2)} or outputs != expected:
-        raise InputError(path, "other inputs or outputs, expected those of `facepipe train-photo`")

@@ -46,8 +46,22 @@ def random_people(subject: Subject, space: PoseSpace, count: int, rng: np.random
     shares = np.where(moved, rng.random(moved.shape), default)
     shapes = [subject.rig.shapes[i] for i in subject.expressions]
     other = {i: shapes.index(_mirrored(one)) for i, one in enumerate(shapes) if _mirrored(one) in shapes}
-    expressions = np.stack([_expression(len(subject.expressions), other, rng) for _ in range(count)])
-    return People(shares=shares, expressions=expressions, poses=_poses(subject, space, count, rng))
+    expressions = np.zeros((count, len(shapes)))
+    for weights in expressions:
+        if not shapes or rng.random() < NEUTRAL:
+            continue
+        for shape in rng.permutation(len(shapes))[: rng.integers(1, MOST_SHAPES + 1)]:
+            weights[shape] = rng.uniform(0.05, STRONGEST)
+            if shape in other and rng.random() < BOTH_SIDES:
+                weights[other[int(shape)]] = min(weights[shape] * rng.uniform(0.85, 1.15), STRONGEST)
+    share = rng.uniform(*SHARE, (count, 1))
+    log_focal = np.log(FOCAL) + LENS_SPREAD * rng.standard_normal((count, 1))
+    turn = TURN * rng.standard_normal((count, 3)).clip(-2, 2)
+    place = 0.5 + rng.uniform(-OFF, OFF, (count, 2))
+    relative = np.concatenate([turn, place, np.log(share), log_focal - np.log(share)], axis=1)
+    whole = CropSpace(space=space, crop=np.eye(2, 3), side=round(space.side), up_axis=subject.parts.up_axis)
+    poses = np.asarray(whole.to_photo(torch.as_tensor(relative)).numpy())
+    return People(shares=shares, expressions=expressions, poses=poses)
 
 
 def _mirrored(name: str) -> str:
@@ -56,27 +70,6 @@ def _mirrored(name: str) -> str:
         if name.endswith(one):
             return name.removesuffix(one) + other
     return ""
-
-
-def _expression(count: int, other: dict[int, int], rng: np.random.Generator) -> FloatArray:
-    weights = np.zeros(count)
-    if not count or rng.random() < NEUTRAL:
-        return weights
-    for shape in rng.permutation(count)[: rng.integers(1, MOST_SHAPES + 1)]:
-        weights[shape] = rng.uniform(0.05, STRONGEST)
-        if shape in other and rng.random() < BOTH_SIDES:
-            weights[other[int(shape)]] = min(weights[shape] * rng.uniform(0.85, 1.15), STRONGEST)
-    return weights
-
-
-def _poses(subject: Subject, space: PoseSpace, count: int, rng: np.random.Generator) -> FloatArray:
-    share = rng.uniform(*SHARE, (count, 1))
-    log_focal = np.log(FOCAL) + LENS_SPREAD * rng.standard_normal((count, 1))
-    turn = TURN * rng.standard_normal((count, 3)).clip(-2, 2)
-    place = 0.5 + rng.uniform(-OFF, OFF, (count, 2))
-    relative = np.concatenate([turn, place, np.log(share), log_focal - np.log(share)], axis=1)
-    whole = CropSpace(space=space, crop=np.eye(2, 3), side=round(space.side), up_axis=subject.parts.up_axis)
-    return np.asarray(whole.to_photo(torch.as_tensor(relative)).numpy())
 
 
 class Portraits:
@@ -100,12 +93,17 @@ class Portraits:
         with torch.no_grad():
             points = self.model.rig(sliders, weights)
             arriving = shadows_of_lamp(self.model, points, camera, lamp)
+            light, background = random_light(rng), random_background(rng, HEAD)
+            # (materials, 3): dark to light, warm to cold, and each material a little apart
+            materials = len(self.model.colors.names)
+            common = np.exp(rng.uniform(-1.5, 0.3) + rng.normal(0, 0.12, 3))
+            own = np.exp(rng.normal(0, 0.5, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
             look = Look(
                 camera=camera,
-                light=random_light(rng),
+                light=light,
                 key=KeyLight(numbers=lamp, arriving=arriving),
-                background=random_background(rng, HEAD),
-                tint=self._tint(rng),
+                background=background,
+                tint=torch.as_tensor((common * own).clip(0.02, 3.0), dtype=torch.float32),
             )
             image = to_srgb(self.model.image(points, look, height=HEAD, width=HEAD)[..., :3])
         return Picture(
@@ -126,13 +124,6 @@ class Portraits:
             points = self.landmarks.rig(sliders, weights)
             marks, _ = self.landmarks.landmarks(points, self.space.camera(torch.as_tensor(people.poses)))
         return np.asarray(marks.numpy())
-
-    def _tint(self, rng: np.random.Generator) -> Tensor:
-        """(materials, 3) factors: dark to light, warm to cold, and each material a little apart."""
-        materials = len(self.model.colors.names)
-        common = np.exp(rng.uniform(-1.5, 0.3) + rng.normal(0, 0.12, 3))
-        own = np.exp(rng.normal(0, 0.5, (materials, 1)) + rng.normal(0, 0.1, (materials, 3)))
-        return torch.as_tensor((common * own).clip(0.02, 3.0), dtype=torch.float32)
 
 
 def random_light(rng: np.random.Generator) -> Tensor:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.face_crops import face_crop, to_crop
 from facepipe.geometry.landmarks import eye_distance
@@ -104,12 +103,6 @@ class TaughtLoss:
         return camera.project(self._rig(sliders, weights))[..., :2]
 
 
-def outside(found: Output) -> Tensor:
-    """Squares of what is beyond 0..1, mean over the crops: keeps cut values from drifting away."""
-    values = torch.cat([found.shares, found.expressions], dim=1)
-    return _OUTSIDE * ((values - values.clamp(0, 1)) ** 2).sum(dim=1).mean()
-
-
 def relative_pose(scaled: Tensor) -> Tensor:
     """(..., 7) as `CropSpace`, in float64, of poses in standard deviations."""
     return scaled.double() * scaled.new_tensor(POSE_STD).double() + scaled.new_tensor(POSE_MEAN).double()
@@ -134,12 +127,8 @@ class PictureLoss:
             key=torch.tensor([DARK]),
             tint=torch.zeros((len(self.model.colors.names), 3)),
         )
-        lamp = None if picture.truth is None else picture.truth.lamp
-        return loss(self._lit(loss, at, lamp))
-
-    def _lit(self, loss: JointLoss, at: Unknowns, lamp: Tensor | None) -> Unknowns:
-        """In harmonics, and a lamp where one is known: to look for it takes longer than all else."""
-        photo = loss.photos[0]
+        # in harmonics, and a lamp where one is known: to look for it takes longer than all else
+        lamp, photo = None if picture.truth is None else picture.truth.lamp, loss.photos[0]
         with torch.no_grad():
             points = self.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[0]))
             camera = single(photo.camera(loss.fit.spaces[0].camera(at.poses[0])))
@@ -154,7 +143,7 @@ class PictureLoss:
             light, tint = relight(surface, seen, shape, count)
             if lamp is not None:
                 key = torch.cat([lamp[:3], light[9].clamp(min=0), lamp[6:]])
-        return replace(at, light=light[None, :9], key=key[None], tint=tint.log())
+        return loss(replace(at, light=light[None, :9], key=key[None], tint=tint.log()))
 
 
 class WarmUp:
@@ -172,17 +161,17 @@ class WarmUp:
 
     def renders(self, renders: Sequence[Picture], done: Callable[[], object]) -> None:
         """From pictures and landmarks together."""
-        batches = self._batches(renders)
-        self._descend(self._options.batches, lambda: self._pictures(next(batches)), done)
-
-    def _batches(self, renders: Sequence[Picture]) -> Iterator[list[Picture]]:
-        """Endless, each render once in a round."""
         waiting: list[int] = []
-        while renders:
+
+        def example() -> tuple[Tensor, Tensor, Taught]:
+            """A batch of pictures; each render comes once in a round."""
             while len(waiting) < BATCH:
-                waiting += self._rng.permutation(len(renders)).tolist()
-            yield [renders[i] for i in waiting[:BATCH]]
-            waiting = waiting[BATCH:]
+                waiting.extend(self._rng.permutation(len(renders)).tolist())
+            chosen = [renders[i] for i in waiting[:BATCH]]
+            del waiting[:BATCH]
+            return self._pictures(chosen)
+
+        self._descend(self._options.batches, example, done)
 
     def _descend(
         self, steps: int, example: Callable[[], tuple[Tensor | None, Tensor, Taught]], done: Callable[[], object]
@@ -209,16 +198,13 @@ class WarmUp:
         subject, space, rng = self._portraits.subject, self._portraits.space, self._rng
         people = random_people(subject, space, LANDMARK_BATCH, rng)
         exact = self._portraits.marks(people)
-        marks = np.stack([one + self._noise(one) for one in exact])
+        marks = np.array(exact)
+        for one in marks:
+            one += self._sigma * self._rng.uniform() * eye_distance(one) * self._rng.standard_normal(one.shape)
         matrices = np.stack([face_crop(mark, SIZE) for mark in marks])
         places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
         crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
         return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
-
-    def _noise(self, marks: FloatArray) -> FloatArray:
-        return np.asarray(
-            self._sigma * self._rng.uniform() * eye_distance(marks) * self._rng.standard_normal(marks.shape)
-        )
 
     def _pictures(self, chosen: Sequence[Picture]) -> tuple[Tensor, Tensor, Taught]:
         crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
@@ -297,7 +283,9 @@ class NetworkDescent:
         images, places = batch(crops)
         outputs = self.network(varied(images, rng), places)
         leaves = Output(*(output.detach().requires_grad_() for output in outputs))
-        outside(leaves).backward()
+        # squares of what is beyond 0..1, mean over the crops: keeps cut values from drifting away
+        values = torch.cat([leaves.shares, leaves.expressions], dim=1)
+        (_OUTSIDE * ((values - values.clamp(0, 1)) ** 2).sum(dim=1).mean()).backward()
         for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
             loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
             if not bool(loss.detach().isfinite()):
@@ -355,8 +343,16 @@ def train_start(
         torch.manual_seed(options.seed)
         model, landmarks = FaceModel(parts, largest_texture=HEAD), LandmarkRig.from_subject(subject)
         portraits = Portraits(subject, model, landmarks)
-        renders = _renders(portraits, options, done)
-        learnt, judged = _parted(photos or renders, options.seed)
+        renders = []
+        for number in range(options.renders):  # each the same however many there are
+            renders.append(portraits.picture(np.random.default_rng([options.seed, 1, number])))
+            done()
+        pictures = photos or renders
+        count = min(HELD_OUT, len(pictures) // 4)
+        if not count:
+            raise InputError("training", f"{len(pictures)} pictures, expected 4 or more (photos, or renders)")
+        order = np.random.default_rng([options.seed, 0]).permutation(len(pictures))
+        learnt, judged = [pictures[i] for i in order[count:]], [pictures[i] for i in order[:count]]
         network = StartNetwork(torch.as_tensor(subject.default_shares, dtype=torch.float32), len(subject.expressions))
         network = network.to(memory_format=torch.channels_last)
         descent = NetworkDescent(network, PictureLoss(subject, model, landmarks, terms), judged, options.seed)
@@ -375,21 +371,3 @@ def train_start(
         photos=len(photos),
         warnings=warnings,
     )
-
-
-def _renders(portraits: Portraits, options: StartOptions, done: Callable[[], object]) -> list[Picture]:
-    """Each the same however many there are."""
-    pictures = []
-    for number in range(options.renders):
-        pictures.append(portraits.picture(np.random.default_rng([options.seed, 1, number])))
-        done()
-    return pictures
-
-
-def _parted(pictures: Sequence[Picture], seed: int) -> tuple[list[Picture], list[Picture]]:
-    """To learn from, and to judge by."""
-    judged = min(HELD_OUT, len(pictures) // 4)
-    if not judged:
-        raise InputError("training", f"{len(pictures)} pictures, expected 4 or more (photos, or renders)")
-    order = np.random.default_rng([seed, 0]).permutation(len(pictures))
-    return [pictures[i] for i in order[judged:]], [pictures[i] for i in order[:judged]]

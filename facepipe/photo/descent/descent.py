@@ -105,7 +105,8 @@ def descend(
     A loss or slope that is not finite ends it, with the best so far.
     """
     at, best, kept, least = start, start.copy(), 0, math.inf
-    move = Adam(_within(_MEMORY, options)) if options.optimiser == "adam" else _plain
+    # in plain descent [0175]-[0177] a step takes the rate's share of the slope itself
+    move = Adam(_within(_MEMORY, options)) if options.optimiser == "adam" else list
     renewed = min(max(options.iterations // 2, _RENEWED[0]), _RENEWED[1])
     history: list[dict[str, float]] = []
     for step in range(options.iterations + 1):
@@ -126,19 +127,19 @@ def descend(
         slopes = torch.autograd.grad(terms["total"], at.tensors(), allow_unused=True, materialize_grads=True)
         if not all(bool(slope.isfinite().all()) for slope in slopes):
             return Descent(best=best, kept=kept, history=tuple(history), stopped="not-finite")
+        rate = options.rate
+        if options.optimiser == "adam":
+            # a rise, while its moments know little, then a cosine to `_SLOWEST`
+            share = min(step / max(options.iterations, 1), 1.0)
+            falling = _SLOWEST + (1 - _SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
+            rate = options.rate * (falling * min(1.0, (step + 1) / max(_within(_RISE, options), 1.0)))
         with torch.no_grad():
-            rate = options.rate * _pace(step, options)
             for name, unknown, change in zip(at.names(), at.tensors(), move(slopes), strict=True):
                 unknown -= rate * (change * change.new_tensor(_POSES[options.optimiser]) if name == "poses" else change)
         at.clamp()
         if done is not None:
             done(1)
     return Descent(best=best, kept=kept, history=tuple(history), stopped="iterations")
-
-
-def _plain(slopes: Sequence[Tensor]) -> list[Tensor]:
-    """[0175]-[0177]: the slope, of which a step takes the rate's share."""
-    return list(slopes)
 
 
 class Adam:
@@ -166,15 +167,6 @@ class Adam:
             (first / bias[0]) / ((second / bias[1]).sqrt() + _TINY)
             for first, second in zip(self._first, self._second, strict=True)
         ]
-
-
-def _pace(step: int, options: PhotoFitOptions) -> float:
-    """With adam a rise, while its moments know little, then a cosine to `_SLOWEST`; 1 in plain descent."""
-    if options.optimiser != "adam":
-        return 1.0
-    share = min(step / max(options.iterations, 1), 1.0)
-    falling = _SLOWEST + (1 - _SLOWEST) * 0.5 * (1 + math.cos(math.pi * share))
-    return falling * min(1.0, (step + 1) / max(_within(_RISE, options), 1.0))
 
 
 def _within(steps: tuple[int, float], options: PhotoFitOptions) -> float:

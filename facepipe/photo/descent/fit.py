@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import eye_distance, quarter_turned, quarters_to_upright
 from facepipe.networks.onnx_file import Kind
 from facepipe.parts import FaceParts
-from facepipe.photo.descent.descent import Descent, Unknowns, descend
+from facepipe.photo.descent.descent import Descent, descend
 from facepipe.photo.descent.joint_loss import FEATURES, JointLoss
 from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import COUNT, dense_points, front_axes, landmark_points
@@ -47,6 +47,7 @@ def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], 
     """
     if len(photos) == 0 or len(photos) != len(landmarks):
         raise InputError("photos", f"{len(photos)} with {len(landmarks)} sets of landmarks, expected one for each")
+    expected = _LANDMARKS.format(f"{COUNT} or {COUNT + dense}" if dense else COUNT)
     for number, (photo, marks) in enumerate(zip(photos, landmarks, strict=True)):
         where = f"photo {number}"
         _check_array(where, photo, "f", _PHOTO)
@@ -56,19 +57,15 @@ def check_photos(photos: Sequence[FloatArray], landmarks: Sequence[FloatArray], 
             raise InputError(where, "NaN or infinity, expected finite (height, width, 3)")
         if photo.max() > 1 or photo.min() < 0:
             raise InputError(where, f"values {photo.min():g} to {photo.max():g}, expected 0 to 1")
-        _check_landmarks(f"landmarks {number}", marks, dense)
+        where = f"landmarks {number}"
+        _check_array(where, marks, "fiu", expected)
+        if marks.shape not in ((COUNT, 2), (COUNT + dense, 2)):
+            raise InputError(where, f"shape {marks.shape}, {expected}")
+        if not np.isfinite(marks).all():
+            raise InputError(where, f"NaN or infinity, {expected}")
+        if not eye_distance(marks) > 0:
+            raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
     return [np.asarray(marks, dtype=np.float64) for marks in landmarks]
-
-
-def _check_landmarks(where: str, marks: FloatArray, dense: int) -> None:
-    expected = _LANDMARKS.format(f"{COUNT} or {COUNT + dense}" if dense else COUNT)
-    _check_array(where, marks, "fiu", expected)
-    if marks.shape not in ((COUNT, 2), (COUNT + dense, 2)):
-        raise InputError(where, f"shape {marks.shape}, {expected}")
-    if not np.isfinite(marks).all():
-        raise InputError(where, f"NaN or infinity, {expected}")
-    if not eye_distance(marks) > 0:
-        raise InputError(where, "outer corners of the eyes at one place, expected those of a face")
 
 
 def check_confidences(confidences: Sequence[FloatArray], counts: Sequence[int]) -> list[FloatArray]:
@@ -177,28 +174,30 @@ class UprightPhotos:
 
     def turned_back(self, views: Sequence[FittedView]) -> tuple[FittedView, ...]:
         """Views of these, as views of the photos as they were."""
-        each = zip(views, self.quarters, map(_size, self.photos), strict=True)
-        return tuple(_turned_back(view, quarters, size) if quarters else view for view, quarters, size in each)
-
-
-def _turned_back(view: FittedView, quarters: int, size: tuple[int, int]) -> FittedView:
-    turn, camera, light = _about_axis(-quarters), view.camera, view.light
-    for _ in range(quarters):
-        light = _SIGNS[:, None] * light[_HARMONICS]
-    x, y = quarter_turned(np.array(camera.center), -quarters, size)
-    return replace(
-        view,
-        camera=FittedCamera(
-            rotation=(turn * Rotation.from_rotvec(camera.rotation)).as_rotvec(),
-            translation=turn.apply(camera.translation),
-            focal=camera.focal,
-            center=(float(x), float(y)),
-        ),
-        light=light,
-        key=np.concatenate([turn.apply(view.key[:3]), view.key[3:]]),
-        landmarks=quarter_turned(view.landmarks, -quarters, size),
-        targets=quarter_turned(view.targets, -quarters, size),
-    )
+        result = []
+        for view, quarters, size in zip(views, self.quarters, map(_size, self.photos), strict=True):
+            if not quarters:
+                result.append(view)
+                continue
+            turn, camera, light = _about_axis(-quarters), view.camera, view.light
+            for _ in range(quarters):
+                light = _SIGNS[:, None] * light[_HARMONICS]
+            x, y = quarter_turned(np.array(camera.center), -quarters, size)
+            turned = replace(
+                view,
+                camera=FittedCamera(
+                    rotation=(turn * Rotation.from_rotvec(camera.rotation)).as_rotvec(),
+                    translation=turn.apply(camera.translation),
+                    focal=camera.focal,
+                    center=(float(x), float(y)),
+                ),
+                light=light,
+                key=np.concatenate([turn.apply(view.key[:3]), view.key[3:]]),
+                landmarks=quarter_turned(view.landmarks, -quarters, size),
+                targets=quarter_turned(view.targets, -quarters, size),
+            )
+            result.append(turned)
+        return tuple(result)
 
 
 def _about_axis(quarters: int) -> Rotation:
@@ -213,55 +212,47 @@ def _size(photo: FloatArray) -> tuple[int, int]:
 
 def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
     """The best of a descent as sliders, expressions, cameras and light."""
-    subject, best = loss.fit.subject, descent.best
-    state = best.state()
+    fit, best = loss.fit, descent.best
+    subject, state = fit.subject, best.state()
+    landmarks, errors = fit.landmarks(state), fit.errors(state)
+    views = []
+    for view, space in enumerate(fit.spaces):
+        camera = space.camera(torch.as_tensor(state.poses[view]))
+        weights = zip(subject.expressions, state.expressions[view], strict=True)
+        key = best.key[view].numpy().astype(np.float64)
+        length = float(np.linalg.norm(key[:3]))
+        # as `KeyLight` takes it: a unit direction, colour and shine of 0 or more; a lamp without a direction is none
+        unit = np.concatenate([key[:3] / length, np.maximum(key[3:7], 0.0), key[7:]]) if length > 0 else np.array(DARK)
+        one = FittedView(
+            expressions={subject.rig.shapes[i]: float(np.float32(weight)) for i, weight in weights},
+            camera=FittedCamera(
+                rotation=camera.rotation.numpy(),
+                translation=camera.translation.numpy(),
+                focal=float(camera.focal),
+                center=(float(camera.center[0]), float(camera.center[1])),
+            ),
+            light=best.light[view].numpy().astype(np.float64),
+            key=unit,
+            landmarks=landmarks[view],
+            targets=fit.targets[view][:COUNT],
+            landmark_error=float(errors[view].mean()),
+        )
+        views.append(one)
     values = np.asarray(subject.slider_values(state.shares), dtype=np.float32)
     names = loss.model.colors.names
     warnings = () if descent.stopped != "not-finite" else (_NOT_FINITE.format(len(descent.history) - 1),)
     return PhotoFit(
         sliders={subject.parts.sliders[i].name: float(values[i]) for i in subject.sliders},
-        views=tuple(_view(loss, best, state, view) for view in range(len(loss.photos))),
-        tint={name: _color(factor) for name, factor in zip(names, best.tint.exp(), strict=True) if name},
+        views=tuple(views),
+        tint={
+            name: (float(r), float(g), float(b)) for name, (r, g, b) in zip(names, best.tint.exp(), strict=True) if name
+        },
         history=descent.history,
         kept=descent.kept,
         steps=max(len(descent.history) - 1, 0),
         stopped=descent.stopped,
         warnings=warnings,
     )
-
-
-def _view(loss: JointLoss, best: Unknowns, state: State, view: int) -> FittedView:
-    fit = loss.fit
-    camera = fit.spaces[view].camera(torch.as_tensor(state.poses[view]))
-    shapes = fit.subject.rig.shapes
-    weights = zip(fit.subject.expressions, state.expressions[view], strict=True)
-    return FittedView(
-        expressions={shapes[i]: float(np.float32(weight)) for i, weight in weights},
-        camera=FittedCamera(
-            rotation=camera.rotation.numpy(),
-            translation=camera.translation.numpy(),
-            focal=float(camera.focal),
-            center=(float(camera.center[0]), float(camera.center[1])),
-        ),
-        light=best.light[view].numpy().astype(np.float64),
-        key=_lamp(best.key[view].numpy().astype(np.float64)),
-        landmarks=fit.landmarks(state)[view],
-        targets=fit.targets[view][:COUNT],
-        landmark_error=float(fit.errors(state)[view].mean()),
-    )
-
-
-def _lamp(key: FloatArray) -> FloatArray:
-    """(8,) as `KeyLight` takes it: a unit direction, colour and shine of 0 or more."""
-    length = float(np.linalg.norm(key[:3]))
-    if not length > 0:
-        return np.array(DARK)
-    return np.concatenate([key[:3] / length, np.maximum(key[3:7], 0.0), key[7:]])
-
-
-def _color(factor: torch.Tensor) -> tuple[float, float, float]:
-    red, green, blue = map(float, factor)
-    return red, green, blue
 
 
 def fit_photos(
@@ -326,7 +317,11 @@ def _fit(
     start = None if start is None else upright.start(check_start(start, subject, spaces))
     fit = LandmarkFit(subject, upright.landmarks, spaces, priors, confidences=confidences)
     state = fit.solve(fit.start() if start is None else start)
-    networks = _extractors(extractors, options) if options.iterations else {}
+    if extractors is None and options.iterations:
+        from facepipe.photo.features.extractor import own_extractors
+
+        extractors = own_extractors([kind for kind in FEATURES if getattr(options, kind)])
+    networks = extractors if extractors and options.iterations else {}
     model = FaceModel(parts, largest_texture=options.size)
     working = [
         WorkingPhoto.from_photo(photo, marks[:COUNT], options.size, mask and mask(photo, marks[:COUNT]))
@@ -335,22 +330,19 @@ def _fit(
     loss = JointLoss(model, fit, working, networks, options)
     begin = lit(loss, state)
     loss.calibrate(begin)
-    begin = in_better_light(loss, begin) if start is None else _better(loss, begin, start)
+    begin = in_better_light(loss, begin)
+    if start is not None:
+        # the one with less joint loss, each in the light that suits it: there may be few steps to find that in
+        shadows = list(loss.shadows)
+        with torch.no_grad():
+            reached = float(loss(begin)["total"])
+        guessed = in_better_light(loss, lit(loss, start))
+        with torch.no_grad():
+            nearer = float(loss(guessed)["total"]) < reached
+        begin = guessed if nearer else begin
+        loss.shadows[:] = loss.shadows if nearer else shadows
     descent = descend(loss, begin, options, done, renew=partial(renew_shadows, loss))
     return fit_result(loss, descent)
-
-
-def _better(loss: JointLoss, begin: Unknowns, start: State) -> Unknowns:
-    """The one with less joint loss, each in the light that suits it: there may be few steps to find that in."""
-    begin, shadows = in_better_light(loss, begin), list(loss.shadows)
-    with torch.no_grad():
-        reached = float(loss(begin)["total"])
-    other = in_better_light(loss, lit(loss, start))
-    with torch.no_grad():
-        if float(loss(other)["total"]) < reached:
-            return other
-    loss.shadows[:] = shadows
-    return begin
 
 
 def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
@@ -382,11 +374,3 @@ def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Pr
         focal_sigma=options.focal_sigma,
     )
     return priors if slider_sigma is None else replace(priors, slider_sigma=slider_sigma, slider_sparsity=0.0)
-
-
-def _extractors(given: Mapping[Kind, Extractor] | None, options: PhotoFitOptions) -> Mapping[Kind, Extractor]:
-    if given is not None:
-        return given
-    from facepipe.photo.features.extractor import own_extractors
-
-    return own_extractors([kind for kind in FEATURES if getattr(options, kind)])

@@ -229,7 +229,15 @@ class JointLoss:
         )
 
     def _of_view(self, at: Unknowns, sliders: Tensor, view: int) -> dict[str, Tensor]:
-        terms = {"landmarks": self._landmarks(at, sliders, view)} if self.options.landmarks else {}
+        terms: dict[str, Tensor] = {}
+        if self.options.landmarks:
+            # [0138] in standard deviations, robust: Huber's norm, summed; contour points slide
+            rig, camera = self.fit.rig, self.fit.spaces[view].camera(at.poses[view])
+            points = rig.rig(sliders.double(), self.weights(at.expressions[view]).double())
+            marks, outward = rig.landmarks(points, camera)
+            targets = self.fit.targets[view]
+            off = standardised(marks[: len(targets)], outward, targets, self.fit.sigma[view])
+            terms["landmarks"] = huber(off).sum() / COUNT
         if not any(getattr(self.options, name) for name in IMAGE):
             return terms
         picture, coverage = self._picture(at, view)
@@ -244,14 +252,6 @@ class JointLoss:
         if bool((photo.face == 1).all()):
             return picture, coverage
         return torch.lerp(photo.pixels, picture, photo.face[..., None]), coverage * photo.face
-
-    def _landmarks(self, at: Unknowns, sliders: Tensor, view: int) -> Tensor:
-        """Equation [0138] in standard deviations, robust: Huber's norm, summed; contour points slide."""
-        rig, camera = self.fit.rig, self.fit.spaces[view].camera(at.poses[view])
-        points = rig.rig(sliders.double(), self.weights(at.expressions[view]).double())
-        marks, outward = rig.landmarks(points, camera)
-        targets = self.fit.targets[view]
-        return huber(standardised(marks[: len(targets)], outward, targets, self.fit.sigma[view])).sum() / COUNT
 
 
 def single(camera: Camera) -> Camera:

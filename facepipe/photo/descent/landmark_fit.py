@@ -199,7 +199,10 @@ class LandmarkFit:
     def solve(self, start: State, *, steps: int = 30) -> State:
         """The likeliest state near `start`: pose first, then all."""
         template = start
-        lower, upper = self._bounds(template)
+        none = replace(template, shares=0 * template.shares, expressions=0 * template.expressions)
+        free = np.full_like(template.poses, np.inf)
+        lower = replace(none, poses=-free).vector()
+        upper = replace(none, shares=none.shares + 1, expressions=none.expressions + 1, poses=free).vector()
         x = np.clip(start.vector(), lower, upper)
         held = np.ones(len(x), dtype=np.bool_)
         held[self._pose_numbers(template)] = False
@@ -233,12 +236,6 @@ class LandmarkFit:
             upper,
             steps=steps,
         )
-
-    def _bounds(self, state: State) -> tuple[FloatArray, FloatArray]:
-        free = np.full_like(state.poses, np.inf)
-        lower = replace(state, shares=0 * state.shares, expressions=0 * state.expressions, poses=-free)
-        upper = replace(state, shares=0 * state.shares + 1, expressions=0 * state.expressions + 1, poses=free)
-        return lower.vector(), upper.vector()
 
     def _pose_numbers(self, state: State) -> BoolArray:
         zero = replace(state, shares=0 * state.shares, expressions=0 * state.expressions, poses=0 * state.poses + 1)

@@ -135,17 +135,15 @@ def _row(subject: Subject, points: IntArray, number: int, mesh: int) -> IntArray
     across, outward = np.abs(dx * ny - dy * nx), dx * nx + dy * ny
     near = (across < _ROW * size) & (outward > -_INWARD * size) & (outward < 0.02 * size)
     near &= (dz > 0) & (dz < _INWARD * size)
-    return _thinned(row[near], dz[near], across[near])
-
-
-def _thinned(points: IntArray, forward: FloatArray, across: FloatArray) -> IntArray:
-    """At most `_STATIONS` of the points, spread towards the front, those nearest to the middle of the row."""
-    if not len(points):
-        return points
+    chosen: IntArray = row[near]
+    forward = dz[near]
+    if not len(chosen):
+        return chosen
+    # at most `_STATIONS` points, spread towards the front, those nearest to the middle of the row
     station = np.minimum((forward / forward.max() * _STATIONS).astype(np.int64), _STATIONS - 1)
-    order = np.lexsort((across, station))
-    _, first = np.unique(station[order], return_index=True)
-    return points[order[first]]
+    order = np.lexsort((across[near], station))
+    _, nearest = np.unique(station[order], return_index=True)
+    return np.asarray(chosen[order[nearest]])
 
 
 def front_axes(parts: FaceParts, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:

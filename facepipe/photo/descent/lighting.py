@@ -206,27 +206,28 @@ class _Search:
 
     def best(self, lamps: Iterable[tuple[Tensor, Tensor]]) -> _Candidate:
         """The lamp of the least cost: directions (3,), and shares (n,) of its light that reach points from there."""
-        return min((self._lamp(*one) for one in lamps), key=lambda candidate: candidate.cost)
+        found = []
+        for towards, arriving in lamps:
+            numbers = self._seen.new_tensor(DARK)
+            numbers[:3], numbers[3:7] = towards, 1.0
+            lamp = KeyLight(numbers=numbers, arriving=arriving)
+            here = self._surface.at_pixels(arriving)[self._chosen]
+            matt, mirrored = (one[:, :1] for one in lamp.shade(self._normals, self._towards_eye, here))
+            shape = torch.cat([self._harmonics, matt], dim=1)
+            light, glint = _light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
+            if float(light[-1].mean()) <= 0:
+                found.append(_Candidate(math.inf, numbers))
+                continue
+            numbers[3:6] = light[-1].clamp(min=0)
+            numbers[6] = (glint.mean() / numbers[3:6].mean()).clamp(*_SHINE)
+            shown = shape @ light * self._colors + mirrored * numbers[6] * numbers[3:6]
+            found.append(_Candidate(self._cost(shown), numbers))
+        return min(found, key=lambda candidate: candidate.cost)
 
     def cost_without(self) -> float:
         """What harmonics alone leave."""
         light, _ = _light_of(self._harmonics, self._colors, self._seen, outlier=_OUTLIER)
         return self._cost(self._harmonics @ light * self._colors)
-
-    def _lamp(self, towards: Tensor, arriving: Tensor) -> _Candidate:
-        numbers = self._seen.new_tensor(DARK)
-        numbers[:3], numbers[3:7] = towards, 1.0
-        lamp = KeyLight(numbers=numbers, arriving=arriving)
-        here = self._surface.at_pixels(arriving)[self._chosen]
-        matt, mirrored = (one[:, :1] for one in lamp.shade(self._normals, self._towards_eye, here))
-        shape = torch.cat([self._harmonics, matt], dim=1)
-        light, glint = _light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
-        if float(light[-1].mean()) <= 0:
-            return _Candidate(math.inf, numbers)
-        numbers[3:6] = light[-1].clamp(min=0)
-        numbers[6] = (glint.mean() / numbers[3:6].mean()).clamp(*_SHINE)
-        shown = shape @ light * self._colors + mirrored * numbers[6] * numbers[3:6]
-        return _Candidate(self._cost(shown), numbers)
 
     def _cost(self, shown: Tensor) -> float:
         square = ((shown - self._seen) / _OUTLIER) ** 2
@@ -235,8 +236,33 @@ class _Search:
 
 def lit(loss: JointLoss, state: State) -> Unknowns:
     """The unknowns of a state in the light that its photos show, with the shadows that the face casts on itself."""
-    found = [_of_photo(loss, state, view) for view in range(len(loss.photos))]
-    lights, keys, tints = zip(*found, strict=True)
+    model = loss.model
+    lights, keys, tints = [], [], []
+    for view, photo in enumerate(loss.photos):
+        with torch.no_grad():
+            sliders = loss.sliders(torch.as_tensor(state.shares, dtype=torch.float32))
+            weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
+            camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
+            points, count = model.rig(sliders, weights), len(model.colors.names)
+            surface = SeenSurface.from_camera(model, points, camera, photo.face)
+            seen = photo.linear.reshape(-1, 3)[surface.raster.pixels]
+            local, key = camera.to_camera(points), photo.linear.new_tensor(DARK)
+            sky = sky_visibility(local, model.outline.triangles)
+            transfer = shadows_of_harmonics(model, points, camera, sky)
+            shape = basis(surface.normals) + surface.at_pixels(transfer)
+            light, tint = relight(surface, seen, shape, count)
+            lamp = _find_key(surface, local, seen, shape, surface.colors * tint[surface.materials], sky)
+            key = key if lamp is None else lamp
+            arriving = shadows_of_lamp(model, points, camera, key)
+            loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
+            # All once more: without the lamp, harmonics and tints took over what is its.
+            if lamp is not None:
+                column = (surface.normals @ lamp[:3]).clamp(min=0) * surface.at_pixels(arriving)
+                light, tint = relight(surface, seen, torch.cat([shape, column[:, None]], dim=1), count)
+                key[3:6] = light[9].clamp(min=0)
+            lights.append(light[:9])
+            keys.append(key)
+            tints.append(tint.log())
     return Unknowns.from_state(state, lights, torch.stack(tints).mean(dim=0), keys)
 
 
@@ -248,33 +274,6 @@ def renew_shadows(loss: JointLoss, at: Unknowns) -> None:
             points = loss.model.rig(loss.sliders(at.shares), loss.weights(at.expressions[view]))
             arriving = shadows_of_lamp(loss.model, points, loss.look(at, view).camera, at.key[view])
             loss.shadows[view] = replace(shadows, arriving=arriving)
-
-
-def _of_photo(loss: JointLoss, state: State, view: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Light (9, 3), lamp (8,) and logarithms of tints (materials, 3)."""
-    model, photo = loss.model, loss.photos[view]
-    with torch.no_grad():
-        sliders = loss.sliders(torch.as_tensor(state.shares, dtype=torch.float32))
-        weights = loss.weights(torch.as_tensor(state.expressions[view], dtype=torch.float32))
-        camera = single(photo.camera(loss.fit.spaces[view].camera(torch.as_tensor(state.poses[view]))))
-        points, count = model.rig(sliders, weights), len(model.colors.names)
-        surface = SeenSurface.from_camera(model, points, camera, photo.face)
-        seen = photo.linear.reshape(-1, 3)[surface.raster.pixels]
-        local, key = camera.to_camera(points), photo.linear.new_tensor(DARK)
-        sky = sky_visibility(local, model.outline.triangles)
-        transfer = shadows_of_harmonics(model, points, camera, sky)
-        shape = basis(surface.normals) + surface.at_pixels(transfer)
-        light, tint = relight(surface, seen, shape, count)
-        lamp = _find_key(surface, local, seen, shape, surface.colors * tint[surface.materials], sky)
-        key = key if lamp is None else lamp
-        arriving = shadows_of_lamp(model, points, camera, key)
-        loss.shadows[view] = Shadows(transfer=transfer, arriving=arriving)
-        # All once more: without the lamp, harmonics and tints took over what is its.
-        if lamp is not None:
-            column = (surface.normals @ lamp[:3]).clamp(min=0) * surface.at_pixels(arriving)
-            light, tint = relight(surface, seen, torch.cat([shape, column[:, None]], dim=1), count)
-            key[3:6] = light[9].clamp(min=0)
-        return light[:9], key, tint.log()
 
 
 class _View:

@@ -143,8 +143,17 @@ class Subject:
             near = suggestion(unknown[0], rig.shapes)
             raise InputError(f"{parts.name} -> expression {unknown[0]}", f"no such shape{near}")
         names = set(rig.shapes) & ARKIT_SHAPES if expressions is None else set(expressions)
-        learned = _learned(parts, rig)
-        free = [i for i, one in enumerate(parts.sliders) if _of_a_person(one, names, learned.get(one.name))]
+        learned: dict[str, dict[str, float]] = {}  # slider -> shape -> what the face's network changes by it
+        if parts.slider_network is not None:
+            check_network(parts.slider_network, {slider.name for slider in parts.sliders}, rig.joints)
+            learned = shape_changes(parts.slider_network, parts.sliders)
+        free = []
+        for i, slider in enumerate(parts.sliders):
+            driven = {shape for shape, _ in slider.shapes}
+            acts = bool(driven or slider.channels or slider.name in learned)
+            driven |= {shape for shape, change in learned.get(slider.name, {}).items() if change > _SEEN}
+            if acts and slider.maximum > slider.minimum and not driven & names:
+                free.append(i)
         needed = independent([parts.sliders[i] for i in free])
         free = [i for i, own in zip(free, needed, strict=True) if own or parts.sliders[i].name in learned]
         if not free:
@@ -187,19 +196,3 @@ class Subject:
         weights = np.zeros((*expressions.shape[:-1], len(self.rig.shapes)))
         weights[..., list(self.expressions)] = expressions
         return weights
-
-
-def _learned(parts: FaceParts, rig: Rig) -> dict[str, dict[str, float]]:
-    """What the face's network changes by each slider, by shape."""
-    if parts.slider_network is None:
-        return {}
-    check_network(parts.slider_network, {slider.name for slider in parts.sliders}, rig.joints)
-    return shape_changes(parts.slider_network, parts.sliders)
-
-
-def _of_a_person(slider: Slider, expressions: set[str], learned: Mapping[str, float] | None) -> bool:
-    """:param learned: how much a network of the face changes shapes by the slider; None: it has none for that"""
-    driven = {shape for shape, _ in slider.shapes}
-    acts = bool(driven or slider.channels or learned is not None)
-    driven |= {shape for shape, change in (learned or {}).items() if change > _SEEN}
-    return acts and slider.maximum > slider.minimum and not driven & expressions

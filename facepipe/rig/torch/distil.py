@@ -17,12 +17,11 @@ from facepipe.rig import CHANNELS
 from facepipe.rig.sliders import channel_entries, shape_entries, with_entries
 from facepipe.rig.torch.descent import Descent
 from facepipe.rig.torch.one_thread import one_thread
-from facepipe.rig.torch.sliders import DifferentiableSliders
+from facepipe.rig.torch.sliders import ACTIVATIONS, DifferentiableSliders
 
 BATCH = 256
 FIRST_RATE, LAST_RATE = 1e-2, 1e-5
 
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 RIDGE = 1e-9  # of the mean square of the features
 SAMPLES, CHECKED = 8192, 2048
 LEAST_MM = 1e-6  # straight entries that move no point further over their slider's range are left out
@@ -42,7 +41,7 @@ class Network:
         last = torch.zeros(outputs, width, dtype=torch.float64)
         last_bias = torch.zeros(outputs, dtype=torch.float64)
         self.parameters = [one.to(device).requires_grad_() for one in (hidden, bias, last, last_bias)]
-        self._activation = _ACTIVATIONS[activation]
+        self._activation = ACTIVATIONS[activation]
 
     def units(self, x: Tensor) -> Tensor:
         """(n, h) values of the hidden layer."""
@@ -195,23 +194,19 @@ def train(
         if state is not None:
             descent.go_on(state)
         descent.run(done, keep)
-        return _solved(network, *parts[0], descent)
-
-
-def _solved(network: Network, x: Tensor, y: Tensor, descent: NetworkDescent) -> Trained:
-    hidden, hidden_bias, _, _ = (parameter.detach().cpu() for parameter in network.parameters)
-    units = network.units(x.to(network.parameters[0].device)).detach().cpu()
-    solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)
-    inputs = x.shape[1]
-    return Trained(
-        linear=solved[:inputs].numpy(),
-        hidden=hidden.numpy(),
-        hidden_bias=hidden_bias.numpy(),
-        last=solved[inputs:].T.numpy(),
-        last_bias=last_bias.numpy(),
-        steps=descent.steps,
-        curve=descent.curve,
-    )
+        x, y = parts[0]
+        hidden, hidden_bias, _, _ = (parameter.detach().cpu() for parameter in network.parameters)
+        units = network.units(x.to(network.parameters[0].device)).detach().cpu()
+        solved, last_bias = _least_squares(torch.cat([x, units], dim=1), y)
+        return Trained(
+            linear=solved[: x.shape[1]].numpy(),
+            hidden=hidden.numpy(),
+            hidden_bias=hidden_bias.numpy(),
+            last=solved[x.shape[1] :].T.numpy(),
+            last_bias=last_bias.numpy(),
+            steps=descent.steps,
+            curve=descent.curve,
+        )
 
 
 def _least_squares(features: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
@@ -282,14 +277,21 @@ def distil(
     )
     # Learnt in millimetres, so that radians, lengths and weights count by what they move; / scales undoes it.
     scales = np.array([one.mm for one in driven])
-    straight, offset = _straight(bent, trained, driven)
-    by_name = {one.name: one for one in straight}
+    lower, reach = _ranges(bent)
+    gains = 2 / reach[:, None] * trained.linear / scales
+    gains[np.abs(gains * reach[:, None] * scales) < LEAST_MM] = 0.0
+    default = np.array([one.default for one in bent])
+    offset = (gains * (default - lower - reach / 2)[:, None]).sum(axis=0)  # what the linear map adds at the defaults
+    by_name = {one.name: _with_gains(one, driven, row) for one, row in zip(bent, gains, strict=True)}
     learnt = SliderNetwork(
         sliders=tuple(one.name for one in bent),
         channels=tuple(one.channel for one in driven if one.channel is not None),
         shapes=tuple(one.shape for one in driven if one.shape is not None),
-        weights=(np.asarray(trained.hidden * (2 / _ranges(bent)[1])), trained.last / scales[:, None]),
-        biases=(_bias_over_values(bent, trained), trained.last_bias / scales + offset),
+        weights=(np.asarray(trained.hidden * (2 / reach)), trained.last / scales[:, None]),
+        biases=(
+            np.asarray(trained.hidden_bias - trained.hidden @ (1 + 2 * lower / reach)),
+            trained.last_bias / scales + offset,
+        ),
         activation=activation,
     )
     return tuple(by_name.get(slider.name, slider) for slider in sliders), learnt, trained.steps
@@ -320,7 +322,12 @@ class _Teacher:
         still = [with_entries(one, [], []) for one in fixed]
         self._fixed = np.array([one.minimum for one in fixed])
         self._sliders = DifferentiableSliders([*curved, *still], joints, shapes, torch.float64, "cpu", network)
-        self._columns = [_column(one, joints, shapes) for one in driven]
+        self._columns = [
+            9 * len(joints) + list(shapes).index(str(one.shape))
+            if one.channel is None
+            else 9 * list(joints).index(one.channel[0]) + CHANNELS.index(one.channel[1])
+            for one in driven
+        ]
         self._scales = np.array([one.mm for one in driven])
         self._rest = np.concatenate([np.tile([0.0] * 6 + [1.0] * 3, len(joints)), np.zeros(len(shapes))])
         self._lower, self._reach = _ranges(bent)
@@ -344,35 +351,10 @@ class _Teacher:
         return Samples(inputs=inputs, outputs=whole[:, self._columns] * self._scales)
 
 
-def _column(one: Driven, joints: Sequence[str], shapes: Sequence[str]) -> int:
-    if one.channel is None:
-        return 9 * len(joints) + list(shapes).index(str(one.shape))
-    joint, channel = one.channel
-    return 9 * list(joints).index(joint) + CHANNELS.index(channel)
-
-
 def _ranges(sliders: Sequence[Slider]) -> tuple[FloatArray, FloatArray]:
     """(i,) minima and lengths."""
     lower = np.array([slider.minimum for slider in sliders])
     return lower, np.array([slider.maximum for slider in sliders]) - lower
-
-
-def _bias_over_values(bent: Sequence[Slider], trained: Trained) -> FloatArray:
-    lower, reach = _ranges(bent)
-    return np.asarray(trained.hidden_bias - trained.hidden @ (1 + 2 * lower / reach))
-
-
-def _straight(
-    bent: Sequence[Slider], trained: Trained, driven: Sequence[Driven]
-) -> tuple[tuple[Slider, ...], FloatArray]:
-    """The sliders with the linear map in place of their curves, and (o,) what it adds at their defaults."""
-    lower, reach = _ranges(bent)
-    scales = np.array([one.mm for one in driven])
-    gains = 2 / reach[:, None] * trained.linear / scales
-    gains[np.abs(gains * reach[:, None] * scales) < LEAST_MM] = 0.0
-    default = np.array([one.default for one in bent])
-    offset = (gains * (default - lower - reach / 2)[:, None]).sum(axis=0)
-    return tuple(_with_gains(one, driven, row) for one, row in zip(bent, gains, strict=True)), offset
 
 
 def _with_gains(slider: Slider, driven: Sequence[Driven], gains: FloatArray) -> Slider:

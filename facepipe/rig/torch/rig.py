@@ -169,7 +169,12 @@ class DifferentiableRig:
         root_matrix = root.expand(*batch, 4, 4)[..., None, :, :]
         if not self.joints:
             return root_matrix
-        skinning = self._worlds(local, root) @ self._inverse_bind
+        # (..., j, 4, 4) world matrices, one generation of the tree after the other
+        levels: list[Tensor] = []
+        for joints, parents in self._generations:
+            above = levels[-1].index_select(-3, parents) if levels else root[..., None, :, :]
+            levels.append(above @ local.index_select(-3, joints))
+        skinning = torch.cat(levels, dim=-3).index_select(-3, self._order) @ self._inverse_bind
         return torch.cat([skinning, root_matrix], dim=-3)
 
     def skin(self, points: Tensor, matrices: Tensor) -> Tensor:
@@ -180,14 +185,6 @@ class DifferentiableRig:
         blended = (self._influences @ columns).reshape(self.point_count, len(flat), 3, 4).transpose(0, 1)
         blended = blended.reshape(*batch, self.point_count, 3, 4)
         return (blended[..., :3] * points[..., None, :]).sum(dim=-1) + blended[..., 3]
-
-    def _worlds(self, local: Tensor, root: Tensor) -> Tensor:
-        """(..., j, 4, 4) world matrices, one generation of the tree after the other."""
-        levels: list[Tensor] = []
-        for joints, parents in self._generations:
-            above = levels[-1].index_select(-3, parents) if levels else root[..., None, :, :]
-            levels.append(above @ local.index_select(-3, joints))
-        return torch.cat(levels, dim=-3).index_select(-3, self._order)
 
     def _constant(self, values: FloatArray) -> Tensor:
         return torch.as_tensor(np.array(values, dtype=np.float64), dtype=self.dtype, device=self.device)

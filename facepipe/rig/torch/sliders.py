@@ -19,7 +19,7 @@ from facepipe.rig import CHANNELS, rest_coefficients
 from facepipe.rig.slider_network import check_network
 from facepipe.rig.sliders import channel_entries, response, shape_entries
 
-_ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
+ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class DifferentiableNetwork:
             tuple(torch.as_tensor(np.asarray(one, dtype=np.float64), dtype=dtype, device=device) for one in layer)
             for layer in zip(network.weights, network.biases, strict=True)
         ]
-        self._activation = _ACTIVATIONS[network.activation]
+        self._activation = ACTIVATIONS[network.activation]
         self._inputs = torch.as_tensor([list(sliders).index(name) for name in network.sliders], device=device)
         self._columns = torch.as_tensor(columns, device=device)
         self._outputs = 9 * len(joints) + len(shapes)
@@ -134,7 +134,17 @@ class DifferentiableSliders:
         )
         self._joints = len(joints)
         base = np.concatenate([rest_coefficients(len(joints)).ravel(), np.zeros(len(shapes))])
-        terms = [term for i, slider in enumerate(sliders) for term in _terms(i, slider, joints, shapes)]
+        terms = []
+        for number, slider in enumerate(sliders):
+            for (joint, channel, gain), curve in channel_entries(slider):
+                if joint not in joints or channel not in CHANNELS:
+                    raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")
+                output = 9 * list(joints).index(joint) + CHANNELS.index(channel)
+                terms.append(_term(number, output, slider, gain, curve))
+            for (shape, gain), curve in shape_entries(slider):
+                if shape not in shapes:
+                    raise InputError(f"slider {slider.name}", f"no shape '{shape}'")
+                terms.append(_term(number, 9 * len(joints) + list(shapes).index(shape), slider, gain, curve))
         self._map = PiecewiseLinear(terms, len(sliders), base, dtype, device)
         self._network: DifferentiableNetwork | None = None
         if network is not None:
@@ -152,20 +162,6 @@ class DifferentiableSliders:
             result = result + self._network(clamped)
         bones = 9 * self._joints
         return result[..., :bones].unflatten(-1, (self._joints, 9)), result[..., bones:]
-
-
-def _terms(number: int, slider: Slider, joints: Sequence[str], shapes: Sequence[str]) -> list[Term]:
-    terms = []
-    for (joint, channel, gain), curve in channel_entries(slider):
-        if joint not in joints or channel not in CHANNELS:
-            raise InputError(f"slider {slider.name}", f"no joint '{joint}' with a channel '{channel}'")
-        output = 9 * list(joints).index(joint) + CHANNELS.index(channel)
-        terms.append(_term(number, output, slider, gain, curve))
-    for (shape, gain), curve in shape_entries(slider):
-        if shape not in shapes:
-            raise InputError(f"slider {slider.name}", f"no shape '{shape}'")
-        terms.append(_term(number, 9 * len(joints) + list(shapes).index(shape), slider, gain, curve))
-    return terms
 
 
 def _term(number: int, output: int, slider: Slider, gain: float, curve: Curve | None) -> Term:

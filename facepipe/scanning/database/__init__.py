@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.scanning.database.changes import Made, add_faces, create_database, remove_faces
-    from facepipe.scanning.database.database_file import check_suffix, load_database, save_database
+    from facepipe.scanning.database.changes import add_faces, create_database, remove_faces
+    from facepipe.scanning.database.database_file import load_database, save_database
     from facepipe.scanning.database.face_database import (
-        Entry,
         FaceDatabase,
-        StoredError,
         Update,
         carried_mean,
         predicted_shapes,
@@ -38,16 +36,12 @@ else:
 __all__ = [
     "AddOptions",
     "DatabaseOptions",
-    "Entry",
     "FaceDatabase",
-    "Made",
     "Quality",
     "QualityLimits",
-    "StoredError",
     "Update",
     "add_faces",
     "carried_mean",
-    "check_suffix",
     "create_database",
     "load_database",
     "misses",

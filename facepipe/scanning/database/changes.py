@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core import __version__
-from facepipe.core.arrays import BoolArray, FloatArray, require_finite
+from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.threads import one_thread
 from facepipe.declare import check_ranges
@@ -111,7 +111,7 @@ def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
     :raises TopologyError: another topology
     """
     topology = database.topology if database else facts[0].topology
-    mean = database.identity.mean if database else facts[0].points
+    mean = np.asarray(database.identity.mean if database else facts[0].points, np.float64)
     entries = database.entries if database else ()
     names = {entry.name: "the database" for entry in entries}
     known = {entry.content: entry.name for entry in entries} | {
@@ -125,23 +125,18 @@ def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
             raise InputError(face.name, f"is the same face as {twin}, expected each face once")
         if face.name in names:
             raise InputError(face.name, f"a face of that name is in {names[face.name]} too, expected another name")
-        _check_place(face, np.asarray(mean, np.float64))
+        # One that stands elsewhere: what is place would enter the model as identity.
+        fitted = fit_similarity(mean, face.points)
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1))))
+        shift = float(np.linalg.norm(face.points.mean(axis=0) - mean.mean(axis=0)))
+        if not 1 / _SCALES < fitted.scale < _SCALES:
+            what = f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so"
+            raise InputError(face.name, what)
+        if angle > _TURNED or shift > _SHIFTED:
+            what = f"stands {shift:.0f} mm and {angle:.0f} degrees away from the others"
+            raise InputError(face.name, f"{what}, expected faces in one place")
         names[face.name] = "the line"
         known |= {face.content: face.name} | ({face.digest: face.name} if face.digest else {})
-
-
-def _check_place(face: Facts, mean: FloatArray) -> None:
-    """:raises InputError: a face that stands elsewhere: what is place would enter the model as identity"""
-    fitted = fit_similarity(mean, face.points)
-    angle = float(np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1))))
-    shift = float(np.linalg.norm(face.points.mean(axis=0) - mean.mean(axis=0)))
-    if not 1 / _SCALES < fitted.scale < _SCALES:
-        raise InputError(
-            face.name, f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so"
-        )
-    if angle > _TURNED or shift > _SHIFTED:
-        what = f"stands {shift:.0f} mm and {angle:.0f} degrees away from the others"
-        raise InputError(face.name, f"{what}, expected faces in one place")
 
 
 class Shapes(NamedTuple):
@@ -163,35 +158,30 @@ def shapes_in_common(database: FaceDatabase | None, facts: Sequence[Facts]) -> S
     seen = dict.fromkeys(
         (*before, *(database.left_out if database else ()), *(s for one in coming for s in one.shapes))
     )
-    left_out = {shape: _lacking(shape, database, former, coming) for shape in seen if shape not in names}
+    left_out, meshes = {}, {}
+    for shape in seen:
+        lacking = tuple(one.name for one in coming if shape not in one.shapes)
+        old = database.shape_meshes.get(shape, ()) if database else ()
+        if shape in names:
+            meshes[shape] = tuple(dict.fromkeys((*old, *(mesh for one in coming for mesh in one.shapes[shape]))))
+        elif database is None or shape in database.shapes:
+            left_out[shape] = lacking
+        else:
+            left_out[shape] = (*database.left_out.get(shape, former), *lacking)
     warnings = [f"{one.name}: has no shapes, and enters the identity model alone" for one in facts if not one.shapes]
     if left_out:
-        some = ", ".join(f"{shape} ({_few(lacking)})" for shape, lacking in sorted(left_out.items()))
-        warnings.append(f"shapes left out, as faces lack them: {some}")
+        some = []
+        for shape, people in sorted(left_out.items()):
+            more = f" and {len(people) - 3} more" if len(people) > 3 else ""
+            some.append(f"{shape} ({', '.join(people[:3])}{more})")
+        warnings.append(f"shapes left out, as faces lack them: {', '.join(some)}")
     return Shapes(
         names=names,
-        meshes={shape: _moved_meshes(shape, database, coming) for shape in names},
+        meshes=meshes,
         left_out=left_out,
         dropped=tuple(shape for shape in before if shape not in names) if former else (),
         warnings=tuple(warnings),
     )
-
-
-def _lacking(
-    shape: str, database: FaceDatabase | None, former: Sequence[str], coming: Sequence[Facts]
-) -> tuple[str, ...]:
-    known = database is not None and shape in database.shapes
-    old: Sequence[str] = () if known or database is None else database.left_out.get(shape, tuple(former))
-    return (*old, *(one.name for one in coming if shape not in one.shapes))
-
-
-def _moved_meshes(shape: str, database: FaceDatabase | None, coming: Sequence[Facts]) -> tuple[str, ...]:
-    old = database.shape_meshes.get(shape, ()) if database else ()
-    return tuple(dict.fromkeys((*old, *(mesh for one in coming for mesh in one.shapes[shape]))))
-
-
-def _few(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:3])} and {len(names) - 3} more" if len(names) > 3 else ", ".join(names)
 
 
 class Made(NamedTuple):
@@ -244,7 +234,15 @@ def add_faces(
     if not sources:
         raise InputError("sources", "no face, expected 1 or more")
     facts = _read(sources, database, done)
-    ignored = _gate([fact.name for fact in facts], qualities, options)
+    names = [fact.name for fact in facts]
+    for name in qualities:
+        if name not in names:
+            raise InputError(f"quality -> {name}", f"no such face is added, expected one of {', '.join(names)}")
+    missed = {name: misses(quality, options) for name, quality in qualities.items()}
+    for name, lines in missed.items():
+        if lines and not options.ignore_quality:
+            raise InputError(name, f"refused: {'; '.join(lines)} (or --ignore-quality)")
+    ignored = tuple(f"{name}: {line}" for name, lines in missed.items() for line in lines)
     shapes = shapes_in_common(database, facts)
     if shapes.dropped and not options.drop_shapes:
         name, lost = next(
@@ -261,6 +259,7 @@ def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callab
     facts = []
     for source in sources:
         face = source()
+        # One NaN would be in every number of both models.
         require_finite(face.points, face.name)
         require_finite(face.deltas, face.name)
         facts.append(
@@ -280,21 +279,6 @@ def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callab
     return facts
 
 
-def _gate(names: Sequence[str], qualities: Mapping[str, Quality], options: AddOptions) -> tuple[str, ...]:
-    """What was missed and ignored.
-
-    :raises InputError: a face misses a limit, or measures of nobody
-    """
-    for name in qualities:
-        if name not in names:
-            raise InputError(f"quality -> {name}", f"no such face is added, expected one of {', '.join(names)}")
-    missed = {name: misses(quality, options) for name, quality in qualities.items()}
-    for name, lines in missed.items():
-        if lines and not options.ignore_quality:
-            raise InputError(name, f"refused: {'; '.join(lines)} (or --ignore-quality)")
-    return tuple(f"{name}: {line}" for name, lines in missed.items() for line in lines)
-
-
 def _grown(
     database: FaceDatabase | None,
     sources: Sequence[Source],
@@ -308,8 +292,18 @@ def _grown(
 ) -> Made:
     basis, deltas, errors = _held(database, sources, facts, shapes.names, tolerance, done)
     version = database.version + 1 if database else 1
-    entries = database.entries if database else ()
-    entries += tuple(_entry(one, version, error, qualities) for one, error in zip(facts, errors, strict=True))
+    entries = (database.entries if database else ()) + tuple(
+        Entry(
+            name=one.name,
+            source=one.source,
+            digest=one.digest,
+            content=one.content,
+            version=version,
+            stored_error=error,
+            quality=qualities.get(one.name),
+        )
+        for one, error in zip(facts, errors, strict=True)
+    )
     neutrals = np.concatenate([*([database.neutrals()] if database else []), [fact.points for fact in facts]])
     # All faces' anew: the model's axes turn with each face that comes.
     coefficients = identity.coefficients(neutrals)
@@ -322,9 +316,8 @@ def _grown(
         ignored=ignored,
         facepipe=__version__,
     )
-    model = None
-    if shapes.names:
-        model = ExpressionModel.from_people(shapes.names, identity, coefficients[people], basis, deltas)
+    of_people = (shapes.names, identity, coefficients[people], basis, deltas)
+    model = ExpressionModel.from_people(*of_people) if shapes.names else None
     made = FaceDatabase(
         topology=facts[0].topology,
         identity=identity,
@@ -336,8 +329,7 @@ def _grown(
         history=(*(database.history if database else ()), update),
         tolerance_mm=tolerance,
     )
-    warnings = [line for fact in facts for line in fact.warnings]
-    lines = []
+    warnings = [*(line for fact in facts for line in fact.warnings), *shapes.warnings]
     for face in facts:
         still = [
             f"{shape} ({', '.join(lost)})"
@@ -345,8 +337,8 @@ def _grown(
             if shape in face.shapes and (lost := [mesh for mesh in known if mesh not in face.shapes[shape]])
         ]
         if still:
-            lines.append(f"{face.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
-    return Made(made, (*warnings, *shapes.warnings, *lines, *ignored))
+            warnings.append(f"{face.name}: meshes that stay still, unlike in other faces: {', '.join(still)}")
+    return Made(made, (*warnings, *ignored))
 
 
 def _held(
@@ -365,40 +357,24 @@ def _held(
     for source, face_facts in zip(sources, facts, strict=True):
         if face_facts.shapes:
             face = source()
-            held = hold(
-                basis, np.array([face.deltas[name] for name in names]).reshape(-1, *face_facts.points.shape), tolerance
-            )
+            deltas = np.array([face.deltas[name] for name in names]).reshape(-1, *face_facts.points.shape)
+            held = hold(basis, deltas, tolerance)
             basis = held.basis
             rows.append(held.coefficients)
-            errors.append(_error(held.distances))
+            off = held.distances if held.distances.size else np.zeros(1)
+            errors.append(
+                StoredError(
+                    rms_mm=float(np.sqrt(np.square(off).mean())),
+                    p95_mm=float(np.percentile(off, 95)),
+                    max_mm=float(off.max()),
+                )
+            )
         else:
             errors.append(None)
         done()
     # The basis grows at its end: those who came before have nothing of what was appended later.
     padded = [np.pad(row, ((0, 0), (0, len(basis) - row.shape[1]))) for row in rows]
     return basis, np.array(padded).reshape(len(rows), len(names), len(basis)), errors
-
-
-def _error(distances: FloatArray) -> StoredError:
-    if not distances.size:
-        return StoredError(rms_mm=0.0, p95_mm=0.0, max_mm=0.0)
-    return StoredError(
-        rms_mm=float(np.sqrt(np.square(distances).mean())),
-        p95_mm=float(np.percentile(distances, 95)),
-        max_mm=float(distances.max(initial=0.0)),
-    )
-
-
-def _entry(facts: Facts, version: int, error: StoredError | None, qualities: Mapping[str, Quality]) -> Entry:
-    return Entry(
-        name=facts.name,
-        source=facts.source,
-        digest=facts.digest,
-        content=facts.content,
-        version=version,
-        stored_error=error,
-        quality=qualities.get(facts.name),
-    )
 
 
 @one_thread()
@@ -430,7 +406,11 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
         shape: tuple(name for name in lacking if name not in names) for shape, lacking in database.left_out.items()
     }
     update = Update(version=database.version + 1, verb=REMOVE, entries=tuple(names), facepipe=__version__)
-    model = _model_of_those(database, stays, identity, coefficients[people]) if people else None
+    model, known_model = None, database.expressions
+    if people and known_model is not None:  # in what of the basis they need
+        former = np.array([entry.stored_error is not None for entry in database.entries])
+        basis, deltas = narrowed(known_model.basis, known_model.deltas[stays[former]])
+        model = ExpressionModel.from_people(known_model.names, identity, coefficients[people], basis, deltas)
     made = FaceDatabase(
         topology=database.topology,
         identity=identity,
@@ -443,17 +423,6 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
         tolerance_mm=database.tolerance_mm,
     )
     return Made(made, _removal_warnings(database, entries, made))
-
-
-def _model_of_those(
-    database: FaceDatabase, stays: BoolArray, identity: IdentityModel, neutrals: FloatArray
-) -> ExpressionModel | None:
-    """The expressions of those who stay, in what of the basis they need."""
-    if database.expressions is None:
-        return None
-    former = np.array([entry.stored_error is not None for entry in database.entries])
-    basis, deltas = narrowed(database.expressions.basis, database.expressions.deltas[stays[former]])
-    return ExpressionModel.from_people(database.expressions.names, identity, neutrals, basis, deltas)
 
 
 def _removal_warnings(database: FaceDatabase, entries: Sequence[Entry], made: FaceDatabase) -> tuple[str, ...]:

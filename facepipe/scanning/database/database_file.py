@@ -37,7 +37,26 @@ def save_database(database: FaceDatabase, path: str | os.PathLike[str]) -> None:
         history=database.history,
         tolerance_mm=database.tolerance_mm,
     )
-    write_arrays(target, FORMAT, asdict(header), _arrays_of(database))
+    identity, model = database.identity, database.expressions
+    arrays: dict[str, AnyArray] = {  # what is as large as points in float32, the rest in float64
+        "identity/mean": identity.mean.astype(np.float32),
+        "identity/components": identity.components.astype(np.float32),
+        "identity/deviations": identity.deviations,
+        "identity/coefficients": database.coefficients,
+        "topology/points": np.array(database.topology.points, np.int32),
+    }
+    for number, (counts, indices) in enumerate(zip(database.topology.counts, database.topology.indices, strict=True)):
+        arrays[f"topology/{number}/counts"] = counts
+        arrays[f"topology/{number}/indices"] = indices
+    if model is not None:
+        arrays |= {
+            "expressions/basis": model.basis.astype(np.float32),
+            "expressions/mean": model.mean,
+            "expressions/core": model.core,
+            "expressions/matrix": model.matrix,
+            "expressions/vectors": model.vectors,
+        }
+    write_arrays(target, FORMAT, asdict(header), arrays)
 
 
 def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
@@ -63,6 +82,7 @@ def load_database(path: str | os.PathLike[str]) -> FaceDatabase:
         raise InputError(f"{source} -> history", "other entries than there are")
     if not header.tolerance_mm > 0:
         raise InputError(f"{source} -> tolerance_mm", f"{header.tolerance_mm}, expected a number above 0")
+    # A size that is met first holds for all arrays after it: none is broadcast by mistake.
     reader = _Reader(source, arrays, {"entries": len(header.entries)})
     reader.sizes["meshes"] = len(header.meshes)
     points = reader.get("topology/points", "i", "meshes")
@@ -104,30 +124,6 @@ def check_suffix(path: str | os.PathLike[str]) -> Path:
     if file.suffix.lower() != SUFFIX:
         raise InputError(file, f"suffix '{file.suffix}', expected {SUFFIX}")
     return file
-
-
-def _arrays_of(database: FaceDatabase) -> dict[str, AnyArray]:
-    """Array name -> array: what is as large as points in float32, the rest in float64."""
-    identity, model = database.identity, database.expressions
-    arrays: dict[str, AnyArray] = {
-        "identity/mean": identity.mean.astype(np.float32),
-        "identity/components": identity.components.astype(np.float32),
-        "identity/deviations": identity.deviations,
-        "identity/coefficients": database.coefficients,
-        "topology/points": np.array(database.topology.points, np.int32),
-    }
-    for number, (counts, indices) in enumerate(zip(database.topology.counts, database.topology.indices, strict=True)):
-        arrays[f"topology/{number}/counts"] = counts
-        arrays[f"topology/{number}/indices"] = indices
-    if model is not None:
-        arrays |= {
-            "expressions/basis": model.basis.astype(np.float32),
-            "expressions/mean": model.mean,
-            "expressions/core": model.core,
-            "expressions/matrix": model.matrix,
-            "expressions/vectors": model.vectors,
-        }
-    return arrays
 
 
 def _expressions(reader: _Reader, header: _Header, identity: IdentityModel) -> ExpressionModel:

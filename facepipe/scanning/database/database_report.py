@@ -31,13 +31,25 @@ class DatabaseReport(Report):
 
     def as_text(self, out: Path) -> str:
         """What is there, who, and how it came to be."""
-        meshes = len(self.topology["meshes"])
+        meshes, explained = len(self.topology["meshes"]), self.identity["variance_explained"]
+        shares = [
+            f"{one:.0%} of the variance in {1 + sum(have < one - 1e-12 for have in explained)}" for one in _SHARES
+        ]
         lines = [
             f"{out}: version {self.version}, {len(self.entries)} faces of {self.topology['points']:,} points "
             f"in {meshes} mesh{'es' * (meshes != 1)}, {out.stat().st_size / 1e6:,.1f} MB",
-            _identity(self.identity),
-            _expressions(self.expressions, self.tolerance_mm),
+            f"identity: {self.identity['components']} components, {', '.join(shares)}; first deviation "
+            f"{self.identity['deviations_mm'][0]:.2f} mm RMS",
         ]
+        if found := self.expressions:
+            core, worst = " x ".join(map(str, found["core"])), found["stored_error_mm"]
+            lines.append(
+                f"expressions: {len(found['shapes'])} shapes of {found['faces']} faces, {found['basis']} directions, "
+                f"core {core}; held to {self.tolerance_mm:g} mm RMS, "
+                f"worst face {worst['rms_mm']:.3f} RMS, {worst['max_mm']:.2f} at most"
+            )
+        else:
+            lines.append("expressions: none")
         if self.left_out:
             some = ", ".join(f"{shape} ({len(names)} lack it)" for shape, names in self.left_out.items())
             lines.append(f"shapes left out: {some}")
@@ -47,12 +59,27 @@ class DatabaseReport(Report):
             quality = entry.quality
             measures = ["", ""] if quality is None else [f"{quality.surface_mean_mm:.3f}", f"{quality.coverage:.2f}"]
             rows.append([entry.name, entry.source, entry.version, error, *measures])
-        return "\n".join([*lines, table(rows), *map(_update, self.history)])
+        lines.append(table(rows))
+        for update in self.history:
+            text = f"version {update.version}: {update.verb} {len(update.entries)} (facepipe {update.facepipe})"
+            text += f"; dropped {', '.join(update.dropped)}" if update.dropped else ""
+            lines.append(text + "".join(f"; ignored: {line}" for line in update.ignored))
+        return "\n".join(lines)
 
 
 def report_of(database: FaceDatabase, warnings: tuple[str, ...] = ()) -> DatabaseReport:
     """What is in a database."""
-    identity, topology = database.identity, database.topology
+    identity, topology, model, expressions = database.identity, database.topology, database.expressions, None
+    if model is not None:
+        errors = [entry.stored_error for entry in database.entries if entry.stored_error is not None]
+        kinds = ("rms_mm", "p95_mm", "max_mm")
+        expressions = {
+            "faces": model.count,
+            "shapes": list(model.names),
+            "basis": len(model.basis),
+            "core": list(model.core.shape),
+            "stored_error_mm": {kind: max(getattr(error, kind) for error in errors) for kind in kinds},
+        }
     spread = identity.deviations**2
     return DatabaseReport(
         version=database.version,
@@ -68,53 +95,9 @@ def report_of(database: FaceDatabase, warnings: tuple[str, ...] = ()) -> Databas
             "deviations_mm": (identity.deviations / len(identity.mean) ** 0.5).tolist(),
             "variance_explained": (spread.cumsum() / spread.sum()).tolist(),
         },
-        expressions=_expressions_of(database),
+        expressions=expressions,
         left_out=database.left_out,
         entries=database.entries,
         history=database.history,
         warnings=warnings,
     )
-
-
-def _expressions_of(database: FaceDatabase) -> dict[str, Any] | None:
-    model = database.expressions
-    if model is None:
-        return None
-    errors = [entry.stored_error for entry in database.entries if entry.stored_error is not None]
-    return {
-        "faces": model.count,
-        "shapes": list(model.names),
-        "basis": len(model.basis),
-        "core": list(model.core.shape),
-        "stored_error_mm": {
-            name: max(getattr(error, name) for error in errors) for name in ("rms_mm", "p95_mm", "max_mm")
-        },
-    }
-
-
-def _identity(identity: Mapping[str, Any]) -> str:
-    shares = [
-        f"{share:.0%} of the variance in {1 + sum(one < share - 1e-12 for one in identity['variance_explained'])}"
-        for share in _SHARES
-    ]
-    return f"identity: {identity['components']} components, {', '.join(shares)}; first deviation " + (
-        f"{identity['deviations_mm'][0]:.2f} mm RMS"
-    )
-
-
-def _expressions(expressions: Mapping[str, Any] | None, tolerance: float) -> str:
-    if expressions is None:
-        return "expressions: none"
-    core, error = " x ".join(map(str, expressions["core"])), expressions["stored_error_mm"]
-    return (
-        f"expressions: {len(expressions['shapes'])} shapes of {expressions['faces']} faces, "
-        f"{expressions['basis']} directions, core {core}; held to {tolerance:g} mm RMS, "
-        f"worst face {error['rms_mm']:.3f} RMS, {error['max_mm']:.2f} at most"
-    )
-
-
-def _update(update: Update) -> str:
-    text = f"version {update.version}: {update.verb} {len(update.entries)} (facepipe {update.facepipe})"
-    if update.dropped:
-        text += f"; dropped {', '.join(update.dropped)}"
-    return text + "".join(f"; ignored: {line}" for line in update.ignored)

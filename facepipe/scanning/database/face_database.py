@@ -109,6 +109,7 @@ def predicted_shapes(
     model = database.expressions
     if model is None:
         raise InputError("database", "has no expressions, expected some")
+    # Carried first: what the vector then adds is small, and stands where this face has its features.
     start = carried_mean(database, neutral, done=done)
     vector = model.identity_from(seen or {}, neutral, start)
     return dict(zip(model.names, model.shapes(vector, start), strict=True))

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.scanning.landmarks.find import FindScanLandmarks, FoundScanLandmarks, ScanLandmarksReport
+    from facepipe.scanning.landmarks.find import FindScanLandmarks
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = ["FindScanLandmarks", "FoundScanLandmarks", "ScanLandmarksReport"]
+__all__ = ["FindScanLandmarks"]

@@ -18,7 +18,6 @@ from facepipe.geometry.polygons import border_points
 from facepipe.geometry.scan_surface import cloud_normals
 from facepipe.scanning.clean_scan import CleanScan
 from facepipe.scanning.landmarks.search import (
-    Candidate,
     Draw,
     FaceFrame,
     Network,
@@ -70,6 +69,7 @@ def look_closer(look: Look, frame: FaceFrame, seen: Seen, angles: Sequence[tuple
             errors.append(found[1][_JAW:_COUNT])
     if not origins:
         return seen
+    # By 1 / error^2: a view that sees a landmark badly counts little.
     weights = 1.0 / np.stack(errors) ** 2
     places, distances = meeting_points(np.stack(origins), np.stack(directions), weights, _MEETING * frame.side)
     landmarks, spread = np.array(seen.landmarks), np.array(seen.spread)
@@ -174,9 +174,16 @@ class _Search:
             searched += len(views)
             if not is_worth_search(small, views[::few], turns, self.draw, self.network, self.size):
                 continue
-            best = self._best(candidates(small, views, turns, self.draw, self.network, self.size, _MOST))
-            if best is not None:
-                return best, searched
+            judged: list[tuple[float, FaceFrame]] = []
+            for candidate in candidates(small, views, turns, self.draw, self.network, self.size, _MOST):
+                # How sure a face is, and its frame as three views show it, and three along what those showed.
+                once = self._moved(candidate.frame, _SURE / 2, np.inf)
+                twice = None if once is None else self._moved(once[1], _SURE, _STEADY)
+                judged += [twice] if twice is not None else []
+                if twice is not None and twice[0] > _CERTAIN:
+                    return twice[1], searched
+            if judged:
+                return max(judged, key=lambda one: one[0])[1], searched
         raise FitError(name, "no face found on it, expected one to be seen from outside: give landmarks in a file")
 
     def near(self, frame: FaceFrame) -> Look:
@@ -194,20 +201,6 @@ class _Search:
     def _part(self, frame: FaceFrame) -> Look:
         part = part_look(self.look, np.linalg.norm(self.look.points - frame.middle, axis=1) < _NEAR * frame.side)
         return part if self.cloud else filled_look(part, _HOLES * frame.side)
-
-    def _best(self, crops: list[Candidate]) -> FaceFrame | None:
-        judged: list[tuple[float, FaceFrame]] = []
-        for candidate in crops:
-            sure_frame = self._judged(candidate)
-            if sure_frame is not None and sure_frame[0] > _CERTAIN:
-                return sure_frame[1]
-            judged += [sure_frame] if sure_frame is not None else []
-        return max(judged, key=lambda one: one[0])[1] if judged else None
-
-    def _judged(self, candidate: Candidate) -> tuple[float, FaceFrame] | None:
-        """How sure a face is, and its frame as three views show it; None where they don't agree on one."""
-        once = self._moved(candidate.frame, _SURE / 2, np.inf)
-        return None if once is None else self._moved(once[1], _SURE, _STEADY)
 
     def _moved(self, frame: FaceFrame, surer: float, steadier: float) -> tuple[float, FaceFrame] | None:
         """Score and frame by three views along `frame`; None where they are less sure or less steady than that."""

@@ -185,15 +185,14 @@ def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
     for candidate in sorted(candidates, key=lambda each: -each.presence):
         if len(kept) == most:
             break
-        if all(_differ(candidate.frame, other.frame) for other in kept):
+        for other in (one.frame for one in kept):
+            far = np.linalg.norm(candidate.frame.middle - other.middle) > _APART * other.side
+            turned = np.trace(candidate.frame.axes @ other.axes.T) < 1 + 2 * np.cos(0.6)
+            if not (far or turned or not 0.7 < candidate.frame.side / other.side < 1.4):
+                break
+        else:
             kept.append(candidate)
     return kept
-
-
-def _differ(one: FaceFrame, other: FaceFrame) -> bool:
-    far = np.linalg.norm(one.middle - other.middle) > _APART * other.side
-    turned = np.trace(one.axes @ other.axes.T) < 1 + 2 * np.cos(0.6)
-    return bool(far or turned or not 0.7 < one.side / other.side < 1.4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,9 +268,19 @@ def _cut_crops(picture: FloatArray, matrices: FloatArray, size: int) -> FloatArr
     scales = np.linalg.norm(matrices[:, :, 0], axis=1)
     half = torch.nn.functional.avg_pool2d(image, 2)
     crops = np.empty((len(matrices), 3, size, size), np.float32)
+    height, width = picture.shape[:2]
+    center = np.arange(size, dtype=np.float32) + 0.5
     for source, chosen in ((image, scales <= _COARSE), (half, scales > _COARSE)):
-        if chosen.any():
-            crops[chosen] = _sampled_crops(source, _places(matrices[chosen], size, picture.shape[:2]))
+        if not chosen.any():
+            continue
+        # (k, 2, size, size) x and y of every pixel, -1 to 1 over the picture
+        scaled = np.asarray(2 * matrices[chosen] / np.array([[width], [height]]), np.float32)[..., None, None]
+        across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
+        places = across * center[None, :] + (down * center[:, None] + (start - 1))
+        places, count = np.ascontiguousarray(np.moveaxis(places, 1, 3)), len(scaled)
+        grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
+        found = torch.nn.functional.grid_sample(source, grid, "bilinear", "border", align_corners=False)
+        crops[chosen] = found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy()
     return crops
 
 
@@ -279,23 +288,3 @@ def _in_picture(landmarks: FloatArray, matrices: FloatArray) -> FloatArray:
     """(k, 68, 2) landmarks of crops in pixels of the picture."""
     turned = np.einsum("kij,klj->kli", matrices[:, :, :2], landmarks)
     return np.asarray(turned + matrices[:, None, :, 2])
-
-
-def _places(matrices: FloatArray, size: int, shape: tuple[int, ...]) -> FloatArray:
-    """(k, size, size, 2) x and y of every pixel, -1 to 1 over the picture."""
-    center = np.arange(size, dtype=np.float32) + 0.5
-    scaled = np.asarray(2 * matrices / np.array([[shape[1]], [shape[0]]]), np.float32)[
-        ..., None, None
-    ]  # (k, 2, 3, 1, 1)
-    across, down, start = scaled[:, :, 0], scaled[:, :, 1], scaled[:, :, 2]
-    places = across * center[None, :] + (down * center[:, None] + (start - 1))  # (k, 2, size, size)
-    return np.ascontiguousarray(np.moveaxis(places, 1, 3))
-
-
-def _sampled_crops(image: object, places: FloatArray) -> FloatArray:
-    from facepipe.rig.torch import torch
-
-    count, size = places.shape[:2]
-    grid = torch.as_tensor(places.reshape(1, count * size, size, 2))
-    found = torch.nn.functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
-    return np.asarray(found[0].reshape(3, count, size, size).permute(1, 0, 2, 3).numpy())

@@ -13,14 +13,13 @@ if TYPE_CHECKING:
         triangulate,
         write_cameras,
     )
-    from facepipe.scanning.photos.options import FEWEST_PHOTOS, ScanPhotosOptions
+    from facepipe.scanning.photos.options import ScanPhotosOptions
     from facepipe.scanning.photos.photos import photo_files
     from facepipe.scanning.photos.scan import PhotoScan, ScanPhotos, ScanPhotosReport, bars
 else:
     __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
-    "FEWEST_PHOTOS",
     "Cameras",
     "PhotoCamera",
     "PhotoScan",

@@ -42,11 +42,6 @@ _LEAST = 3  # photos
 _OUTLINE = 17  # the first landmarks lie on the face's outline, another place of the skin in every photo
 
 
-def no_rotation() -> FloatArray:
-    """A (3, 3) identity matrix."""
-    return np.eye(3)
-
-
 @dataclass(frozen=True, kw_only=True)
 class PhotoCamera:
     """A pinhole camera with lens distortion: where a point of the scan shows in a photo.
@@ -61,7 +56,7 @@ class PhotoCamera:
     focal: tuple[float, float]  # pixels
     center: tuple[float, float]  # principal point, pixels
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # k1 k2 p1 p2
-    rotation: FloatArray = field(default_factory=no_rotation)  # (3, 3) scan -> camera
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))  # (3, 3) scan -> camera
     translation: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,)
 
     @property
@@ -150,13 +145,20 @@ class _CameraEntry:
             raise InputError(f"{where} -> focal", f"{self.focal}, expected pixels above 0")
         x, y = self.center or (self.width / 2, self.height / 2)
         k1, k2, p1, p2 = self.distortion
+        # The nearest rotation, U V^T of the singular value decomposition: files have rounded numbers.
+        matrix = np.array(self.rotation, dtype=np.float64)
+        U, _, Vt = np.linalg.svd(matrix)
+        nearest = np.asarray(U @ Vt)
+        if np.abs(matrix - nearest).max() > _TURNED or not math.isclose(np.linalg.det(nearest), 1.0, abs_tol=0.5):
+            what = "is no rotation, expected rows of unit length at right angles, not mirrored"
+            raise InputError(f"{where} -> rotation", what)
         return PhotoCamera(
             width=self.width,
             height=self.height,
             focal=(float(focal_x), float(focal_y)),
             center=(float(x), float(y)),
             distortion=(float(k1), float(k2), float(p1), float(p2)),
-            rotation=_rotation(self.rotation, f"{where} -> rotation"),
+            rotation=nearest,
             translation=np.array(self.translation, dtype=np.float64),
         )
 
@@ -192,15 +194,6 @@ def write_cameras(path: Path, cameras: Cameras) -> None:
     write_bytes(path, f"{text}\n".encode())
 
 
-def _rotation(rows: tuple[_Triple, ...], where: str) -> FloatArray:
-    matrix = np.array(rows, dtype=np.float64)
-    U, _, Vt = np.linalg.svd(matrix)
-    nearest = U @ Vt
-    if np.abs(matrix - nearest).max() > _TURNED or not math.isclose(np.linalg.det(nearest), 1.0, abs_tol=0.5):
-        raise InputError(where, "is no rotation, expected rows of unit length at right angles, not mirrored")
-    return np.asarray(nearest)
-
-
 def read_markers(path: Path) -> dict[str, dict[str, FloatArray]]:
     """``{"photos": {"front.jpg": {"chin": [x, y], ...}, ...}}``: pixels of the upright photo, from its top left corner.
 
@@ -213,18 +206,14 @@ def read_markers(path: Path) -> dict[str, dict[str, FloatArray]]:
     for photo, markers in photos.items():
         if not isinstance(markers, dict):
             raise InputError(f"{path} -> {photo[:80]}", "expected an object of places by the names of markers")
-        sightings[photo] = {
-            name: _pixel(one, f"{path} -> {photo[:80]} -> {name[:80]}") for name, one in markers.items()
-        }
+        for name, value in markers.items():
+            pixel: list[Any] = value if isinstance(value, list) else []
+            # NaN fails the comparison
+            if len(pixel) != 2 or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in pixel):
+                where = f"{path} -> {photo[:80]} -> {name[:80]}"
+                raise InputError(where, f"{str(value)[:40]}, expected [x, y] in pixels")
+        sightings[photo] = {name: np.array(value, dtype=np.float64) for name, value in markers.items()}
     return sightings
-
-
-def _pixel(value: object, where: str) -> FloatArray:
-    found: list[Any] = value if isinstance(value, list) else []
-    # NaN fails the comparison
-    if len(found) != 2 or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in found):
-        raise InputError(where, f"{str(value)[:40]}, expected [x, y] in pixels")
-    return np.array(value, dtype=np.float64)
 
 
 def triangulate_all(
@@ -257,7 +246,10 @@ def triangulate(
     if len(cameras) < max(least, 2):
         return None
     eyes = np.array([camera.eye for camera in cameras])
-    rays = np.concatenate([_ray(one, pixel) for one, pixel in zip(cameras, pixels, strict=True)])
+    rays = np.empty((len(cameras), 3))  # unit vectors in scan coordinates
+    for number, (camera, pixel) in enumerate(zip(cameras, pixels, strict=True)):
+        ray = np.append(camera.rays(pixel[None])[0], 1.0) @ camera.rotation
+        rays[number] = ray / np.linalg.norm(ray)
     best: tuple[int, float] = (0, 0.0)
     chosen = None
     for pair in itertools.combinations(range(len(cameras)), 2):
@@ -275,12 +267,6 @@ def triangulate(
     if chosen is None or best[0] < least:
         return None
     return nearest_to_lines(eyes[chosen], rays[chosen])
-
-
-def _ray(camera: PhotoCamera, pixel: FloatArray) -> FloatArray:
-    """(1, 3) unit vector in scan coordinates."""
-    ray = np.append(camera.rays(pixel[None])[0], 1.0) @ camera.rotation
-    return np.asarray(ray / np.linalg.norm(ray))[None]
 
 
 def landmark_sightings(photos: Sequence[Photo], step: Callable[[], None]) -> dict[str, dict[str, FloatArray]]:
@@ -316,18 +302,8 @@ def place_landmarks(
         points[int(name)] = place
     known = np.isfinite(points).all(axis=1)
     if known.any():
-        reach = (
-            _TOLERANCE
-            * size
-            * float(
-                np.median(
-                    [
-                        (float(np.median(camera.to_camera(points[known])[:, 2])) / camera.focal[0])
-                        for camera in cameras.values()
-                    ]
-                )
-            )
-        )
+        widths = [float(np.median(one.to_camera(points[known])[:, 2])) / one.focal[0] for one in cameras.values()]
+        reach = _TOLERANCE * size * float(np.median(widths))
         # by the same tolerance as the photos' agreement: farther off, the nearest point is another place of the face
         distance, near = cKDTree(scan.points).query(points[known])
         points[known] = np.where((distance <= reach)[:, None], scan.points[near], points[known])

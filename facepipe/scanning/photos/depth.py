@@ -291,13 +291,19 @@ def confirmed(
     camera, depth = cameras[number], maps[number]
     rows, columns = _EVERY * np.array(np.nonzero(np.isfinite(depth[::_EVERY, ::_EVERY])))
     pixels = np.stack([columns, rows], axis=1)
-    points = _placed(camera, pixels, depth[rows, columns])
+    rays = camera.rays(pixels + 0.5)
+    local = np.c_[rays, np.ones(len(rays))] * depth[rows, columns][:, None]
+    points = np.asarray((local - camera.translation) @ camera.rotation)
     inside = subject.holds(points)
     points, pixels = points[inside], pixels[inside]
     gaps = np.full((len(cameras), len(points)), np.nan, np.float32)
     for other, one in enumerate(cameras):
-        if other != number:
-            gaps[other] = _gaps(points, one, maps[other])
+        if other != number:  # how far points lie behind its depth map; NaN where that has none
+            where = one.project(points)
+            shows = np.isfinite(where).all(axis=1) & (where >= 0).all(axis=1)
+            shows &= (where[:, 0] < one.width) & (where[:, 1] < one.height)
+            column, row = np.where(shows[:, None], where, 0.0).astype(np.int64).T
+            gaps[other] = np.where(shows, one.to_camera(points)[:, 2] - maps[other][row, column], np.nan)
     # depth over focal length is a pixel's width there: one tolerance in pixels serves near and far points
     width = agreement * camera.to_camera(points)[:, 2] / camera.focal[0]
     near = np.abs(gaps) <= width
@@ -305,19 +311,3 @@ def confirmed(
     gaps = np.where(near, np.abs(gaps), np.nan)[:, kept]
     apart = np.nanmedian(gaps, axis=0) if gaps.shape[1] else np.zeros(0)
     return Seen(points=points[kept], pixels=pixels[kept], apart=np.asarray(apart))
-
-
-def _placed(camera: PhotoCamera, pixels: IntArray, depth: FloatArray) -> FloatArray:
-    """(n, 3) points at the middles of pixels (n, 2)."""
-    rays = camera.rays(pixels + 0.5)
-    local = np.c_[rays, np.ones(len(rays))] * depth[:, None]
-    return np.asarray((local - camera.translation) @ camera.rotation)
-
-
-def _gaps(points: FloatArray, camera: PhotoCamera, depth: FloatArray) -> FloatArray:
-    """(n,) how far points lie behind the depth map of a camera; NaN where it has no depth."""
-    where = camera.project(points)
-    inside = np.isfinite(where).all(axis=1) & (where >= 0).all(axis=1)
-    inside &= (where[:, 0] < camera.width) & (where[:, 1] < camera.height)
-    column, row = np.where(inside[:, None], where, 0.0).astype(np.int64).T
-    return np.where(inside, camera.to_camera(points)[:, 2] - depth[row, column], np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,23 +70,24 @@ def read_photos(files: list[Path], most: int, masks: Path | None = None) -> list
     """
     if masks is not None and not masks.is_dir():
         raise InputError(masks, "is no folder, expected a folder of masks")
-    return [_read(file, most, masks) for file in files]
-
-
-def _read(file: Path, most: int, masks: Path | None) -> Photo:
-    image, film = _image(file)
-    full = image.size
-    if min(full) < _SMALLEST:
-        raise InputError(file, f"{full[0]} x {full[1]} pixels, expected at least {_SMALLEST} a side")
-    size = fitting(full, most)
-    small = image if size == full else image.resize(size, resample=5, reducing_gap=3.0)  # 5: area average
-    return Photo(
-        name=file.name,
-        pixels=np.array(small, dtype=np.uint8),
-        full_size=full,
-        focal=None if film is None else film / _FILM * max(size),
-        mask=None if masks is None else _mask(file, masks, full, size),
-    )
+    photos = []
+    for file in files:
+        image, film = _image(file)
+        full = image.size
+        if min(full) < _SMALLEST:
+            raise InputError(file, f"{full[0]} x {full[1]} pixels, expected at least {_SMALLEST} a side")
+        size = fitting(full, most)
+        small = image if size == full else image.resize(size, resample=5, reducing_gap=3.0)  # 5: area average
+        photos.append(
+            Photo(
+                name=file.name,
+                pixels=np.array(small, dtype=np.uint8),
+                full_size=full,
+                focal=None if film is None else film / _FILM * max(size),
+                mask=None if masks is None else _mask(file, masks, full, size),
+            )
+        )
+    return photos
 
 
 def fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
@@ -95,31 +97,20 @@ def fitting(size: tuple[int, int], most: int) -> tuple[int, int]:
 
 
 def _image(file: Path) -> tuple[Image, float | None]:
-    """The picture, upright, and its focal length on 36 mm film where EXIF has it."""
-    from PIL import ImageOps
+    """The picture, upright, in RGB of 8 bits, and its focal length on 36 mm film where EXIF has it."""
+    from PIL import Image, ImageOps
 
-    image = open_image(read_bytes(file, _MOST_BYTES), file)
+    image, film = open_image(read_bytes(file, _MOST_BYTES), file), 0.0
     with decoding(file):
-        film = _film_focal(image)
-        return _eight_bit(ImageOps.exif_transpose(image)), film
-
-
-def _eight_bit(image: Image) -> Image:
-    """RGB of 8 bits; grey ones of 16 bits are not cut off at 255."""
-    from PIL import Image
-
-    if image.mode.startswith("I"):
-        values = np.asarray(image).clip(0, 0xFFFF).astype(np.uint32)
-        return Image.fromarray(((values * 2 + 257) // 514).astype(np.uint8)).convert("RGB")
-    return image.convert("RGB")
-
-
-def _film_focal(image: Image) -> float | None:
-    try:
-        value = float(image.getexif().get_ifd(_EXIF).get(_FOCAL_35, 0))
-    except (TypeError, ValueError, ZeroDivisionError, OSError, SyntaxError):
-        return None  # settings that can't be read are no reason to refuse a picture
-    return value if math.isfinite(value) and _FOCALS[0] <= value <= _FOCALS[1] else None
+        # settings that can't be read are no reason to refuse a picture
+        with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OSError, SyntaxError):
+            film = float(image.getexif().get_ifd(_EXIF).get(_FOCAL_35, 0))
+        image = ImageOps.exif_transpose(image)
+        if image.mode.startswith("I"):  # grey ones of 16 bits are not cut off at 255
+            values = np.asarray(image).clip(0, 0xFFFF).astype(np.uint32)
+            image = Image.fromarray(((values * 2 + 257) // 514).astype(np.uint8))
+        known = math.isfinite(film) and _FOCALS[0] <= film <= _FOCALS[1]
+        return image.convert("RGB"), film if known else None
 
 
 def _mask(file: Path, masks: Path, full: tuple[int, int], size: tuple[int, int]) -> BoolArray:

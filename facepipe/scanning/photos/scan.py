@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import ByteArray, Float32Array, FloatArray, IntArray
+from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
@@ -33,7 +33,6 @@ from facepipe.scanning.photos.options import FEWEST_PHOTOS, ScanPhotosOptions
 from facepipe.scanning.photos.photos import Photo, fitting, photo_files, read_photos
 from facepipe.scanning.photos.structure import (
     Structure,
-    Subject,
     choose_pairs,
     find_structure,
     find_subject,
@@ -72,25 +71,26 @@ class PhotoColors:
         :param spacing: distance of the places; much finer photos are shrunk
         :raises InputError: a photo that can't be read
         """
+        import cv2
+
         levels = from_srgb(np.arange(256) / 255).astype(np.float32)
         total, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         for name, camera in self.cameras.items():
             depth = self._depth(camera.scaled(*fitting((camera.width, camera.height), _LARGEST)))
-            pixels = self._pixels(name, camera, spacing)
+            longer = max(camera.width, camera.height)
+            width = float(np.median(camera.to_camera(self.points)[:, 2])) / camera.focal[0]
+            most = int(np.ceil(longer * min(1.0, _FINER * width / spacing)))  # no pixels much finer than the places
+            pixels = read_photos([self.folder / name], most)[0].pixels
             for start in range(0, len(points), _CHUNK):
                 at = slice(start, start + _CHUNK)
                 seen, weight, places = _seen(camera, depth, points[at], normals[at])
-                total[start + seen] += weight[:, None] * levels[_shown(pixels, places)]
-                weights[start + seen] += weight
+                if len(places):
+                    where = (places * pixels.shape[1::-1] - 0.5).astype(np.float32)[:, None]
+                    shown: Any = cv2.remap(pixels, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                    total[start + seen] += weight[:, None] * levels[shown[:, 0]]
+                    weights[start + seen] += weight
         with np.errstate(invalid="ignore"):
             return np.asarray(total / weights[:, None])
-
-    def _pixels(self, name: str, camera: PhotoCamera, spacing: float) -> ByteArray:
-        """(h, w, 3) sRGB of a photo, whose pixels are not much finer on the scan than `spacing`."""
-        longer = max(camera.width, camera.height)
-        width = float(np.median(camera.to_camera(self.points)[:, 2])) / camera.focal[0]
-        most = int(np.ceil(longer * min(1.0, _FINER * width / spacing)))
-        return read_photos([self.folder / name], most)[0].pixels
 
     def _depth(self, camera: PhotoCamera) -> FloatArray:
         """(h, w) of the nearest surface, drawn out at edges; infinite where there is none."""
@@ -125,16 +125,6 @@ def _seen(
     return seen, weight.astype(np.float32), pixels[kept] / size
 
 
-def _shown(pixels: ByteArray, places: FloatArray) -> ByteArray:
-    """(s, 3) sRGB of a photo (h, w, 3) at places (s, 2), shares of its width and height."""
-    import cv2
-
-    if not len(places):
-        return np.zeros((0, 3), np.uint8)
-    at = (places * pixels.shape[1::-1] - 0.5).astype(np.float32)[:, None]
-    return np.asarray(cv2.remap(pixels, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))[:, 0]
-
-
 @dataclass(frozen=True, kw_only=True)
 class ScanPhotosReport(Report):
     """How a scan came out of photos. Lengths are in `unit`; None: the scale is unknown, they are of the scan's own."""
@@ -156,10 +146,6 @@ class ScanPhotosReport(Report):
     markers: int = 0
     seconds: float = 0.0
     used: Any = not_in_json()  # the `Cameras` of the photos that were used
-
-
-def no_step(name: str, total: int) -> None:
-    """Progress that nobody watches."""
 
 
 @contextmanager
@@ -209,7 +195,7 @@ class ScanPhotos:
                 raise InputError("marker distance", "given with cameras, which have a scale, expected one of them")
 
     @one_thread()
-    def __call__(self, folder: Path, step: Step = no_step) -> PhotoScan:
+    def __call__(self, folder: Path, step: Step = lambda name, total: None) -> PhotoScan:
         """The scan of the photos in `folder`.
 
         :param step: called with the name of the work and its count of steps, before each one
@@ -243,8 +229,12 @@ class ScanPhotos:
         """The scan of photos that have a camera, without warnings on the others."""
         options = self.options
         subject, structure = find_subject(structure)
-        if self.cameras is None:
-            structure, subject = self._placed(photos, structure, subject)
+        if self.cameras is None:  # upright, and in millimetres where two markers give the scale
+            radius = options.radius
+            if self.marker_distance is not None:
+                markers = self._markers(photos, structure)
+                radius = subject.radius * scale_of_markers(markers, self.marker_distance)
+            structure, subject = upright(structure, subject, radius)
         cameras = [structure.cameras[photo.name] for photo in photos]
         pairs = choose_pairs(structure, subject, options.neighbours)
         each_pair, each_photo = (lambda: step("depth", len(pairs))), (lambda: step("points", len(photos)))
@@ -252,7 +242,17 @@ class ScanPhotos:
         cloud, apart = make_cloud(photos, cameras, maps, subject, options, each_photo)
         step("surface", 1)
         scan = make_surface(cloud, name, gap=options.gap, smallest=options.smallest)
-        landmarks, lost = self._landmarks(photos, structure, scan, step)
+        warnings = []
+        if structure.error > _DOUBTFUL:
+            off = f"matched points are {structure.error:.1f} pixels off"
+            warnings.append(f"{off}: cameras that don't fit, or a face that moved")
+        landmarks = ScanLandmarks(markers=self._markers(photos, structure))
+        lost = sorted({one for seen in self.markers.values() for one in seen} - set(landmarks.markers))
+        warnings += [f"marker {one}: no 2 photos show it at one place" for one in lost]
+        if options.landmarks:
+            sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
+            points = place_landmarks(sightings, structure.cameras, scan)
+            landmarks = replace(landmarks, points=points, sigma_mm=found_sigmas(colored=True))
         report = ScanPhotosReport(
             photos_used=tuple(photo.name for photo in photos),
             cameras="found" if self.cameras is None else "given",
@@ -268,36 +268,16 @@ class ScanPhotos:
             triangles=len(scan.triangles),
             landmarks=int(landmarks.known.sum()),
             markers=len(landmarks.markers),
-            warnings=(*_doubts(structure), *lost),
+            warnings=tuple(warnings),
         )
         full = {photo.name: structure.cameras[photo.name].scaled(*photo.full_size) for photo in photos}
         return PhotoScan(scan=scan, cameras=Cameras(cameras=full, unit=self._unit), landmarks=landmarks, report=report)
-
-    def _landmarks(
-        self, photos: list[Photo], structure: Structure, scan: Scan, step: Step
-    ) -> tuple[ScanLandmarks, list[str]]:
-        """Landmarks and markers on the scan, and a warning for each marker that has no place."""
-        markers = self._markers(photos, structure)
-        names = {name for marker in self.markers.values() for name in marker}
-        lost = [f"marker {one}: no 2 photos show it at one place" for one in sorted(names - set(markers))]
-        if not self.options.landmarks:
-            return ScanLandmarks(markers=markers), lost
-        sightings = landmark_sightings(photos, lambda: step("landmarks", len(photos)))
-        points = place_landmarks(sightings, structure.cameras, scan)
-        return ScanLandmarks(points=points, sigma_mm=found_sigmas(colored=True), markers=markers), lost
 
     @property
     def _unit(self) -> str | None:
         if self.cameras is not None:
             return self.cameras.unit
         return "mm" if self.marker_distance is not None else None
-
-    def _placed(self, photos: list[Photo], structure: Structure, subject: Subject) -> tuple[Structure, Subject]:
-        """Upright, and in millimetres where two markers give the scale."""
-        if self.marker_distance is None:
-            return upright(structure, subject, self.options.radius)
-        factor = scale_of_markers(self._markers(photos, structure), self.marker_distance)
-        return upright(structure, subject, subject.radius * factor)
 
     def _markers(self, photos: list[Photo], structure: Structure) -> dict[str, FloatArray]:
         """Markers in space, by name."""
@@ -309,12 +289,6 @@ class ScanPhotos:
         }
         size = float(np.median([max(one.width, one.height) for one in photos]))
         return triangulate_all(seen, structure.cameras, _MARKED * size, 2)
-
-
-def _doubts(structure: Structure) -> tuple[str, ...]:
-    if structure.error <= _DOUBTFUL:
-        return ()
-    return (f"matched points are {structure.error:.1f} pixels off: cameras that don't fit, or a face that moved",)
 
 
 def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, PhotoCamera]:

@@ -30,7 +30,7 @@ from facepipe.kinds import FileAction, Job, action
 from facepipe.scanning.photos.options import ScanPhotosOptions
 
 if TYPE_CHECKING:
-    from facepipe.scanning.photos.scan import ScanPhotos, ScanPhotosReport
+    from facepipe.scanning.photos.scan import ScanPhotosReport
 
 
 @action("scan", "make a scan of photos around a face")
@@ -62,9 +62,21 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         from facepipe.core.atomic import discard_stale
         from facepipe.importers.scan_landmarks import write_scan_landmarks
         from facepipe.importers.scan_ply import write_ply
-        from facepipe.scanning.photos.scan import bars
+        from facepipe.scanning.photos.cameras import read_cameras, read_markers
+        from facepipe.scanning.photos.scan import ScanPhotos, bars
 
-        scanner, (landmark_file,) = self._scanner(), self.with_it(job.out)
+        cameras = None if self.cameras is None else read_cameras(self.cameras)
+        markers = {} if self.markers is None else read_markers(self.markers)
+        distance = None
+        if self.marker_distance is not None:
+            try:
+                first, second, text = self.marker_distance
+                distance = first, second, float(text)
+            except ValueError:
+                said = " ".join(map(str, self.marker_distance))[:80]
+                raise InputError(f"--marker-distance {said}", "expected two markers and millimetres") from None
+        scanner = ScanPhotos(options=self, cameras=cameras, markers=markers, marker_distance=distance, masks=self.masks)
+        (landmark_file,) = self.with_it(job.out)
         with bars(job.watch) as step:
             made = scanner(self.photos, step)
         write_ply(made.scan, job.out)
@@ -73,18 +85,6 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         else:
             discard_stale(landmark_file)
         return replace(made.report, used=made.cameras)
-
-    def _scanner(self) -> ScanPhotos:
-        from facepipe.scanning.photos.cameras import read_cameras, read_markers
-        from facepipe.scanning.photos.scan import ScanPhotos
-
-        return ScanPhotos(
-            options=self,
-            cameras=None if self.cameras is None else read_cameras(self.cameras),
-            markers={} if self.markers is None else read_markers(self.markers),
-            marker_distance=None if self.marker_distance is None else _distance(self.marker_distance),
-            masks=self.masks,
-        )
 
     def save(self, report: ScanPhotosReport, path: Path) -> None:
         """The cameras."""
@@ -104,12 +104,3 @@ class MakeScan(ScanPhotosOptions, FileAction["ScanPhotosReport"]):
         ]
         files = (out, *(self.with_it(out) if report.landmarks or report.markers else ()))
         return "\n".join([*map(str, files), table(rows)])
-
-
-def _distance(words: tuple[str, ...]) -> tuple[str, str, float]:
-    try:
-        first, second, text = words
-        return first, second, float(text)
-    except ValueError:
-        said = " ".join(map(str, words))[:80]
-        raise InputError(f"--marker-distance {said}", "expected two markers and millimetres") from None

@@ -54,7 +54,17 @@ def find_structure(
     with tempfile.TemporaryDirectory(prefix="facepipe-scan-") as name:
         folder = Path(name)
         files = _write_photos(photos, "each" if known else options.lens, folder)
-        lenses = _lenses(photos, files, known)
+        if known is None:  # COLMAP's camera model and parameters of every file whose lens is known
+            lenses: dict[str, dict[str, Any]] = {
+                files[one.name]: {"model": "SIMPLE_RADIAL", "params": [one.focal, one.width / 2, one.height / 2, 0.0]}
+                for one in photos
+                if one.focal is not None
+            }
+        else:
+            lenses = {
+                files[name]: {"model": "OPENCV", "params": [*one.focal, *one.center, *one.distortion]}
+                for name, one in known.items()
+            }
         _match(colmap, folder, lenses, options)
         if known is None:
             with _failing():
@@ -109,22 +119,6 @@ def _write_photos(photos: Sequence[Photo], lens: str, folder: Path) -> dict[str,
     return files
 
 
-def _lenses(
-    photos: Sequence[Photo], files: Mapping[str, str], known: Mapping[str, PhotoCamera] | None
-) -> dict[str, dict[str, Any]]:
-    """COLMAP's camera model and parameters of every file whose lens is known."""
-    if known is not None:
-        return {
-            files[name]: {"model": "OPENCV", "params": [*one.focal, *one.center, *one.distortion]}
-            for name, one in known.items()
-        }
-    return {
-        files[photo.name]: {"model": "SIMPLE_RADIAL", "params": [photo.focal, photo.width / 2, photo.height / 2, 0.0]}
-        for photo in photos
-        if photo.focal is not None
-    }
-
-
 def _match(colmap: Any, folder: Path, lenses: Mapping[str, dict[str, Any]], options: ScanPhotosOptions) -> None:
     """Features of all photos, and verified matches of all pairs, in ``folder/matches.db``."""
     colmap.set_random_seed(options.seed)
@@ -177,28 +171,27 @@ def _triangulated(colmap: Any, folder: Path, known: Mapping[str, PhotoCamera], o
         database.close()
     with _failing():
         for image in images:
-            if image.name in known:
-                _place(colmap, model, image, known[image.name])
+            if image.name not in known:
+                continue
+            camera = known[image.name]
+            lens = colmap.Camera(
+                camera_id=image.camera_id,
+                model="OPENCV",
+                width=camera.width,
+                height=camera.height,
+                params=[*camera.focal, *camera.center, *camera.distortion],
+            )
+            model.add_camera_with_trivial_rig(lens)
+            placed = colmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+            pose = colmap.Rigid3d(np.column_stack([camera.rotation, camera.translation]))
+            model.add_image_with_trivial_frame(placed, pose)
         return colmap.triangulate_points(
             model, folder / "matches.db", folder / "photos", folder, options=_pipeline(colmap, options)
         )
 
 
-def _place(colmap: Any, model: Any, image: Any, camera: PhotoCamera) -> None:
-    lens = colmap.Camera(
-        camera_id=image.camera_id,
-        model="OPENCV",
-        width=camera.width,
-        height=camera.height,
-        params=[*camera.focal, *camera.center, *camera.distortion],
-    )
-    model.add_camera_with_trivial_rig(lens)
-    placed = colmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
-    pose = colmap.Rigid3d(np.column_stack([camera.rotation, camera.translation]))
-    model.add_image_with_trivial_frame(placed, pose)
-
-
 def _structure(model: Any, names: Mapping[str, str], count: int) -> Structure:
+    # Sorted, so that the same photos give the same structure.
     images = sorted((one for one in model.images.values() if one.has_pose), key=lambda one: str(one.name))
     if len(images) < FEWEST_PHOTOS:
         raise FitError(
@@ -211,25 +204,24 @@ def _structure(model: Any, names: Mapping[str, str], count: int) -> Structure:
     for column, key in enumerate(order):
         for element in model.points3D[key].track.elements:
             seen[row[element.image_id], column] = True
+    cameras = {}
+    for image in images:
+        pose, lens = np.asarray(image.cam_from_world().matrix()), model.cameras[image.camera_id]
+        bent = lens.params[lens.extra_params_idxs()]
+        cameras[names[image.name]] = PhotoCamera(
+            width=int(lens.width),
+            height=int(lens.height),
+            focal=(float(lens.focal_length_x), float(lens.focal_length_y)),
+            center=(float(lens.principal_point_x), float(lens.principal_point_y)),
+            distortion=(*map(float, bent), *([0.0] * (4 - len(bent)))),  # type: ignore[arg-type]
+            rotation=pose[:, :3],
+            translation=pose[:, 3],
+        )
     return Structure(
-        cameras={names[image.name]: _camera(image, model.cameras[image.camera_id]) for image in images},
+        cameras=cameras,
         points=points,
         seen=seen,
         error=float(model.compute_mean_reprojection_error()),
-    )
-
-
-def _camera(image: Any, lens: Any) -> PhotoCamera:
-    pose = np.asarray(image.cam_from_world().matrix())
-    bent = lens.params[lens.extra_params_idxs()]
-    return PhotoCamera(
-        width=int(lens.width),
-        height=int(lens.height),
-        focal=(float(lens.focal_length_x), float(lens.focal_length_y)),
-        center=(float(lens.principal_point_x), float(lens.principal_point_y)),
-        distortion=(*map(float, bent), *([0.0] * (4 - len(bent)))),  # type: ignore[arg-type]
-        rotation=pose[:, :3],
-        translation=pose[:, 3],
     )
 
 
@@ -251,7 +243,8 @@ def find_subject(structure: Structure) -> tuple[Subject, Structure]:
     :raises FitError: no matched point is in it
     """
     cameras = list(structure.cameras.values())
-    center = _look_at(cameras)
+    # the point nearest to the axes of all cameras
+    center = nearest_to_lines(np.array([one.eye for one in cameras]), np.array([one.ahead for one in cameras]))
     reach = [
         0.5 * max(camera.width, camera.height) / camera.focal[0] * float(np.linalg.norm(camera.eye - center))
         for camera in cameras
@@ -262,13 +255,6 @@ def find_subject(structure: Structure) -> tuple[Subject, Structure]:
         found = f"{np.count_nonzero(inside)} of {len(inside)} matched points lie where the cameras look"
         raise FitError("photos", f"{found}, expected {_FEWEST_SHARED} or more: photos taken around one person")
     return subject, replace(structure, points=structure.points[inside], seen=structure.seen[:, inside])
-
-
-def _look_at(cameras: list[PhotoCamera]) -> FloatArray:
-    """(3,) the point nearest to the axes of all cameras."""
-    return nearest_to_lines(
-        np.array([camera.eye for camera in cameras]), np.array([camera.ahead for camera in cameras])
-    )
 
 
 def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> list[tuple[int, int]]:
@@ -284,6 +270,7 @@ def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> lis
     for i, a in enumerate(cameras):
         for j, b in enumerate(cameras):
             if i != j and shared[i, j] >= _FEWEST_SHARED:
+                # The root: errors of means fall with the root of the number of points.
                 score[i, j] = _fitness(a, b, subject) * np.sqrt(shared[i, j])
     pairs = set()
     for i, row in enumerate(score):
@@ -329,13 +316,9 @@ def upright(structure: Structure, subject: Subject, radius: float) -> tuple[Stru
     rotation = np.stack([np.cross(up, z), up, z])
     scale = radius / subject.radius
     moved = Similarity(rotation=rotation, translation=-scale * rotation @ subject.center, scale=scale)
-    return _moved(structure, moved), Subject(center=np.zeros(3), radius=radius)
-
-
-def _moved(structure: Structure, by: Similarity) -> Structure:
-    """The structure in other coordinates."""
-    cameras = {name: move_camera(one, by) for name, one in structure.cameras.items()}
-    return replace(structure, cameras=cameras, points=by.apply(structure.points))
+    turned = {name: move_camera(one, moved) for name, one in structure.cameras.items()}
+    structure = replace(structure, cameras=turned, points=moved.apply(structure.points))
+    return structure, Subject(center=np.zeros(3), radius=radius)
 
 
 def move_camera(camera: PhotoCamera, by: Similarity) -> PhotoCamera:

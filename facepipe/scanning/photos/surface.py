@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -83,20 +82,15 @@ def make_cloud(
             "photos", f"they agree on {len(values)} points, expected {_FEWEST} or more: sharp photos, more overlap"
         )
     apart = float(np.median(values[:, 9]))
-    mean = _voxel_means(values[:, :9], spacing)
-    normals = _normals(mean[:, :3], mean[:, 3:6])
-    cloud = Cloud(points=mean[:, :3], normals=normals, colors=np.clip(mean[:, 6:], 0.0, 1.0), spacing=spacing)
-    return clean(cloud, options.outliers, options.smallest), apart
-
-
-def _voxel_means(values: FloatArray, size: float) -> FloatArray:
-    """(m, k) means of the rows (n, k) whose first three are in one cube of edge `size`."""
-    low = values[:, :3].min(axis=0)
-    cell = np.floor((values[:, :3] - low) / size).astype(np.int64)
+    # means of the points in one cube of edge `spacing`
+    cell = np.floor((values[:, :3] - values[:, :3].min(axis=0)) / spacing).astype(np.int64)
     shape = cell.max(axis=0) + 1
     key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
     _, group, counts = np.unique(key, return_inverse=True, return_counts=True)
-    return np.asarray(group_sums(group.ravel(), values, len(counts)) / counts[:, None])
+    mean = np.asarray(group_sums(group.ravel(), values[:, :9], len(counts)) / counts[:, None])
+    normals = _normals(mean[:, :3], mean[:, 3:6])
+    cloud = Cloud(points=mean[:, :3], normals=normals, colors=np.clip(mean[:, 6:], 0.0, 1.0), spacing=spacing)
+    return clean(cloud, options.outliers, options.smallest), apart
 
 
 def _normals(points: FloatArray, towards: FloatArray) -> FloatArray:
@@ -134,13 +128,6 @@ def clean(cloud: Cloud, outliers: float, smallest: float) -> Cloud:
     return cloud.only(size[piece] >= min(smallest * len(piece), size.max()))
 
 
-class Surface(NamedTuple):
-    """Triangles of points."""
-
-    points: FloatArray  # (n, 3)
-    triangles: IntArray  # (t, 3)
-
-
 def make_surface(cloud: Cloud, name: str, *, gap: float, smallest: float) -> Scan:
     """The scan: the Poisson surface of a cloud, without what is farther from its points than `gap` spacings.
 
@@ -149,45 +136,57 @@ def make_surface(cloud: Cloud, name: str, *, gap: float, smallest: float) -> Sca
     :param smallest: least share of the triangles that a loose piece must have
     :raises FitError: no surface is left
     """
-    surface = _near(_poisson(cloud), cloud, gap, smallest)
-    if not len(surface.triangles):
+    from scipy.spatial import cKDTree
+
+    points, triangles = _poisson(cloud)
+    tree = cKDTree(cloud.points)
+    distance, _ = tree.query(points, distance_upper_bound=gap * cloud.spacing)
+    triangles = triangles[np.isfinite(distance)[triangles].all(axis=1)]
+    if not len(triangles):
         raise FitError("photos", f"no surface through {len(cloud.points)} points: sharp photos, more overlap")
+    pairs, _ = edges(np.full(len(triangles), 3), triangles.ravel())
+    piece = components(len(points), pairs)[triangles[:, 0]]
+    size = np.bincount(piece)
+    triangles = triangles[size[piece] >= min(smallest * len(triangles), size.max())]
+    used, local = np.unique(triangles, return_inverse=True)
+    points, triangles = points[used], local.reshape(-1, 3)
+    # colours: means of the nearest points', by nearness
+    distance, near = tree.query(points, k=min(_COLORED, len(cloud.points)))
+    share = 1.0 / (distance.reshape(len(points), -1) + 0.25 * cloud.spacing)
+    share /= share.sum(axis=1, keepdims=True)
     return Scan(
         name=name,
-        points=surface.points,
-        triangles=surface.triangles.astype(np.int32),
-        normals=point_normals(surface.points, surface.triangles),
-        colors=_colors(surface.points, cloud),
+        points=points,
+        triangles=triangles.astype(np.int32),
+        normals=point_normals(points, triangles),
+        colors=np.asarray(np.einsum("nk,nkc->nc", share, cloud.colors[near.reshape(len(points), -1)])),
     )
 
 
-def _poisson(cloud: Cloud) -> Surface:
+def _poisson(cloud: Cloud) -> tuple[FloatArray, IntArray]:
     pycolmap = colmap_module()
     center, extent = cloud.points.mean(axis=0), float(np.ptp(cloud.points, axis=0).max())
     options = pycolmap.PoissonMeshingOptions()
+    # Depth d cuts the extent into 2^d cells.
     options.depth = int(np.clip(np.ceil(np.log2(extent / cloud.spacing / _WITHIN)), _SHALLOWEST, _DEEPEST))
     options.trim, options.color, options.num_threads = 0.0, False, 1
     with tempfile.TemporaryDirectory(prefix="facepipe-scan-") as folder:
         points, mesh = Path(folder) / "points.ply", Path(folder) / "mesh.ply"
-        _write_points(points, (cloud.points - center) / extent, cloud.normals)
+        rows = np.zeros(len(cloud.points), _VERTEX)
+        rows["place"], rows["normal"] = (cloud.points - center) / extent, cloud.normals
+        header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+        header += [f"property float {one}" for one in _PROPERTIES]
+        header += [f"property uchar {one}" for one in _COLORS]
+        points.write_bytes("\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
         try:
             pycolmap.poisson_meshing(points, mesh, options)
-            surface = _read_mesh(mesh)
+            places, triangles = _read_mesh(mesh)
         except (RuntimeError, ValueError, OSError) as error:
             raise FitError("photos", f"Poisson reconstruction gave up: {str(error)[:200]}") from error
-    return Surface(surface.points * extent + center, surface.triangles)
+    return places * extent + center, triangles
 
 
-def _write_points(path: Path, points: FloatArray, normals: FloatArray) -> None:
-    rows = np.zeros(len(points), _VERTEX)
-    rows["place"], rows["normal"] = points, normals
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property float {one}" for one in _PROPERTIES]
-    header += [f"property uchar {one}" for one in _COLORS]
-    path.write_bytes("\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
-
-
-def _read_mesh(path: Path) -> Surface:
+def _read_mesh(path: Path) -> tuple[FloatArray, IntArray]:
     """The mesh as Poisson reconstruction writes it: triangles, and points of floats."""
     data = path.read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
@@ -205,30 +204,4 @@ def _read_mesh(path: Path) -> Surface:
     if (faces["count"] != 3).any():
         raise ValueError("the surface has faces that are no triangles")
     points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    return Surface(points, faces["points"].astype(np.int64))
-
-
-def _near(surface: Surface, cloud: Cloud, gap: float, smallest: float) -> Surface:
-    """The parts near the cloud, without small loose pieces, and only the points that are used."""
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(cloud.points).query(surface.points, distance_upper_bound=gap * cloud.spacing)
-    triangles = surface.triangles[np.isfinite(distance)[surface.triangles].all(axis=1)]
-    if not len(triangles):
-        return Surface(surface.points[:0], triangles)
-    pairs, _ = edges(np.full(len(triangles), 3), triangles.ravel())
-    piece = components(len(surface.points), pairs)[triangles[:, 0]]
-    size = np.bincount(piece)
-    triangles = triangles[size[piece] >= min(smallest * len(triangles), size.max())]
-    used, local = np.unique(triangles, return_inverse=True)
-    return Surface(surface.points[used], local.reshape(-1, 3))
-
-
-def _colors(points: FloatArray, cloud: Cloud) -> FloatArray:
-    """(n, 3) means of the nearest points' colours, by nearness."""
-    from scipy.spatial import cKDTree
-
-    distance, near = cKDTree(cloud.points).query(points, k=min(_COLORED, len(cloud.points)))
-    share = 1.0 / (distance.reshape(len(points), -1) + 0.25 * cloud.spacing)
-    share /= share.sum(axis=1, keepdims=True)
-    return np.asarray(np.einsum("nk,nkc->nc", share, cloud.colors[near.reshape(len(points), -1)]))
+    return points, faces["points"].astype(np.int64)

@@ -5,70 +5,40 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.fit_neutral import FitNeutral, NeutralFit, NeutralReport
-    from facepipe.scanning.rebuild.options import (
-        BakeScanOptions,
-        FitNeutralOptions,
-        PersonalTemplateOptions,
-        RefineNeutralOptions,
-        RegisterScansOptions,
-        SplitExpressionsOptions,
-    )
-    from facepipe.scanning.rebuild.personal_template import PersonalTemplate
+    from facepipe.scanning.rebuild.declared import FitNeutralOptions, RefineNeutralOptions, RegisterScansOptions
+    from facepipe.scanning.rebuild.fit_neutral import FitNeutral, NeutralFit
+    from facepipe.scanning.rebuild.personal_template import starting_shapes
     from facepipe.scanning.rebuild.project import Project, ProjectScan, read_project
     from facepipe.scanning.rebuild.rebuild import Rebuild, Rebuilt
-    from facepipe.scanning.rebuild.refine_neutral import RefinedNeutral, RefineNeutral, RefineReport
     from facepipe.scanning.rebuild.register_scans import (
         Composite,
-        CompositeReport,
         ExpressionScan,
-        FitTogether,
         NeutralScan,
-        PlacedExpression,
-        RegisteredComposite,
-        RegisterScans,
-        TogetherFit,
+        fit_together,
+        register_scan,
     )
-    from facepipe.scanning.rebuild.scan_fit import ScanFit
-    from facepipe.scanning.rebuild.split_expressions import ShapeReport, SplitExpressions, SplitFit, SplitReport
     from facepipe.scanning.rebuild.template import DEFAULT_COMPOSITES, Template, resolved
 else:
     __getattr__, __dir__ = lazy(__name__)
 
 __all__ = [
     "DEFAULT_COMPOSITES",
-    "BakeScanOptions",
     "Composite",
-    "CompositeReport",
     "ExpressionScan",
     "FitNeutral",
     "FitNeutralOptions",
-    "FitTogether",
     "NeutralFit",
-    "NeutralReport",
     "NeutralScan",
-    "PersonalTemplate",
-    "PersonalTemplateOptions",
-    "PlacedExpression",
     "Project",
     "ProjectScan",
     "Rebuild",
     "Rebuilt",
-    "RefineNeutral",
     "RefineNeutralOptions",
-    "RefineReport",
-    "RefinedNeutral",
-    "RegisterScans",
     "RegisterScansOptions",
-    "RegisteredComposite",
-    "ScanFit",
-    "ShapeReport",
-    "SplitExpressions",
-    "SplitExpressionsOptions",
-    "SplitFit",
-    "SplitReport",
     "Template",
-    "TogetherFit",
+    "fit_together",
     "read_project",
+    "register_scan",
     "resolved",
+    "starting_shapes",
 ]

@@ -24,31 +24,27 @@ _TO_MM = 10.0  # its points are in centimetres
 _TOLERANCE_MM = 0.1
 
 
-@dataclass(frozen=True, kw_only=True)
-class MouthContact:
-    """How far the mouth's inside comes through the skin, where that is more than a shape may have."""
-
-    depth_mm: float
-    cells: int  # of 0.5 mm that show it, over five views
-    template_mm: float  # depth on the template, with its own shape
-
-    @property
-    def is_new(self) -> bool:
-        """The template has it less."""
-        return self.depth_mm > max(_DEPTH_MM, self.template_mm)
-
-
 def mouth_contacts(
     template: Template, neutral: FloatArray, shapes: Mapping[str, FloatArray], own: Mapping[str, FloatArray]
-) -> dict[str, MouthContact]:
-    """Shape at weight 1, or "neutral" -> what comes through; without those where nothing does to speak of.
+) -> dict[str, dict[str, float]]:
+    """Shape at weight 1, or "neutral" -> how far the mouth's inside comes through the skin, where that is more than a
+    shape may have: `depth_mm`, the `cells` of 0.5 mm that show it over five views, and `template_mm`, the depth on the
+    template with its own shape.
 
     :param neutral: (n, 3) whole points
     :param shapes: name -> (n, 3) whole deltas
     :param own: those of the template
     """
-    triangles, inside = template.topology.triangles, _inside(template)
-    hard = triangles[np.isin(triangles, inside).all(axis=1)]
+    # the mouth's inside: points of loose parts that are nearer to its landmarks than to others
+    marks, pieces = template.points[template.rows[template.landmarks]], template.stiff
+    inside = [np.zeros(0, np.int64)]
+    for piece in range(int(pieces.max(initial=-1)) + 1):
+        points = np.flatnonzero(pieces == piece)
+        distances = np.linalg.norm(marks - template.points[points].mean(axis=0), axis=1)
+        if distances[_MOUTH].min() <= distances.min():
+            inside.append(points)
+    triangles = template.topology.triangles
+    hard = triangles[np.isin(triangles, np.concatenate(inside)).all(axis=1)]
     if not len(hard):
         return {}
     skin = triangles[(template.row_of[triangles] >= 0).all(axis=1)]
@@ -61,29 +57,17 @@ def mouth_contacts(
             contact = sheet.before_skin(neutral + delta)
             if contact.cells > _CELLS and contact.depth > _DEPTH_MM:
                 before = sheet.before_skin(template.points + own.get(name, nothing))
-                found[name] = MouthContact(depth_mm=contact.depth, cells=contact.cells, template_mm=before.depth)
+                found[name] = {"depth_mm": contact.depth, "cells": contact.cells, "template_mm": before.depth}
     return found
 
 
-def mouth_lines(contacts: Mapping[str, MouthContact]) -> Iterator[str]:
+def mouth_lines(contacts: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     """A line for each shape that the template has without, or with less."""
     for name, contact in contacts.items():
-        if contact.is_new:
-            depths = f"{contact.depth_mm:.1f} mm (the template's by {contact.template_mm:.1f} mm)"
+        depth, before = contact["depth_mm"], contact["template_mm"]
+        if depth > max(_DEPTH_MM, before):
+            depths = f"{depth:.1f} mm (the template's by {before:.1f} mm)"
             yield f"{name}: teeth, gums or tongue come through the skin by {depths}"
-
-
-def _inside(template: Template) -> np.ndarray:
-    """Points of loose parts that are nearer to the mouth's landmarks than to others."""
-    marks = template.points[template.rows[template.landmarks]]
-    pieces = template.stiff
-    found = [np.zeros(0, np.int64)]
-    for piece in range(int(pieces.max(initial=-1)) + 1):
-        points = np.flatnonzero(pieces == piece)
-        distances = np.linalg.norm(marks - template.points[points].mean(axis=0), axis=1)
-        if distances[_MOUTH].min() <= distances.min():
-            found.append(points)
-    return np.concatenate(found)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError, InputError, TopologyError
 from facepipe.core.names import first_names
-from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.geodesics import graph_distances
 from facepipe.geometry.identity_model import IdentityModel
@@ -19,7 +19,7 @@ from facepipe.geometry.polygons import flipped_triangles
 from facepipe.geometry.registration import Anchors, DeformableSurface, Registered, register
 from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.scanning.database import FaceDatabase, Quality
-from facepipe.scanning.rebuild.options import UNITS, FitNeutralOptions
+from facepipe.scanning.rebuild.declared import UNITS, FitNeutralOptions, Judged
 from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
 from facepipe.scanning.rebuild.template import ShownShapes, Template
 from facepipe.scans import Scan, ScanLandmarks
@@ -65,8 +65,12 @@ def with_sealed_lips(template: Template, points: FloatArray) -> FloatArray:
     start, end = points[template.rows[template.landmarks[[_UPPER[0], _UPPER[-1]]]]]
     width = float(np.linalg.norm(end - start))
     along = (points - start) @ (end - start) / width**2
-    upper, lower = (_on_rim(points, along, np.flatnonzero(np.isin(surface.group, rim))) for rim in rims)
-    gap = upper - lower
+    on_rims = []  # (n, 3) where a rim is, as far along the mouth as each point
+    for rim in rims:
+        ordered = np.flatnonzero(np.isin(surface.group, rim))
+        ordered = ordered[np.argsort(along[ordered], kind="stable")]
+        on_rims.append(np.stack([np.interp(along, along[ordered], column) for column in points[ordered].T], axis=1))
+    gap = on_rims[0] - on_rims[1]
     # Across the mouth alone: a rim found a little too far along would draw the lips sideways.
     gap -= np.outer(gap @ (end - start), end - start) / width**2
     if np.linalg.norm(gap, axis=1).max() > _WIDE * width:
@@ -76,15 +80,9 @@ def with_sealed_lips(template: Template, points: FloatArray) -> FloatArray:
     return np.asarray(points + way[:, None] * gap)
 
 
-def _on_rim(points: FloatArray, along: FloatArray, rim: IntArray) -> FloatArray:
-    """(n, 3) where a rim is, as far along the mouth as each point (n, 3)."""
-    rim = rim[np.argsort(along[rim], kind="stable")]
-    return np.stack([np.interp(along, along[rim], column) for column in points[rim].T], axis=1)
-
-
 @dataclass(frozen=True, kw_only=True)
-class NeutralReport(Report):
-    """How a neutral lies on its scan."""
+class FitNeutralReport(Judged):
+    """How a neutral lies on its scan, and what `facepipe fit-neutral` made of it."""
 
     fit: ScanFit
     quality: Quality  # what a database asks for
@@ -92,6 +90,12 @@ class NeutralReport(Report):
     residual_mean_mm: float  # what the model could not show, over the face area
     residual_max_mm: float
     weights: Mapping[str, float] = field(default_factory=dict)  # of shapes that the scan shows besides, as found
+    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
+    colored: float = 0.0  # share of the skin's outside whose colours the scan shows
+    hidden: tuple[str, ...] = ()  # materials of cards of brows, which the scan's colours show
+    photos: Mapping[str, Any] = field(default_factory=dict)  # what `facepipe scan` reports of them
+
+    of_action: ClassVar[tuple[str, ...]] = ("textures", "colored", "hidden", "photos")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +105,7 @@ class NeutralFit:
     points: FloatArray  # (n, 3) whole points, in the template's place
     expression: FloatArray  # (n, 3) whole delta that the scan shows besides
     place: Similarity  # from the scan's coordinates to those
-    report: NeutralReport
+    report: FitNeutralReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +141,20 @@ class FitNeutral:
         if database.topology.digest != template.topology.digest:
             raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
         marks = template.rows[template.landmarks]
-        start, warnings = self._start(scan, landmarks, database.identity.mean[marks])
+        known, where = landmarks.known, f"{scan.name} -> landmarks"
+        if known.sum() < _FEWEST_LANDMARKS:
+            raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
+        given, reference = landmarks.points[known], database.identity.mean[marks][known]
+        if mirrored(given, reference):
+            raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
+        start = robust_similarity(given, reference)  # about where the scan lies
+        if self.options.unit != "auto":
+            size = UNITS[self.options.unit]
+            if abs(start.scale / size - 1.0) > 0.3:
+                size_of = unit_of(start.scale) or f"units of {start.scale:.3g} mm"
+                what = f"was given in {self.options.unit}, but has the size of a face in {size_of}"
+                raise InputError(scan.name, what)
+            start = replace(robust_similarity(given * size, reference, scale=False), scale=size)
         shapes = ShownShapes.carried_over(template, database, weights or {}, f"{scan.name} -> weights")
         target, mended = scan_target(scan)
         surface = identity_surface(template, database.identity, self.options)
@@ -150,26 +167,8 @@ class FitNeutral:
                 registered = register(surface, target, anchors, start, replace(options, scale=False), progress, shown)
         except FitError as error:
             raise error.under(scan.name) from None
-        lines = (*scan.warnings, *mended, *warnings)
+        lines = (*scan.warnings, *mended)
         return neutral_fit(template, database.identity, scan.name, registered, anchors.names, lines, shapes)
-
-    def _start(self, scan: Scan, landmarks: ScanLandmarks, reference: FloatArray) -> tuple[Similarity, tuple[str, ...]]:
-        """About where the scan lies, by its landmarks."""
-        known = landmarks.known
-        where = f"{scan.name} -> landmarks"
-        if known.sum() < _FEWEST_LANDMARKS:
-            raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
-        if mirrored(landmarks.points[known], reference[known]):
-            raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
-        free = robust_similarity(landmarks.points[known], reference[known])
-        if self.options.unit == "auto":
-            return free, ()
-        size = UNITS[self.options.unit]
-        if abs(free.scale / size - 1.0) > 0.3:
-            size_of = unit_of(free.scale) or f"units of {free.scale:.3g} mm"
-            raise InputError(scan.name, f"was given in {self.options.unit}, but has the size of a face in {size_of}")
-        held = robust_similarity(landmarks.points[known] * size, reference[known], scale=False)
-        return replace(held, scale=size), ()
 
 
 def identity_surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
@@ -221,7 +220,16 @@ def neutral_fit(
     # triangles count as flipped against what the identity model shows of this person: people's own corners of lips and
     # lids turn some against the template's
     flipped = flipped_triangles(model, points, template.topology.triangles)
-    report = NeutralReport(
+    lines = list(warnings)
+    if fit.unit != "mm":
+        taken = "like no usual unit"
+        if fit.unit:
+            held = abs(fit.mm_per_unit / UNITS[fit.unit] - 1.0) < 1e-9
+            taken = f"taken as {fit.unit}" + ("" if held else f" by its shape (--unit {fit.unit} holds the size)")
+        lines.append(f"{scan}: 1 unit is {fit.mm_per_unit:.4g} mm, {taken}")
+    if fit.outliers:
+        lines.append(f"{scan}: {len(fit.outliers)} landmarks ignored as outliers: {first_names(fit.outliers, 6)}")
+    report = FitNeutralReport(
         fit=fit,
         quality=Quality(
             surface_mean_mm=fit.surface_mean_mm,
@@ -233,23 +241,6 @@ def neutral_fit(
         residual_mean_mm=float(off.mean()) if len(off) else 0.0,
         residual_max_mm=float(off.max(initial=0.0)),
         weights=weights,
-        warnings=(*warnings, *_fit_warnings(scan, fit)),
+        warnings=tuple(lines),
     )
     return NeutralFit(points=points, expression=expression, place=registered.place, report=report)
-
-
-def _fit_warnings(name: str, fit: ScanFit) -> tuple[str, ...]:
-    """What a user should know of the fit."""
-    lines = []
-    if fit.unit != "mm":
-        size = f"1 unit is {fit.mm_per_unit:.4g} mm"
-        lines.append(f"{name}: {size}, {_unit_text(fit) if fit.unit else 'like no usual unit'}")
-    if fit.outliers:
-        some = first_names(fit.outliers, 6)
-        lines.append(f"{name}: {len(fit.outliers)} landmarks ignored as outliers: {some}")
-    return tuple(lines)
-
-
-def _unit_text(fit: ScanFit) -> str:
-    held = abs(fit.mm_per_unit / UNITS[str(fit.unit)] - 1.0) < 1e-9
-    return f"taken as {fit.unit}" + ("" if held else f" by its shape (--unit {fit.unit} holds the size)")

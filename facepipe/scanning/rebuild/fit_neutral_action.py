@@ -24,7 +24,8 @@ examples:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,14 +33,11 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
-from facepipe.scanning.rebuild.options import BakeScanOptions, FitNeutralOptions
-from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
+from facepipe.scanning.rebuild.declared import BakeScanOptions, FitNeutralOptions, ScanAction, landmark_file
 
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
-    from facepipe.scanning.database import FaceDatabase
-    from facepipe.scanning.rebuild.action_reports import FitNeutralReport
-    from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+    from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
     from facepipe.stage import Face
 
 _STEPS = 18  # of a fit, at most
@@ -101,22 +99,26 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         return make(textures=_TEXTURES) if self.template is None else None
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
-        from facepipe.scanning.database import QualityLimits, misses
-        from facepipe.scanning.rebuild.action_reports import FitNeutralReport
+        from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.built_in_head import BuiltInHead
         from facepipe.scanning.rebuild.fit_neutral import FitNeutral, are_sealed, shut_eyes, with_sealed_lips
-        from facepipe.scanning.rebuild.scan_fit import FaceOnScan
-        from facepipe.scanning.rebuild.scan_input import named, scan_input
+        from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named, scan_input
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
         from facepipe.verbs.author_neutral import AuthorNeutral
 
         parts = face.parts()
         template, own = Template.of(parts, str(self.template or face.where)), BuiltInHead.of(parts)
-        database = self._people(own)
+        if self.database is not None:
+            database = load_database(self.database)
+        elif own is not None:
+            database = own.people()
+        else:
+            what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
+            raise InputError("--database", what)
+        # Fitted without hair and lashes, which go with the skin after it.
         body = template.body(database.topology)
-        given = scan_input(Path(self.scan), self.landmarks, job.watch)
-        scan, landmarks = given.scan, given.landmarks
+        scan, landmarks, notes, photos = scan_input(Path(self.scan), self.landmarks, job.watch)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
             fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
@@ -132,24 +134,22 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
             baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
             bar.update()
         neutral = points if report.weights else None
-        picture = FaceOnScan(template=template, points=shown, scan=scan, place=fit.place, neutral=neutral)
         missed = misses(report.quality, QualityLimits())
-        warnings = (*given.warnings, *report.warnings, *authored.warnings, *baked.warnings)
-        made = {"textures": baked.textures, "colored": baked.colored, "hidden": baked.hidden, "photos": given.photos}
-        return FitNeutralReport.from_report(report, warnings, missed, picture=picture, **made)
-
-    def _people(self, own: BuiltInHead | None) -> FaceDatabase:
-        from facepipe.scanning.database import load_database
-
-        if self.database is not None:
-            return load_database(self.database)
-        if own is None:
-            what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
-            raise InputError("--database", what)
-        return own.people()
+        return replace(
+            report,
+            warnings=(*notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
+            missed=missed,
+            picture=partial(
+                draw_face_on_scan, template=template, points=shown, scan=scan, place=fit.place, neutral=neutral
+            ),
+            textures=baked.textures,
+            colored=baked.colored,
+            hidden=baked.hidden,
+            photos=photos,
+        )
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
-        from facepipe.scanning.rebuild.action_reports import slid_text
+        from facepipe.scanning.rebuild.scan_fit import slid_text
 
         fit, quality, photos = report.fit, report.quality, report.photos
         unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")

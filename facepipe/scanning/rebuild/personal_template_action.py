@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.reports import table
 from facepipe.declare import source
 from facepipe.kinds import Job, StageAction, action
-from facepipe.scanning.rebuild.options import PersonalTemplateOptions
+from facepipe.scanning.rebuild.declared import PersonalTemplateOptions
 
 if TYPE_CHECKING:
     from facepipe.scanning.rebuild.personal_template import PersonalReport
@@ -41,16 +41,15 @@ class PersonalTemplateAction(PersonalTemplateOptions, StageAction["PersonalRepor
         from facepipe.importers import read_face
         from facepipe.kinds import found_of
         from facepipe.scanning.database import load_database
-        from facepipe.scanning.rebuild.personal_template import AuthorPersonal, PersonalTemplate
+        from facepipe.scanning.rebuild.personal_template import author_personal, starting_names
         from facepipe.scanning.rebuild.template import Template
 
         template = Template.of(read_face(self.template).parts(), str(self.template))
         database = None if self.database is None else load_database(self.database)
-        author = AuthorPersonal(template=template, make=PersonalTemplate(options=self), database=database)
         before = found_of(face.parts().recipe)  # measures for the quality gate of a database stay
         recipe = job.recipe(**{name: before[name] for name in ("quality",) if name in before})
-        with job.watch("shapes", author.count) as bar:
-            return author(face, recipe=recipe, done=bar.update)
+        with job.watch("shapes", len(starting_names(template, database, self))) as bar:
+            return author_personal(face, template, database, self, recipe, bar.update)
 
     def text(self, report: PersonalReport, out: Path) -> str:
         rows = [

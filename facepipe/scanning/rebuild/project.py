@@ -32,8 +32,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import file_name
 from facepipe.core.policy.paths import check_writable, file_named, path_named
 from facepipe.core.reading import file_beside, is_file, read_toml
-from facepipe.declare import from_json, values_of
-from facepipe.scanning.rebuild.options import (
+from facepipe.declare import from_json
+from facepipe.scanning.rebuild.declared import (
     BakeScanOptions,
     FitNeutralOptions,
     PersonalTemplateOptions,
@@ -57,11 +57,22 @@ class ProjectScan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Refinement:
+class Refinement(RefineNeutralOptions):
     """Which regions of the neutral are drawn closer to its scan, and how."""
 
     regions: tuple[str, ...] = ()  # none: all
-    options: RefineNeutralOptions = field(default_factory=RefineNeutralOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectOptions:
+    """Options of each step."""
+
+    neutral: FitNeutralOptions = field(default_factory=FitNeutralOptions)
+    refinement: Refinement | None = None  # None: the neutral stays as it was fitted
+    template: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
+    expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
+    split: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
+    textures: BakeScanOptions = field(default_factory=BakeScanOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,12 +86,7 @@ class Project:
     neutral: ProjectScan
     expressions: tuple[ProjectScan, ...]  # in the order of the file
     joint: bool = False  # the neutral is refined on all scans together
-    neutral_options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
-    refinement: Refinement | None = None  # None: the neutral stays as it was fitted
-    template_options: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
-    expression_options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
-    split_options: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
-    texture_options: BakeScanOptions = field(default_factory=BakeScanOptions)
+    options: ProjectOptions = field(default_factory=ProjectOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,21 +104,6 @@ class _ScanTable:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _RefinementTable(RefineNeutralOptions):
-    regions: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class _OptionsTable:
-    neutral: FitNeutralOptions = field(default_factory=FitNeutralOptions)
-    refinement: _RefinementTable | None = None
-    template: PersonalTemplateOptions = field(default_factory=PersonalTemplateOptions)
-    expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
-    split: SplitExpressionsOptions = field(default_factory=SplitExpressionsOptions)
-    textures: BakeScanOptions = field(default_factory=BakeScanOptions)
-
-
-@dataclass(frozen=True, kw_only=True)
 class _ProjectTable:
     template: str
     database: str
@@ -120,7 +111,7 @@ class _ProjectTable:
     joint: bool = False
     neutral: _ScanTable
     expressions: Mapping[str, _ScanTable] = field(default_factory=dict)
-    options: _OptionsTable = field(default_factory=_OptionsTable)
+    options: ProjectOptions = field(default_factory=ProjectOptions)
 
 
 def read_project(path: Path) -> Project:
@@ -133,7 +124,6 @@ def read_project(path: Path) -> Project:
     table = from_json(_ProjectTable, read_toml(path, _MOST_BYTES), where)
     work = path_named(f"{where} -> work", table.work or path.stem, path)
     check_writable(f"{where} -> work", work, path)
-    refinement = table.options.refinement
     return Project(
         path=path,
         template=_file(f"{where} -> template", table.template, path),
@@ -145,12 +135,7 @@ def read_project(path: Path) -> Project:
             _scan(f"{where} -> expressions", name, scan, path, DEFAULT_COMPOSITES.get(name))
             for name, scan in table.expressions.items()
         ),
-        neutral_options=table.options.neutral,
-        refinement=None if refinement is None else _refinement(refinement),
-        template_options=table.options.template,
-        expression_options=table.options.expressions,
-        split_options=table.options.split,
-        texture_options=table.options.textures,
+        options=table.options,
     )
 
 
@@ -160,11 +145,6 @@ def expression_weights(project: Project, scan: ProjectScan, shapes: tuple[str, .
     :raises InputError: a shape that is not there
     """
     return resolved(scan.weights, shapes, f"{project.path} -> expressions -> {scan.name} -> weights")
-
-
-def _refinement(table: _RefinementTable) -> Refinement:
-    options = RefineNeutralOptions(**values_of(RefineNeutralOptions, table))
-    return Refinement(regions=table.regions, options=options)
 
 
 def _scan(where: str, name: str, table: _ScanTable, project: Path, usual: Mapping[str, float] | None) -> ProjectScan:

@@ -4,241 +4,64 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.geometry.polygons import flipped_triangles
+from facepipe.declare import values_of
 from facepipe.geometry.similarity import Similarity
-from facepipe.scanning.database import FaceDatabase, Quality, quality_from
-from facepipe.scanning.rebuild.fit_neutral import FitNeutral
-from facepipe.scanning.rebuild.personal_template import PersonalTemplate
+from facepipe.importers import load, obj
+from facepipe.importers.scan_file import read_scan
+from facepipe.importers.scan_landmarks import read_scan_landmarks
+from facepipe.scanning.database import FaceDatabase, Quality, load_database, quality_from
+from facepipe.scanning.rebuild.declared import RefineNeutralOptions
+from facepipe.scanning.rebuild.fit_neutral import FitNeutral, FitNeutralReport
+from facepipe.scanning.rebuild.personal_template import starting_names, starting_shapes
 from facepipe.scanning.rebuild.project import Project, ProjectScan, Refinement, expression_weights
-from facepipe.scanning.rebuild.refine_neutral import RefineNeutral
+from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport, refine_neutral
 from facepipe.scanning.rebuild.register_scans import (
     Composite,
     ExpressionScan,
-    FitTogether,
     NeutralScan,
-    PlacedExpression,
-    RegisterScans,
+    RegisterScanReport,
+    fit_together,
+    register_scan,
 )
-from facepipe.scanning.rebuild.scan_check import ScanCheck, ScanChecks, misfits
-from facepipe.scanning.rebuild.split_expressions import SplitExpressions
+from facepipe.scanning.rebuild.scan_check import ScanCheck, misfits, scan_checks
+from facepipe.scanning.rebuild.scan_fit import landmarks_of
+from facepipe.scanning.rebuild.split_expressions import SplitShapesReport, split_expressions, turned_over
 from facepipe.scanning.rebuild.steps import (
-    EXPRESSION,
-    NEUTRAL,
-    REFINED,
-    SHAPES,
-    TEMPLATE,
-    Fitted,
-    FittedExpression,
-    FittedNeutral,
     StepResult,
-    Steps,
+    WorkFolder,
     array_digest,
+    check_kept,
     place_json,
     place_of,
     shape_arrays,
     shapes_of,
 )
 from facepipe.scanning.rebuild.template import Template, region_weights
+from facepipe.scans import Scan, ScanLandmarks
+from facepipe.stage import open_face, save_parts
+from facepipe.stage.recipes import source_digest
+from facepipe.verbs.whole_faces import whole_face
 
-Shapes = Mapping[str, FloatArray]
-Expressions = Mapping[str, FittedExpression]
+Shapes = Mapping[str, FloatArray]  # name -> (n, 3) whole delta
+Report = Mapping[str, Any]
+# What was found, as corrected; from its scan's coordinates to those of its points; and how it lies there.
+FittedNeutral = tuple[NeutralScan, Similarity, Report]
+FittedExpression = tuple[Composite, Similarity, Report]
+
 _ALONE = "alone/"  # folder of what a joint fit begins with
-
-
-class FitSteps:
-    """Each fit from the results of those before it, kept in the work folder.
-
-    :param below: folder of the results, ending in a slash; of expressions there, no more than weights and places is
-        used, and no correction
-    """
-
-    def __init__(self, steps: Steps, *, below: str = "") -> None:
-        self._steps, self._project, self._template = steps, steps.project, steps.template
-        self._below = below
-
-    def neutral(self) -> FittedNeutral:
-        """:raises FacepipeError: what can't be read, fitted or written"""
-        project, steps = self._project, self._steps
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            scan, marks = steps.read(project.neutral)
-            fit_neutral = FitNeutral(options=project.neutral_options)
-            fit = fit_neutral(self._template, scan, marks, steps.database(), weights=project.neutral.weights)
-            arrays = {"points": fit.points, "expression": fit.expression}
-            return arrays, {"report": fit.report.to_dict(), "place": place_json(fit.place)}
-
-        inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
-        inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
-        return self._neutral(steps.step(f"{self._below}neutral", inputs, compute, NEUTRAL))
-
-    def together(self, first: FittedNeutral, shapes: Shapes, expressions: Expressions) -> FittedNeutral:
-        """The neutral refined on all scans, from fits to each alone.
-
-        :param shapes: the personal template of `first`
-        :raises FacepipeError: what can't be read, fitted or written
-        """
-        project, steps = self._project, self._steps
-        scans = {scan.name: scan for scan in project.expressions}
-        coefficients = np.array(first.report["coefficients"])
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            placed = []
-            for name, one in expressions.items():
-                raw, marks = steps.read(scans[name])
-                given = ExpressionScan(scan=raw, landmarks=marks, weights=one.composite.weights)
-                placed.append(PlacedExpression(expression=given, place=one.place))
-            raw, marks = steps.read(project.neutral)
-            neutral = replace(first.scan, landmarks=marks)
-            fit_together = FitTogether(neutral=project.neutral_options, expressions=project.expression_options)
-            fit = fit_together(self._template, raw, neutral, coefficients, steps.database(), shapes, placed)
-            weights = dict(zip(expressions, fit.weights, strict=True))
-            report = fit.neutral.report.to_dict()
-            report["weights"] = _shown_weights(report["weights"], first.report["weights"])
-            report["together"] = {"moved_mean_mm": fit.moved_mean_mm, "weights": weights}
-            arrays = {"points": fit.neutral.points, "expression": fit.neutral.expression}
-            return arrays, {"report": report, "place": place_json(fit.neutral.place)}
-
-        inputs = steps.inputs(project.neutral, project.neutral_options, database=steps.digest(project.database))
-        inputs |= {
-            "first": array_digest(first.scan.points, first.scan.shown, coefficients),
-            "weights": dict(first.report["weights"]),
-            "place": place_json(first.place),
-            "shapes": array_digest(*shapes.values()),
-        }
-        inputs["expressions"] = {}
-        for name, one in expressions.items():
-            found = {"weights": dict(one.composite.weights), "place": place_json(one.place)}
-            inputs["expressions"][name] = steps.inputs(scans[name], project.expression_options, **found)
-        return self._neutral(steps.step(f"{self._below}neutral", inputs, compute, NEUTRAL))
-
-    def _neutral(self, result: StepResult) -> FittedNeutral:
-        points = self._steps.after_correction(f"{self._below}neutral", result.arrays["points"])
-        landmarks = self._steps.landmarks(self._project.neutral)
-        place = place_of(result.content["place"])
-        expression = result.arrays["expression"] if self._project.neutral.weights else None
-        scan = NeutralScan(points=points, place=place, landmarks=landmarks, expression=expression)
-        return FittedNeutral(scan=scan, place=place, report=result.content["report"])
-
-    def refined(self, neutral: FittedNeutral, refinement: Refinement) -> FittedNeutral:
-        """The neutral drawn closer to its scan, as corrected.
-
-        :raises FacepipeError: an unknown region, or what can't be read, fitted or written
-        """
-        project, steps = self._project, self._steps
-        where = f"{project.path} -> options.refinement"
-        weights = region_weights(self._template.parts, refinement.regions, where)
-        points, flipped = neutral.scan.points, quality_from(neutral.report["quality"], "neutral").flipped_triangles
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            scan, marks = steps.read(project.neutral)
-            refine = RefineNeutral(options=refinement.options)
-            expression = neutral.scan.expression
-            result = refine(self._template, points, scan, marks, neutral.place, weights, expression, flipped=flipped)
-            return {"points": result.points}, {"report": result.report.to_dict()}
-
-        inputs = steps.inputs(project.neutral, refinement.options, neutral=array_digest(points, neutral.scan.shown))
-        inputs |= {"regions": list(refinement.regions), "place": place_json(neutral.place), "flipped": flipped}
-        result = steps.step("refined", inputs, compute, REFINED)
-        scan = replace(neutral.scan, points=steps.after_correction("refined", result.arrays["points"]))
-        return FittedNeutral(scan=scan, place=neutral.place, report=result.content["report"])
-
-    def personal(self, neutral: FloatArray) -> dict[str, FloatArray]:
-        """The starting shapes of `neutral` (n, 3).
-
-        :raises FacepipeError: what can't be read, made or written
-        """
-        project, steps = self._project, self._steps
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            shapes = PersonalTemplate(options=project.template_options)(self._template, neutral, steps.database())
-            return shape_arrays(shapes), {"names": list(shapes)}
-
-        inputs = {
-            "neutral": array_digest(neutral),
-            "template": steps.digest(project.template),
-            "database": steps.digest(project.database),
-            "options": asdict(project.template_options),
-        }
-        result = steps.step(f"{self._below}template", inputs, compute, TEMPLATE)
-        return shapes_of(result.arrays, result.content["names"])
-
-    def expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes) -> FittedExpression:
-        """One expression from the neutral and its shapes.
-
-        :raises FacepipeError: what can't be read, fitted or written
-        """
-        options, steps = self._project.expression_options, self._steps
-        weights = expression_weights(self._project, scan, tuple(shapes))
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            raw, marks = steps.read(scan)
-            given = ExpressionScan(scan=raw, landmarks=marks, weights=weights)
-            result = RegisterScans(options=options)(self._template, neutral, shapes, given)
-            content = {"report": result.report.to_dict(), "place": place_json(result.place)}
-            return {"points": result.points, "matched": result.matched.astype(np.int32)}, content
-
-        inputs = steps.inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
-        inputs |= {
-            "shapes": array_digest(*(shapes[shape] for shape in weights)),
-            "markers": {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()},
-        }
-        inputs |= {"shown": array_digest(neutral.shown), "place": place_json(neutral.place) if neutral.place else None}
-        inputs |= {"keeps": ["points", "matched", "report", "place"]}
-        name = f"{self._below}expressions/{scan.name}"
-        result = steps.step(name, inputs, compute, EXPRESSION)
-        points = np.asarray(result.arrays["points"], np.float64)
-        composite = Composite(
-            points=points if self._below else steps.after_correction(name, points),
-            weights=weights,  # as asked for: what this person does more or less belongs into the shapes
-            matched=result.arrays["matched"].astype(bool),
-        )
-        place = place_of(result.content["place"])
-        return FittedExpression(composite=composite, place=place, report=result.content["report"])
-
-    def split(
-        self, neutral: FloatArray, shapes: Shapes, composites: Mapping[str, Composite]
-    ) -> tuple[dict[str, FloatArray], Mapping[str, Any]]:
-        """The actor's own shapes, and the report.
-
-        :raises FacepipeError: what can't be split or written
-        """
-        options, steps = self._project.split_options, self._steps
-
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
-            result = SplitExpressions(options=options)(self._template, neutral, shapes, composites)
-            return shape_arrays(result.shapes), {"names": list(result.shapes), "report": result.report.to_dict()}
-
-        inputs = {
-            "template": steps.digest(self._project.template),
-            "neutral": array_digest(neutral),
-            "shapes": array_digest(*shapes.values()),
-            "names": list(shapes),
-            "composites": {name: array_digest(one.points, one.matched) for name, one in composites.items()},
-            "weights": {name: dict(one.weights) for name, one in composites.items()},
-            "options": asdict(options),
-        }
-        result = steps.step("shapes", inputs, compute, SHAPES)
-        return shapes_of(result.arrays, result.content["names"]), result.content["report"]
-
-    def corrected_shapes(self, neutral: FloatArray, shapes: Shapes) -> dict[str, FloatArray]:
-        """A corrected shape is the mesh with the shape on it whole: ``corrections/shapes/jawOpen.usdc``."""
-        corrected = {}
-        for name, delta in shapes.items():
-            points = self._steps.after_correction(f"shapes/{name}", neutral + delta)
-            corrected[name] = points - neutral if f"shapes/{name}" in self._steps.corrected else delta
-        return corrected
-
-
-def _shown_weights(together: Mapping[str, float], alone: Mapping[str, float]) -> dict[str, float]:
-    """Weights of the shapes that the neutral's scan shows besides: together they are fitted as one shape, of which
-    `together` has how much, by what was found alone."""
-    share = next(iter(together.values()), 1.0)
-    return {shape: share * weight for shape, weight in alone.items()}
+# What the steps keep.
+_NEUTRAL = partial(check_kept, points=("points", "expression"), place=True, report=FitNeutralReport)
+_REFINED = partial(check_kept, points=("points",), report=RefineNeutralReport)
+_TEMPLATE = partial(check_kept, shapes=True)
+_EXPRESSION = partial(check_kept, points=("points",), matched=True, place=True, report=RegisterScanReport)
+_SHAPES = partial(check_kept, shapes=True, report=SplitShapesReport)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,12 +91,15 @@ def is_joint(project: Project) -> bool:
 def step_count(project: Project) -> int:
     """How many steps a project has."""
     scans = len(project.expressions)
-    once = 2 + scans + bool(scans) + (project.refinement is not None)
+    once = 2 + scans + bool(scans) + (project.options.refinement is not None)
     return once + (2 + scans) * is_joint(project)
 
 
 class Rebuild:
-    """One run of a project over its work folder.
+    """One run of a project over its work folder: each fit from the results of those before it, which are kept there.
+
+    Fits to each scan alone, which a joint fit begins with, are in a folder of their own; of expressions there no more
+    than weights and places is used, and no correction.
 
     :param began: called with the name of each step as it begins
     :raises InputError: a work folder that can't be made
@@ -282,8 +108,13 @@ class Rebuild:
     def __init__(
         self, project: Project, template: Template, began: Callable[[str], object] = lambda name: None
     ) -> None:
-        self._project, self._template = project, template
-        self._steps = Steps(project, template, began)
+        self._project, self._template, self._began = project, template, began
+        self._folder = WorkFolder(project.work)
+        self._known: FaceDatabase | None = None
+        self._digests: dict[Path, str] = {}
+        self._found: dict[Path, ScanLandmarks] = {}
+        self._reused: list[str] = []
+        self._corrected: list[str] = []
         self._checks: dict[str, ScanCheck] = {}
         self._left_out: dict[str, str] = {}
 
@@ -292,88 +123,310 @@ class Rebuild:
 
         :raises FacepipeError: what can't be read, fitted or written; the results of the steps before stay
         """
-        _check_names(self._project, self._template, self._steps.database())
-        fits = FitSteps(self._steps)
-        neutral = self._neutral(fits)
-        steps: dict[str, Fitted] = {"neutral": neutral}
-        if self._project.refinement is not None:
-            neutral = steps["refined"] = fits.refined(neutral, self._project.refinement)
-        points = neutral.scan.points
-        start = shapes = fits.personal(points)
-        expressions = {scan.name: fits.expression(scan, neutral.scan, shapes) for scan in self._project.expressions}
-        steps |= {f"expressions/{name}": one for name, one in expressions.items()}
-        reports = {name: one.report for name, one in steps.items()}
-        composites = {name: one.composite for name, one in self._belonging(points, shapes, expressions).items()}
+        project, template, database = self._project, self._template, self._database()
+        options, scans = project.options, project.expressions
+        # All regions and shapes that a project names are asked for before the first fit, as fits take minutes.
+        if options.refinement is not None:
+            region_weights(template.parts, options.refinement.regions, f"{project.path} -> options.refinement")
+        names = starting_names(template, database, options.template)
+        for scan in scans:
+            expression_weights(project, scan, names)
+        neutral = self._joint_neutral() if is_joint(project) else self._neutral()
+        fits: dict[str, tuple[Any, Similarity, Report]] = {"neutral": neutral}
+        if options.refinement is not None:
+            neutral = fits["refined"] = self._refined(neutral, options.refinement)
+        points = neutral[0].points
+        start = shapes = self._starting_shapes(points)
+        found = {scan.name: self._expression(scan, neutral[0], shapes) for scan in scans}
+        fits |= {f"expressions/{name}": one for name, one in found.items()}
+        reports = {name: report for name, (_, _, report) in fits.items()}
+        composites = {name: one for name, (one, _, _) in self._belonging(points, shapes, found).items()}
         if composites:
-            shapes, reports["shapes"] = fits.split(points, shapes, composites)
-        shapes = fits.corrected_shapes(points, shapes)
+            shapes, reports["shapes"] = self._split(points, shapes, composites)
+        # A corrected shape is the mesh with the shape on it whole: ``corrections/shapes/jawOpen.usdc``.
+        for name, delta in shapes.items():
+            whole = self._after_correction(f"shapes/{name}", points + delta)
+            if f"shapes/{name}" in self._corrected:
+                shapes = {**shapes, name: whole - points}
+        quality = quality_from(neutral[2]["quality"], "neutral")
+        turned = turned_over(template, points, start, {n: one for n, one in shapes.items() if one is not start[n]})
         lines = [line for report in reports.values() for line in report.get("warnings", ())]
+        if left := sorted({*template.parts.shapes} - shapes.keys()):
+            lines.append(f"{template.where}: the database lacks {', '.join(left)}: the template's offsets are kept")
+        idle = [name for name in self._folder.corrections() if name not in self._corrected]
+        lines += [f"{self._folder.path}/corrections/{name}: corrects no result" for name in idle]
         return Rebuilt(
             neutral=points,
             shapes=shapes,
             reports=reports,
             personal=start,
-            shown=neutral.scan.shown,
-            composites={name: one.composite.points for name, one in expressions.items()},
+            shown=neutral[0].shown,
+            composites={name: composite.points for name, (composite, _, _) in found.items()},
             checks=self._checks,
             left_out=self._left_out,
-            places={name: one.place for name, one in steps.items()},
-            quality=self._quality(neutral, start, shapes),
-            reused=tuple(self._steps.reused),
-            corrected=tuple(self._steps.corrected),
-            warnings=(*lines, *self._left_shapes(shapes), *self._steps.idle_corrections()),
+            places={name: place for name, (_, place, _) in fits.items()},
+            quality=replace(quality, flipped_triangles=quality.flipped_triangles + turned),
+            reused=tuple(self._reused),
+            corrected=tuple(self._corrected),
+            warnings=tuple(lines),
         )
 
-    def _neutral(self, fits: FitSteps) -> FittedNeutral:
-        """On its scan alone, or on all scans together, which begins with fits to each."""
-        if not is_joint(self._project):
-            return fits.neutral()
-        alone = FitSteps(self._steps, below=_ALONE)
-        first = alone.neutral()
-        shapes = alone.personal(first.scan.points)
-        found = {scan.name: alone.expression(scan, first.scan, shapes) for scan in self._project.expressions}
-        belonging = self._belonging(first.scan.points, shapes, found)
-        return fits.together(first, shapes, belonging) if belonging else fits.neutral()
+    def _neutral(self, below: str = "") -> FittedNeutral:
+        """On its scan alone.
+
+        :param below: folder of the results, ending in a slash
+        """
+        project = self._project
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            scan, marks = self._read(project.neutral)
+            fit_neutral = FitNeutral(options=project.options.neutral)
+            fit = fit_neutral(self._template, scan, marks, self._database(), weights=project.neutral.weights)
+            arrays = {"points": fit.points, "expression": fit.expression}
+            return arrays, {"report": fit.report.of_fit(), "place": place_json(fit.place)}
+
+        inputs = self._inputs(project.neutral, project.options.neutral, database=self._digest(project.database))
+        inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
+        return self._fitted_neutral(self._step(f"{below}neutral", inputs, compute, _NEUTRAL), below)
+
+    def _joint_neutral(self) -> FittedNeutral:
+        """On all scans together, which begins with fits to each; on its scan alone where no other belongs."""
+        first = self._neutral(_ALONE)
+        points = first[0].points
+        shapes = self._starting_shapes(points, _ALONE)
+        found = {scan.name: self._expression(scan, first[0], shapes, _ALONE) for scan in self._project.expressions}
+        belonging = self._belonging(points, shapes, found)
+        return self._together(first, shapes, belonging) if belonging else self._neutral()
+
+    def _together(
+        self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
+    ) -> FittedNeutral:
+        """The neutral refined on all scans, from fits to each alone.
+
+        :param shapes: the personal template of `first`
+        """
+        project, (neutral, first_place, alone) = self._project, first
+        options = project.options
+        scans = {scan.name: scan for scan in project.expressions}
+        coefficients = np.array(alone["coefficients"])
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            placed = []
+            for name, (composite, place, _) in expressions.items():
+                raw, marks = self._read(scans[name])
+                placed.append(ExpressionScan(scan=raw, landmarks=marks, weights=composite.weights, place=place))
+            raw, marks = self._read(project.neutral)
+            given, database = replace(neutral, landmarks=marks), self._database()
+            fit, others, moved_mm = fit_together(
+                self._template, raw, given, coefficients, database, shapes, placed, options.neutral, options.expressions
+            )
+            weights = {
+                name: dict(zip(one.weights, map(float, other.weights), strict=True))
+                for name, one, other in zip(expressions, placed, others, strict=True)
+            }
+            report = fit.report.of_fit()
+            # Shapes that the neutral's scan shows besides are fitted as one, of which there is `share`, by what was
+            # found alone.
+            share = next(iter(report["weights"].values()), 1.0)
+            report["weights"] = {shape: share * weight for shape, weight in alone["weights"].items()}
+            report["together"] = {"moved_mean_mm": moved_mm, "weights": weights}
+            arrays = {"points": fit.points, "expression": fit.expression}
+            return arrays, {"report": report, "place": place_json(fit.place)}
+
+        inputs = self._inputs(project.neutral, options.neutral, database=self._digest(project.database))
+        inputs |= {
+            "first": array_digest(neutral.points, neutral.shown, coefficients),
+            "weights": dict(alone["weights"]),
+            "place": place_json(first_place),
+            "shapes": array_digest(*shapes.values()),
+        }
+        inputs["expressions"] = {}
+        for name, (composite, place, _) in expressions.items():
+            found = {"weights": dict(composite.weights), "place": place_json(place)}
+            inputs["expressions"][name] = self._inputs(scans[name], options.expressions, **found)
+        return self._fitted_neutral(self._step("neutral", inputs, compute, _NEUTRAL))
+
+    def _fitted_neutral(self, result: StepResult, below: str = "") -> FittedNeutral:
+        given, place = self._project.neutral, place_of(result.content["place"])
+        neutral = NeutralScan(
+            points=self._after_correction(f"{below}neutral", result.arrays["points"]),
+            place=place,
+            landmarks=read_scan_landmarks(given.landmarks) if given.landmarks else ScanLandmarks(),
+            expression=result.arrays["expression"] if given.weights else None,
+        )
+        return neutral, place, result.content["report"]
+
+    def _refined(self, fitted: FittedNeutral, refinement: Refinement) -> FittedNeutral:
+        """The neutral drawn closer to its scan, as corrected.
+
+        :raises FacepipeError: an unknown region, or what can't be read, fitted or written
+        """
+        project, template, (neutral, place, report) = self._project, self._template, fitted
+        weights = region_weights(template.parts, refinement.regions, f"{project.path} -> options.refinement")
+        options = RefineNeutralOptions(**values_of(RefineNeutralOptions, refinement))  # regions apart, in the key too
+        points, flipped = neutral.points, quality_from(report["quality"], "neutral").flipped_triangles
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            scan, marks = self._read(project.neutral)
+            given = (template, points, scan, marks, place, weights, neutral.expression)
+            refined, _, found = refine_neutral(*given, options=options, flipped=flipped)
+            return {"points": refined}, {"report": found.of_fit()}
+
+        inputs = self._inputs(project.neutral, options, neutral=array_digest(points, neutral.shown))
+        inputs |= {"regions": list(refinement.regions), "place": place_json(place), "flipped": flipped}
+        result = self._step("refined", inputs, compute, _REFINED)
+        refined = replace(neutral, points=self._after_correction("refined", result.arrays["points"]))
+        return refined, place, result.content["report"]
+
+    def _starting_shapes(self, neutral: FloatArray, below: str = "") -> Shapes:
+        """Those of `neutral` (n, 3)."""
+        project = self._project
+        options = project.options.template
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            shapes = starting_shapes(self._template, neutral, self._database(), options)
+            return shape_arrays(shapes), {"names": list(shapes)}
+
+        inputs = {
+            "neutral": array_digest(neutral),
+            "template": self._digest(project.template),
+            "database": self._digest(project.database),
+            "options": asdict(options),
+        }
+        result = self._step(f"{below}template", inputs, compute, _TEMPLATE)
+        return shapes_of(result.arrays, result.content["names"])
+
+    def _expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes, below: str = "") -> FittedExpression:
+        """One expression from the neutral and its shapes."""
+        options = self._project.options.expressions
+        weights = expression_weights(self._project, scan, tuple(shapes))
+
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            raw, marks = self._read(scan)
+            given = ExpressionScan(scan=raw, landmarks=marks, weights=weights)
+            found, place, report = register_scan(self._template, neutral, shapes, given, options)
+            content = {"report": report.of_fit(), "place": place_json(place)}
+            return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
+
+        inputs = self._inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
+        inputs |= {
+            "shapes": array_digest(*(shapes[shape] for shape in weights)),
+            "markers": {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()},
+            "shown": array_digest(neutral.shown),
+            "place": place_json(neutral.place) if neutral.place else None,
+            "keeps": ["points", "matched", "report", "place"],
+        }
+        name = f"{below}expressions/{scan.name}"
+        result = self._step(name, inputs, compute, _EXPRESSION)
+        points = np.asarray(result.arrays["points"], np.float64)
+        composite = Composite(
+            points=points if below else self._after_correction(name, points),
+            weights=weights,  # as asked for: what this person does more or less belongs into the shapes
+            matched=result.arrays["matched"].astype(bool),
+        )
+        return composite, place_of(result.content["place"]), result.content["report"]
 
     def _belonging(
-        self, neutral: FloatArray, shapes: Mapping[str, FloatArray], found: Mapping[str, FittedExpression]
+        self, neutral: FloatArray, shapes: Shapes, found: Mapping[str, FittedExpression]
     ) -> dict[str, FittedExpression]:
         """Those of the expressions whose scans belong to the actor, now and before, or that an artist has corrected."""
-        checks = ScanChecks(self._template, neutral, shapes)
-        self._checks |= {name: checks.check(one.composite, one.report["fit"]) for name, one in found.items()}
-        asked = {name: one.composite.weights for name, one in found.items()}
+        composites = {name: composite for name, (composite, _, _) in found.items()}
+        fits = {name: report["fit"] for name, (_, _, report) in found.items()}
+        self._checks |= scan_checks(self._template, neutral, shapes, composites, fits)
+        asked = {name: composite.weights for name, composite in composites.items()}
         self._left_out |= {
             name: reason
             for name, reason in misfits(self._checks, asked).items()
-            if not self._steps.has_correction(f"expressions/{name}")
+            if self._folder.correction(f"expressions/{name}") is None
         }
         return {name: one for name, one in found.items() if name not in self._left_out}
 
-    def _quality(
-        self, neutral: FittedNeutral, start: Mapping[str, FloatArray], shapes: Mapping[str, FloatArray]
-    ) -> Quality:
-        """The neutral's, and triangles that some shape turns where the personal template does not."""
-        quality, triangles = quality_from(neutral.report["quality"], "neutral"), self._template.topology.triangles
-        turned, points = np.zeros(len(triangles), bool), neutral.scan.points
-        for name, delta in shapes.items():
-            if delta is not start[name]:
-                turned |= flipped_triangles(points + start[name], points + delta, triangles)
-        return replace(quality, flipped_triangles=quality.flipped_triangles + int(turned.sum()))
+    def _split(self, neutral: FloatArray, shapes: Shapes, composites: Mapping[str, Composite]) -> tuple[Shapes, Report]:
+        """The actor's own shapes, and the report."""
+        options = self._project.options.split
 
-    def _left_shapes(self, shapes: Mapping[str, FloatArray]) -> tuple[str, ...]:
-        own = {*self._template.parts.shapes}
-        left = sorted(own - set(shapes))
-        where = self._template.where
-        return (f"{where}: the database lacks {', '.join(left)}: the template's offsets are kept",) if left else ()
+        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+            found, report = split_expressions(self._template, neutral, shapes, composites, options)
+            return shape_arrays(found), {"names": list(found), "report": report.of_fit()}
 
+        inputs = {
+            "template": self._digest(self._project.template),
+            "neutral": array_digest(neutral),
+            "shapes": array_digest(*shapes.values()),
+            "names": list(shapes),
+            "composites": {name: array_digest(one.points, one.matched) for name, one in composites.items()},
+            "weights": {name: dict(one.weights) for name, one in composites.items()},
+            "options": asdict(options),
+        }
+        result = self._step("shapes", inputs, compute, _SHAPES)
+        return shapes_of(result.arrays, result.content["names"]), result.content["report"]
 
-def _check_names(project: Project, template: Template, database: FaceDatabase) -> None:
-    """All regions and shapes that a project names are there: asked before the first fit, as fits take minutes.
+    def _step(
+        self,
+        name: str,
+        inputs: Mapping[str, Any],
+        compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]],
+        check: Callable[..., None],
+    ) -> StepResult:
+        """The result of a step, with a mesh beside it where it has points: for eyes and for an artist's hand."""
+        self._began(name)
+        topology = self._template.topology
+        result = self._folder.step(name, inputs, compute, partial(check, count=topology.point_count))
+        if result.reused:
+            self._reused.append(name)
+        if "points" in result.arrays:
+            path = self._folder.place(f"{name}.usdc")
+            if not (result.reused and path.is_file()):
+                save_parts(topology.parts(result.arrays["points"]), path)
+        return result
 
-    :raises FacepipeError: one that is not, or a database that starting shapes can't come from
-    """
-    if project.refinement is not None:
-        region_weights(template.parts, project.refinement.regions, f"{project.path} -> options.refinement")
-    shapes = PersonalTemplate(options=project.template_options).names(template, database)
-    for scan in project.expressions:
-        expression_weights(project, scan, shapes)
+    def _after_correction(self, name: str, points: FloatArray) -> FloatArray:
+        """The points (n, 3) of a step, or of the mesh that an artist put in their place.
+
+        :raises InputError: a mesh that can't be read, or more than one
+        :raises TopologyError: a mesh of another topology
+        """
+        path = self._folder.correction(name)
+        if path is None:
+            return np.asarray(points, np.float64)
+        self._corrected.append(name)
+        if path.suffix == ".obj":  # in millimetres, Y up, as the meshes of the work folder are
+            parts = load("obj", path, obj.Options(meters_per_unit=0.001, up_axis="Y")).parts
+        elif path.suffix in (".glb", ".gltf"):
+            parts = load("gltf", path).parts
+        else:
+            parts = open_face(path).parts()
+        return whole_face(parts, str(path), self._template.topology, self._template.where).points
+
+    def _read(self, scan: ProjectScan) -> tuple[Scan, ScanLandmarks]:
+        """A scan and its landmarks, which are found on it, once, where none are given."""
+        named = replace(read_scan(scan.scan), name=str(scan.scan))
+        if scan.landmarks:
+            return named, read_scan_landmarks(scan.landmarks)
+        if scan.scan not in self._found:
+            self._found[scan.scan] = landmarks_of(None, named)[0]
+        return named, self._found[scan.scan]
+
+    def _database(self) -> FaceDatabase:
+        """The project's, read once."""
+        if self._known is None:
+            self._known = load_database(self._project.database)
+        return self._known
+
+    def _digest(self, path: Path | None) -> str:
+        """Of a file with what it stands on, found once; empty where there is none."""
+        if path is None:
+            return ""
+        if path not in self._digests:
+            self._digests[path] = source_digest(path)
+        return self._digests[path]
+
+    def _inputs(self, scan: ProjectScan, options: Any, **more: Any) -> dict[str, Any]:
+        """What a fit to one scan depends on."""
+        return {
+            "template": self._digest(self._project.template),
+            "scan": self._digest(scan.scan),
+            "landmarks": self._digest(scan.landmarks),
+            "options": asdict(options),
+            **more,
+        }

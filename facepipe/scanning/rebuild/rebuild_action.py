@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
@@ -48,8 +48,8 @@ from facepipe.declare import beside, option, source, to_json
 from facepipe.kinds import Job, StageAction, action
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.action_reports import RebuildReport
     from facepipe.scanning.rebuild.project import Project
+    from facepipe.scanning.rebuild.rebuild_report import RebuildReport
     from facepipe.stage import Face
 
 _log = logging.getLogger(__name__)
@@ -98,10 +98,9 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.heads.assembly import BLINKS
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, load_database, misses
-        from facepipe.scanning.rebuild.action_reports import RebuildReport
         from facepipe.scanning.rebuild.built_in_head import BuiltInHead, mouth_contacts, mouth_lines
         from facepipe.scanning.rebuild.rebuild import Rebuild, step_count
-        from facepipe.scanning.rebuild.rebuild_report import RebuildPictures
+        from facepipe.scanning.rebuild.rebuild_report import RebuildPictures, RebuildReport
         from facepipe.scanning.rebuild.scan_check import left_out_lines
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
@@ -130,16 +129,16 @@ class RebuildAction(StageAction["RebuildReport"]):
         authored = author(face, template.dressed(body, neutral), recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])
-        baked = author_scan_textures(face, parts, shown, scan, place, project.texture_options)
+        baked = author_scan_textures(face, parts, shown, scan, place, project.options.textures)
         contacts = mouth_contacts(body, rebuilt.neutral, rebuilt.shapes, whole_face(body.parts, body.where).deltas)
         return RebuildReport(
             stages=rebuilt.reports,
             quality=quality,
             reused=rebuilt.reused,
             corrected=rebuilt.corrected,
-            checks={name: check.figures() for name, check in rebuilt.checks.items()},
+            checks={name: asdict(check) for name, check in rebuilt.checks.items()},
             left_out=rebuilt.left_out,
-            mouth={name: to_json(contact) for name, contact in contacts.items()},
+            mouth=contacts,
             missed=missed,
             warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *mouth_lines(contacts), *missed),
             textures=baked.textures,

@@ -1,26 +1,97 @@
-"""The report of a rebuild as a folder: figures, and pictures of what they stand for."""
+"""The report of a rebuild, and the same as a folder: figures, and pictures of what they stand for."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.markup import Markup, heading, ruled_table, tag
-from facepipe.scanning.rebuild.action_reports import refined_line, slid_text
+from facepipe.core.atomic import write_bytes
+from facepipe.core.markup import Markup, heading, page, ruled_table, tag
+from facepipe.core.reports import Report, not_in_json, table
 
 if TYPE_CHECKING:
-    from PIL.Image import Image
-
     from facepipe.core.arrays import FloatArray
+    from facepipe.kinds import Job
     from facepipe.scanning.rebuild import Project, ProjectScan, Rebuilt, Template
     from facepipe.scanning.rebuild_pictures import Turntable
     from facepipe.scans import Scan
 
 _BELOW_CHIN = 0.1  # of the landmarks' height: what pictures show below the lowest chin
 _NAMED = 8  # weights of an expression that the page gives
+_SHOWN = 10  # shapes that a rebuild's text names
+
+
+@dataclass(frozen=True, kw_only=True)
+class RebuildReport(Report):
+    """What a rebuild did."""
+
+    stages: Mapping[str, Any] = field(default_factory=dict)  # step -> its report
+    quality: Mapping[str, Any] = field(default_factory=dict)  # how the neutral lies on its scan
+    reused: tuple[str, ...] = ()  # steps whose results were there
+    corrected: tuple[str, ...] = ()  # steps in whose place an artist put a mesh
+    checks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # expression -> whether its scan belongs
+    left_out: Mapping[str, str] = field(default_factory=dict)  # expression -> why its scan does not belong
+    mouth: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # shape -> how its inside comes through skin
+    missed: tuple[str, ...] = ()  # a line for each limit, and each scan that was left out
+    textures: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # file -> the materials that show it
+    colored: float = 0.0  # share of the skin's outside whose colours the neutral's scan shows
+    pictures: RebuildPictures | None = not_in_json()
+    job: Job | None = not_in_json()
+
+    def as_text(self, out: Path) -> str:
+        """Tables of scans and shapes, and a line for each thing besides."""
+        rows: list[tuple[str, ...]] = [("scan", "mean mm", "p95 mm", "face seen", "landmarks mm")]
+        rows += (
+            (name.removeprefix("expressions/"), *_fit_figures(step["fit"]))
+            for name, step in self.stages.items()
+            if "fit" in step
+        )
+        lines = [str(out), table(rows)]
+        if "refined" in self.stages:
+            lines.append(refined_line(self.stages["refined"]))
+        if "shapes" in self.stages:
+            report = self.stages["shapes"]
+            shapes, unseen = report["shapes"], {*report["unseen"], *report["undecided"]}
+            seen = len(shapes) - len(unseen)
+            lines.append(f"{seen} of {len(shapes)} shapes shown by the scans, the others are the template's")
+            shown = sorted(set(shapes) - unseen, key=lambda name: (-shapes[name]["change_mm"], name))[:_SHOWN]
+            rows = [("changed most", "observed", "gain", "change mm", "scans")]
+            for name in shown:
+                numbers = (f"{shapes[name][key]:.2f}" for key in ("observed", "gain", "change_mm"))
+                rows.append((name, *numbers, " ".join(shapes[name]["scans"])))
+            if shown:
+                lines.append(table(rows))
+            if report["undecided"]:
+                lines.append(
+                    f"hardly shown or not distinguished by the scans, the template's: {', '.join(report['undecided'])}"
+                )
+        if self.left_out:
+            lines.append(f"left out: {', '.join(self.left_out)}")
+        if self.textures:
+            lines.append(f"skin in the scan's colours: {100 * self.colored:.1f} %")
+        if self.reused:
+            lines.append(f"reused: {', '.join(self.reused)}")
+        if self.corrected:
+            lines.append(f"corrected by hand: {', '.join(self.corrected)}")
+        return "\n".join(lines)
+
+
+def refined_line(report: Mapping[str, Any]) -> str:
+    """What a refinement did to the neutral."""
+    return (
+        f"neutral refined at {report['points']} points: {report['before_mean_mm']:.3f} mm from the scan before (mean), "
+        f"{report['surface_mean_mm']:.3f} mm now; moved {report['moved_mean_mm']:.2f} mm, at most "
+        f"{report['moved_max_mm']:.2f} mm"
+    )
+
+
+def _fit_figures(fit: Mapping[str, Any]) -> tuple[str, ...]:
+    """How a face lies on a scan, `ScanFit` as JSON: mean and 95th percentile of distances, share seen, landmarks."""
+    distances = (f"{fit[key]:.3f}" for key in ("surface_mean_mm", "surface_p95_mm"))
+    return (*distances, f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,17 +153,6 @@ def shapes_table(rows: Sequence[ShapeRow]) -> Iterator[Markup]:
             yield tag("ul", *(tag("li", name) for name in names), class_="names muted")
 
 
-def _scans_table(reports: Mapping[str, Mapping[str, Any]]) -> Markup:
-    """Scan -> how the face registered to it lies on it."""
-    rows: list[Sequence[object]] = []
-    for name, report in reports.items():
-        fit = report["fit"]
-        figures = (f"{fit[key]:.3f}" for key in ("surface_mean_mm", "surface_p95_mm"))
-        rows.append([name, *figures, f"{100 * fit['coverage']:.0f} %", f"{fit['landmark_mean_mm']:.2f}"])
-    head = ["scan", "distance, mean mm", "95 % below, mm", "face seen", "landmarks off by, mm"]
-    return ruled_table(head, rows, (1, 2, 3, 4))
-
-
 @dataclass(frozen=True, kw_only=True)
 class RebuildPictures:
     """What a report shows."""
@@ -114,35 +174,30 @@ class RebuildPictures:
         :param drawn: called after each step
         :raises FacepipeError: a scan that can't be read any more, or files that can't be written
         """
-        from facepipe.core.atomic import write_bytes
-        from facepipe.core.markup import page, tag
         from facepipe.pictures import save_png
+        from facepipe.pictures.figures import color_scale, figure
         from facepipe.scanning.rebuild_pictures import stacked, turntable
 
         title = f"Rebuild: {self.project.path.stem}"
         parts = [tag("h1", title), *(tag("p", line, class_="bad") for line in result.get("missed", ()))]
-        parts.append(_scans_table({scan.name: self.rebuilt.reports[step] for step, (scan, _) in self._scans().items()}))
+        reports, scans = self.rebuilt.reports, self._scans()
+        head = ["scan", "distance, mean mm", "95 % below, mm", "face seen", "landmarks off by, mm"]
+        rows = [[scan.name, *_fit_figures(reports[step]["fit"])] for step, (scan, _) in scans.items()]
+        parts.append(ruled_table(head, rows, (1, 2, 3, 4)))
         for step, shown in self._turntables(drawn):
             path = folder / f"{step}.png"
             path.parent.mkdir(exist_ok=True)
-            rows = turntable(shown)
-            save_png(stacked([*rows.values()]), path)
-            parts += self._scan_figures(step, rows, shown.largest_mm)
+            images, (scan, _) = turntable(shown), scans[step]
+            save_png(stacked([*images.values()]), path)
+            parts += [heading(scan.name, scan.scan.name), *(tag("p", note) for note in self._notes(step))]
+            parts.append(tag("div", *(figure(image, name) for name, image in images.items()), class_="grid"))
+            what = "distance of the registered face from the scan"
+            parts.append(color_scale((0.0, shown.largest_mm), what, "no place on the scan"))
             drawn()
         parts += self._shapes(drawn)
         text = json.dumps(result, sort_keys=True, indent=2, default=str)
         write_bytes(folder / "report.json", f"{text}\n".encode())
         write_bytes(folder / "report.html", page(title, *parts))
-
-    def _scan_figures(self, step: str, rows: Mapping[str, Image], largest_mm: float) -> Iterator[Markup]:
-        from facepipe.core.markup import heading, tag
-        from facepipe.pictures.figures import color_scale, figure
-
-        scan, _ = self._scans()[step]
-        yield heading(scan.name, scan.scan.name)
-        yield from (tag("p", note) for note in self._notes(step))
-        yield tag("div", *(figure(image, name) for name, image in rows.items()), class_="grid")
-        yield color_scale((0.0, largest_mm), "distance of the registered face from the scan", "no place on the scan")
 
     def _scans(self) -> dict[str, tuple[ProjectScan, FloatArray]]:
         """Step -> its scan, and the whole points (n, 3) that were found."""
@@ -190,6 +245,8 @@ class RebuildPictures:
         return np.concatenate([skin[skin[:, 1] >= seen[:, 1].min() - _BELOW_CHIN * height], seen])
 
     def _notes(self, step: str) -> tuple[str, ...]:
+        from facepipe.scanning.rebuild.scan_fit import slid_text
+
         report = self.rebuilt.reports[step]
         fit = report["fit"]
         lines = [
@@ -213,7 +270,6 @@ class RebuildPictures:
         return tuple(lines)
 
     def _shapes(self, drawn: Callable[[], object]) -> Iterator[Markup]:
-        from facepipe.core.markup import heading, tag
         from facepipe.pictures.figures import color_scale, figure
         from facepipe.scanning.rebuild_pictures import ChangedShapes, change_mm, changed_pictures, most_changed
         from facepipe.verbs.whole_faces import whole_parts

@@ -21,20 +21,18 @@ examples:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source, to_json
 from facepipe.kinds import Job, action
-from facepipe.scanning.rebuild.options import RefineNeutralOptions
-from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
+from facepipe.scanning.rebuild.declared import RefineNeutralOptions, ScanAction, landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.parts import FaceParts
-    from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-    from facepipe.scanning.rebuild.template import ShownShapes
+    from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport
     from facepipe.stage import Face
 
 _STEPS = 16  # of a refinement, at most
@@ -67,49 +65,48 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
     def author(self, face: Face, job: Job) -> RefineNeutralReport:
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, misses
-        from facepipe.scanning.rebuild.action_reports import RefineNeutralReport
-        from facepipe.scanning.rebuild.refine_neutral import RefineNeutral, flipped_before
-        from facepipe.scanning.rebuild.scan_fit import FaceOnScan
-        from facepipe.scanning.rebuild.scan_input import landmarks_of, named
-        from facepipe.scanning.rebuild.template import Template, region_weights
+        from facepipe.scanning.rebuild.refine_neutral import flipped_before, refine_neutral
+        from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, landmarks_of, named
+        from facepipe.scanning.rebuild.template import ShownShapes, Template, region_weights, resolved, shown_before
         from facepipe.verbs.author_neutral import AuthorNeutral
+        from facepipe.verbs.whole_faces import whole_face
 
-        parts = face.parts()
-        weights = region_weights(parts, self.regions, str(self.neutral))
-        template, scan = Template.of(parts, str(self.neutral)), read_scan(self.scan)
+        parts, where = face.parts(), str(self.neutral)
+        weights = region_weights(parts, self.regions, where)
+        template, scan = Template.of(parts, where), read_scan(self.scan)
         landmarks, notes = landmarks_of(self.landmarks, scan)
-        shown = self._shown(parts)
-        expression = shown.expression(shown.weights, len(template.points))
+        # The face is refined as the scan shows it; what it shows besides is taken off again.
+        own, besides = whole_face(parts, where), self.weights or shown_before(parts.recipe)
+        shown = resolved(besides, tuple(own.deltas), f"{where} -> --weights") if besides else {}
+        expression = ShownShapes(deltas=own.deltas).expression(shown, len(template.points))
         with named(self.scan), job.watch("refine", _STEPS) as bar:
-            refined = RefineNeutral(options=self)(
+            points, place, report = refine_neutral(
                 template,
                 template.points,
                 scan,
                 landmarks,
                 weights=weights,
                 expression=expression,
+                options=self,
                 flipped=flipped_before(parts.recipe),
                 progress=lambda step: bar.update(),
             )
-        report = refined.report
-        recipe = job.recipe(quality=to_json(report.quality), weights=shown.weights)
-        authored = AuthorNeutral()(face, refined.points, recipe=recipe)
-        neutral = refined.points if expression.any() else None
-        picture = FaceOnScan(
-            template=template, points=refined.points + expression, scan=scan, place=refined.place, neutral=neutral
+        recipe = job.recipe(quality=to_json(report.quality), weights=shown)
+        authored, missed = AuthorNeutral()(face, points, recipe=recipe), misses(report.quality, QualityLimits())
+        return replace(
+            report,
+            warnings=(*notes, *report.warnings, *authored.warnings, *missed),
+            missed=missed,
+            picture=partial(
+                draw_face_on_scan,
+                template=template,
+                points=points + expression,
+                scan=scan,
+                place=place,
+                neutral=points if expression.any() else None,
+            ),
+            regions=self.regions,
         )
-        missed, warnings = misses(report.quality, QualityLimits()), (*notes, *report.warnings, *authored.warnings)
-        return RefineNeutralReport.from_report(report, warnings, missed, regions=self.regions, picture=picture)
-
-    def _shown(self, parts: FaceParts) -> ShownShapes:
-        """What the scan shows besides, by the names of the face's shapes."""
-        from facepipe.scanning.rebuild.template import ShownShapes, resolved, shown_before
-        from facepipe.verbs.whole_faces import whole_face
-
-        shown = self.weights or shown_before(parts.recipe)
-        own = whole_face(parts, str(self.neutral))
-        weights = resolved(shown, tuple(own.deltas), f"{self.neutral} -> --weights") if shown else {}
-        return ShownShapes(deltas=own.deltas, weights=weights)
 
     def text(self, report: RefineNeutralReport, out: Path) -> str:
         off = f", {len(report.outliers)} of them outliers" if report.outliers else ""

@@ -18,8 +18,9 @@ examples:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +28,10 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import table
 from facepipe.declare import beside, named_numbers, option, source
 from facepipe.kinds import Job, action
-from facepipe.scanning.rebuild.options import RegisterScansOptions
-from facepipe.scanning.rebuild.scan_input import ScanAction, landmark_file
+from facepipe.scanning.rebuild.declared import RegisterScansOptions, ScanAction, landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.action_reports import RegisterScanReport
-    from facepipe.scanning.rebuild.register_scans import NeutralScan
+    from facepipe.scanning.rebuild.register_scans import NeutralScan, RegisterScanReport
     from facepipe.scanning.rebuild.template import Template
     from facepipe.stage import Face
     from facepipe.verbs.whole_faces import WholeFace
@@ -108,46 +107,47 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
 
     def author(self, face: Face, job: Job) -> RegisterScanReport:
         from facepipe.importers.scan_file import read_scan
-        from facepipe.scanning.rebuild.action_reports import RegisterScanReport, fit_misses
+        from facepipe.scanning.database import Quality, QualityLimits, misses
         from facepipe.scanning.rebuild.expression_file import author_expression
-        from facepipe.scanning.rebuild.register_scans import ExpressionScan, RegisterScans
-        from facepipe.scanning.rebuild.scan_fit import FaceOnScan
-        from facepipe.scanning.rebuild.scan_input import landmarks_of, named
-        from facepipe.scanning.rebuild.template import Template
+        from facepipe.scanning.rebuild.register_scans import ExpressionScan, register_scan
+        from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, landmarks_of, named
+        from facepipe.scanning.rebuild.template import Template, resolved
         from facepipe.verbs.whole_faces import whole_face
 
         parts = face.parts()
         whole, template = whole_face(parts, str(self.personal)), Template.of(parts, str(self.personal))
-        weights = self._shown(tuple(whole.deltas))
+        if self.name in whole.deltas:
+            raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
+        where = f"composite {self.composite}" if self.composite else "--weights"
+        weights = resolved(self.weights, tuple(whole.deltas), where)
         scan = read_scan(self.scan)
         landmarks, landmark_notes = landmarks_of(self.landmarks, scan)
         neutral, notes = self._neutral(template, whole)
-        expression = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
+        given = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
         with named(self.scan), job.watch("register", _STEPS) as bar:
-            composite = RegisterScans(options=self)(
-                template, neutral, whole.deltas, expression, lambda step: bar.update()
+            found, place, report = register_scan(
+                template, neutral, whole.deltas, given, self, lambda step: bar.update()
             )
-        report = composite.report
-        recipe = job.recipe(weights=composite.weights, fit=asdict(report.fit))
-        authored = author_expression(face, self.name, whole.points, composite, recipe)
+        fit = report.fit
+        recipe = job.recipe(weights=found.weights, fit=asdict(fit))
+        authored = author_expression(face, self.name, whole.points, found, recipe)
         unused = ("markers are ignored without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
-        warnings = (*landmark_notes, *notes, *unused, *report.warnings, *authored.warnings)
-        shown = FaceOnScan(template=template, points=composite.points, scan=scan, place=composite.place)
-        return RegisterScanReport.from_report(report, warnings, fit_misses(report.fit), name=self.name, picture=shown)
-
-    def _shown(self, shapes: Sequence[str]) -> dict[str, float]:
-        """What the scan shows, by the names of the face's shapes."""
-        from facepipe.scanning.rebuild.template import resolved
-
-        if self.name in shapes:
-            raise InputError(f"{self.personal} -> {self.name}", "the face has such a shape, expected another --name")
-        return resolved(self.weights, shapes, f"composite {self.composite}" if self.composite else "--weights")
+        numbers = {name: getattr(fit, name) for name in ("surface_mean_mm", "surface_p95_mm", "coverage")}
+        # triangles that turn over are counted of shapes, not of what is to be split into them
+        missed = misses(Quality(**numbers, flipped_triangles=0), QualityLimits())
+        return replace(
+            report,
+            warnings=(*landmark_notes, *notes, *unused, *report.warnings, *authored.warnings, *missed),
+            missed=missed,
+            picture=partial(draw_face_on_scan, template=template, points=found.points, scan=scan, place=place),
+            name=self.name,
+        )
 
     def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
         """The neutral, with the place of its scan where one is given, and warnings."""
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.rebuild.register_scans import NeutralScan, placed_neutral
-        from facepipe.scanning.rebuild.scan_input import landmarks_of, named
+        from facepipe.scanning.rebuild.scan_fit import landmarks_of, named
         from facepipe.scanning.rebuild.template import ShownShapes, resolved
 
         if self.neutral_scan is None:

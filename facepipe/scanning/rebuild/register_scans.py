@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
 from facepipe.core.names import suggestion
-from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.closest_points import closest_places, place_shares
 from facepipe.geometry.landmarks import mirrored
@@ -18,8 +18,8 @@ from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import (
     Anchors,
     DeformableSurface,
+    Registered,
     RegistrationOptions,
-    ScanTarget,
     Shown,
     View,
     register,
@@ -27,8 +27,8 @@ from facepipe.geometry.registration import (
 )
 from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.scanning.database import FaceDatabase
+from facepipe.scanning.rebuild.declared import FitNeutralOptions, Judged, RegisterScansOptions
 from facepipe.scanning.rebuild.fit_neutral import NeutralFit, identity_surface, landmark_anchors, neutral_fit
-from facepipe.scanning.rebuild.options import FitNeutralOptions, RegisterScansOptions
 from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target
 from facepipe.scanning.rebuild.template import ShownShapes, Template
 from facepipe.scans import Scan, ScanLandmarks
@@ -41,6 +41,7 @@ _RIGID = 1e6  # of the residual's precision: nothing bends
 _LANDMARKS_MM = 5.0  # landmarks only begin: the surface places the scan far better than hands do
 _ALIKE = 5000.0  # mm^2 over which a person's own motion counts as one number, where noise counts for each mm^2
 _SHOWN_SIGMA = 0.05  # of how much of what the neutral's scan shows besides, as it was found alone
+_USUAL, _USUAL_NEUTRAL = RegisterScansOptions(), FitNeutralOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +51,7 @@ class ExpressionScan:
     scan: Scan
     landmarks: ScanLandmarks
     weights: Mapping[str, float]  # of shapes
+    place: Similarity | None = None  # from the scan's coordinates to the face's, where it was registered by itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,21 +64,16 @@ class Composite:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegisteredComposite(Composite):
-    """An expression, and how it lies on its scan."""
-
-    place: Similarity  # from the scan's coordinates
-    report: CompositeReport
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompositeReport(Report):
-    """How an expression lies on its scan."""
+class RegisterScanReport(Judged):
+    """How an expression lies on its scan, and the shape that `facepipe register-scan` made of it."""
 
     fit: ScanFit
     weights: Mapping[str, float]
     beyond_template_mean_mm: float  # from the composite of template shapes, over the face area
     beyond_template_max_mm: float
+    name: str = ""  # of the shape
+
+    of_action: ClassVar[tuple[str, ...]] = ("name",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,96 +92,87 @@ class NeutralScan:
         return self.points if self.expression is None else self.points + self.expression
 
 
-@dataclass(frozen=True, kw_only=True)
-class RegisterScans:
-    """Weights of the composite's shapes, the scan's place, and a smooth residual, solved together.
+@one_thread()
+def register_scan(
+    template: Template,
+    neutral: NeutralScan,
+    shapes: Mapping[str, FloatArray],
+    expression: ExpressionScan,
+    options: RegisterScansOptions = _USUAL,
+    progress: Callable[[int], None] = lambda step: None,
+) -> tuple[Composite, Similarity, RegisterScanReport]:
+    """An expression on the topology, the place of its scan, and how it lies there.
 
-    It starts from the rebuilt neutral, so that errors of correspondence cancel in deltas. The residual has a Gaussian
-    prior: where the expression moves much, people differ much; what it does not move keeps the head in its place (the
-    document's calibration points at ears and back of the head). Each scan has its own matches, and so its own factor.
+    Weights of the composite's shapes, the scan's place, and a smooth residual are solved together. It starts from the
+    rebuilt neutral, so that errors of correspondence cancel in deltas. The residual has a Gaussian prior: where the
+    expression moves much, people differ much; what it does not move keeps the head in its place (the document's
+    calibration points at ears and back of the head). Each scan has its own matches, and so its own factor.
+
+    :param shapes: name -> (n, 3) whole deltas of the personal template
+    :raises InputError: a shape that is not there, too few landmarks and markers, or a scan that can't be used
+    :raises FitError: a scan that does not show this face
     """
+    name = expression.scan.name
+    missing = [shape for shape in expression.weights if shape not in shapes]
+    if missing:
+        near = suggestion(missing[0], shapes)
+        raise InputError(f"{name} -> {missing[0]}", f"no such shape in the personal template{near}")
+    surface = expression_surface(template, neutral, shapes, expression.weights, options)
+    anchors = expression_anchors(template, neutral, expression)
+    if len(anchors) < _FEWEST:
+        raise InputError(f"{name} -> landmarks", f"{len(anchors)} and markers, expected {_FEWEST} or more")
+    given = surface.points(surface.expected)
+    if mirrored(anchors.targets, anchors.places(given)):
+        what = "fit a mirrored face, expected left and right as the person has them"
+        raise InputError(f"{name} -> landmarks", what)
+    start, hold = _start(anchors, given, neutral)
+    target, mended = scan_target(expression.scan)
+    try:
+        registered = register(surface, target, anchors, start, options.registration(scale=not hold), progress)
+    except FitError as error:
+        raise error.under(name) from None
+    weights = dict(zip(expression.weights, map(float, registered.coefficients), strict=True))
+    deltas = np.tensordot(registered.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
+    points = template.whole(neutral.points + deltas, registered.points)
+    off = np.linalg.norm(registered.points - given, axis=1)[template.face]
+    lines = [*expression.scan.warnings, *mended]
+    if neutral.place is not None and not hold:
+        times = start.scale / neutral.place.scale
+        lines.append(f"{name}: 1 unit is {times:.4g} times that of the neutral's scan, fitted freely")
+    report = RegisterScanReport(
+        fit=scan_fit(name, registered, template.face, anchors.names),
+        weights=weights,
+        beyond_template_mean_mm=float(off.mean()) if len(off) else 0.0,
+        beyond_template_max_mm=float(off.max(initial=0.0)),
+        warnings=tuple(lines),
+    )
+    # Loose parts stay unmatched: they follow the skin, so where they are is no evidence of the scan.
+    matched = np.where(template.row_of >= 0, registered.matched[template.row_of], False)
+    return Composite(points=points, weights=weights, matched=matched), registered.place, report
 
-    options: RegisterScansOptions = field(default_factory=RegisterScansOptions)
 
-    @one_thread()
-    def __call__(
-        self,
-        template: Template,
-        neutral: NeutralScan,
-        shapes: Mapping[str, FloatArray],
-        expression: ExpressionScan,
-        progress: Callable[[int], None] = lambda step: None,
-    ) -> RegisteredComposite:
-        """Register one expression.
-
-        :param shapes: name -> (n, 3) whole deltas of the personal template
-        :raises InputError: a shape that is not there, too few landmarks and markers, or a scan that can't be used
-        :raises FitError: a scan that does not show this face
-        """
-        name = expression.scan.name
-        missing = [shape for shape in expression.weights if shape not in shapes]
-        if missing:
-            near = suggestion(missing[0], shapes)
-            raise InputError(f"{name} -> {missing[0]}", f"no such shape in the personal template{near}")
-        surface = self._surface(template, neutral, shapes, expression.weights)
-        anchors = expression_anchors(template, neutral, expression)
-        if len(anchors) < _FEWEST:
-            raise InputError(f"{name} -> landmarks", f"{len(anchors)} and markers, expected {_FEWEST} or more")
-        if mirrored(anchors.targets, anchors.places(surface.points(surface.expected))):
-            what = "fit a mirrored face, expected left and right as the person has them"
-            raise InputError(f"{name} -> landmarks", what)
-        start, hold = _start(surface, anchors, neutral)
-        target, mended = scan_target(expression.scan)
-        options = RegistrationOptions(
-            membrane=self.options.membrane,
-            anchor_sigma_mm=self.options.landmark_sigma_mm,
-            reach_mm=self.options.reach_mm,
-            scale=not hold,
-        )
-        try:
-            registered = register(surface, target, anchors, start, options, progress)
-        except FitError as error:
-            raise error.under(name) from None
-        weights = dict(zip(expression.weights, map(float, registered.coefficients), strict=True))
-        deltas = np.tensordot(registered.coefficients, np.stack([shapes[shape] for shape in weights]), axes=1)
-        points = template.whole(neutral.points + deltas, registered.points)
-        given = surface.points(surface.expected)
-        off = np.linalg.norm(registered.points - given, axis=1)[template.face]
-        report = CompositeReport(
-            fit=scan_fit(name, registered, template.face, anchors.names),
-            weights=weights,
-            beyond_template_mean_mm=float(off.mean()) if len(off) else 0.0,
-            beyond_template_max_mm=float(off.max(initial=0.0)),
-            warnings=(*expression.scan.warnings, *mended, *_resized(name, start.scale, neutral, hold)),
-        )
-        # Loose parts stay unmatched: they follow the skin, so where they are is no evidence of the scan.
-        matched = np.zeros(len(points), bool)
-        skin = template.row_of >= 0
-        matched[skin] = registered.matched[template.row_of[skin]]
-        return RegisteredComposite(
-            points=points, weights=weights, matched=matched, place=registered.place, report=report
-        )
-
-    def _surface(
-        self,
-        template: Template,
-        neutral: NeutralScan,
-        shapes: Mapping[str, FloatArray],
-        weights: Mapping[str, float],
-    ) -> DeformableSurface:
-        modes = np.stack([shapes[shape][template.rows] for shape in weights])
-        expected = np.array([float(weight) for weight in weights.values()])
-        spread = expected_spread(modes, expected, self.options)
-        return DeformableSurface(
-            base=neutral.points[template.rows],
-            modes=modes,
-            expected=expected,
-            precision=np.full(len(expected), 1.0 / self.options.weight_sigma**2),
-            triangles=template.triangles,
-            seen=template.seen,
-            held=_REACH_OF_VARIATION / spread**2,
-            labels=template.labels,
-        )
+def expression_surface(
+    template: Template,
+    neutral: NeutralScan,
+    shapes: Mapping[str, FloatArray],
+    weights: Mapping[str, float],
+    options: RegisterScansOptions,
+) -> DeformableSurface:
+    """The neutral's skin by the shapes of an expression, with room for the person's own motion."""
+    modes = np.stack([shapes[shape][template.rows] for shape in weights])
+    expected = np.array([float(weight) for weight in weights.values()])
+    # The residual's standard deviation is still + variation * motion: where much moves, people differ much.
+    spread = expected_spread(modes, expected, options)
+    return DeformableSurface(
+        base=neutral.points[template.rows],
+        modes=modes,
+        expected=expected,
+        precision=np.full(len(expected), 1.0 / options.weight_sigma**2),
+        triangles=template.triangles,
+        seen=template.seen,
+        held=_REACH_OF_VARIATION / spread**2,
+        labels=template.labels,
+    )
 
 
 def expected_spread(modes: FloatArray, weights: FloatArray, options: RegisterScansOptions) -> FloatArray:
@@ -212,9 +200,9 @@ def expression_anchors(template: Template, neutral: NeutralScan, expression: Exp
     return anchors.with_more(markers)
 
 
-def _start(surface: DeformableSurface, anchors: Anchors, neutral: NeutralScan) -> tuple[Similarity, bool]:
-    """About where the scan lies, and whether it has the scale of the neutral's scan."""
-    places = anchors.places(surface.points(surface.expected))
+def _start(anchors: Anchors, points: FloatArray, neutral: NeutralScan) -> tuple[Similarity, bool]:
+    """About where the scan of an expression at `points` (m, 3) lies, and whether it has the scale of the neutral's."""
+    places = anchors.places(points)
     free = robust_similarity(anchors.targets, places)
     if neutral.place is None:
         return free, False
@@ -223,12 +211,6 @@ def _start(surface: DeformableSurface, anchors: Anchors, neutral: NeutralScan) -
         return free, False
     held = robust_similarity(anchors.targets * size, places, scale=False)
     return Similarity(rotation=held.rotation, translation=held.translation, scale=size), True
-
-
-def _resized(name: str, scale: float, neutral: NeutralScan, hold: bool) -> tuple[str, ...]:
-    if hold or neutral.place is None:
-        return ()
-    return (f"{name}: 1 unit is {scale / neutral.place.scale:.4g} times that of the neutral's scan, fitted freely",)
 
 
 def placed_neutral(
@@ -260,6 +242,7 @@ def neutral_place(
     if known.sum() < _FEWEST_OF_NEUTRAL:
         what = f"{int(known.sum())} of 68 are known, expected {_FEWEST_OF_NEUTRAL} or more"
         raise InputError(f"{scan.name} -> landmarks", what)
+    # Nothing bends: only the place is sought.
     surface = neutral_surface(template, points, held=_RIGID)
     surface = surface if seen is None else replace(surface, seen=seen)
     start = robust_similarity(landmarks.points[known], surface.base[template.landmarks][known])
@@ -291,146 +274,105 @@ def neutral_surface(template: Template, points: FloatArray, held: float = 0.0) -
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlacedExpression:
-    """A scanned expression that was registered by itself."""
+@one_thread()
+def fit_together(
+    template: Template,
+    scan: Scan,
+    first: NeutralScan,
+    coefficients: FloatArray,
+    database: FaceDatabase,
+    shapes: Mapping[str, FloatArray],
+    placed: Sequence[ExpressionScan],
+    options: FitNeutralOptions = _USUAL_NEUTRAL,
+    expression_options: RegisterScansOptions = _USUAL,
+    progress: Callable[[int], None] = lambda step: None,
+) -> tuple[NeutralFit, tuple[Registered, ...], float]:
+    """The neutral, what was found on each expression's scan, and how far the neutral's face has moved (mm, mean).
 
-    expression: ExpressionScan
-    place: Similarity  # from the scan's coordinates to the face's
+    Identity coefficients and residual of one face, the weights of each scanned expression's shapes, and the place of
+    each scan are solved in one system. Each expression shows where its points would be at rest, as surely as people do
+    alike: with the variance of the noise, and of the person's own motion beyond the template's. So landmarks where it
+    hardly moves count like the neutral's own, and its surface where the neutral's scan shows none.
 
-
-@dataclass(frozen=True, kw_only=True)
-class TogetherFit:
-    """The neutral, and what the scans show of it."""
-
-    neutral: NeutralFit
-    weights: tuple[Mapping[str, float], ...]  # of each expression's shapes
-    places: tuple[Similarity, ...]  # of each expression's scan
-    moved_mean_mm: float  # of the neutral, over the face area
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitTogether:
-    """Identity coefficients and residual of one face, the weights of each scanned expression's shapes, and the place of
-    each scan, solved in one system.
-
-    Each expression shows where its points would be at rest, as surely as people do alike: with the variance of the
-    noise, and of the person's own motion beyond the template's. So landmarks where it hardly moves count like the
-    neutral's own, and its surface where the neutral's scan shows none.
+    :param scan: the neutral's
+    :param first: the neutral as fitted alone, with its place and landmarks
+    :param coefficients: (k,) of the identity model that it was fitted with, in standard deviations
+    :param shapes: name -> (n, 3) whole deltas of its personal template
+    :param placed: expressions that were registered by themselves, with their places
+    :raises InputError: no expression, a neutral without a place, or a scan that can't be used
+    :raises FitError: a scan that does not show this face
     """
-
-    neutral: FitNeutralOptions = field(default_factory=FitNeutralOptions)
-    expressions: RegisterScansOptions = field(default_factory=RegisterScansOptions)
-
-    @one_thread()
-    def __call__(
-        self,
-        template: Template,
-        scan: Scan,
-        first: NeutralScan,
-        coefficients: FloatArray,
-        database: FaceDatabase,
-        shapes: Mapping[str, FloatArray],
-        placed: Sequence[PlacedExpression],
-        progress: Callable[[int], None] = lambda step: None,
-    ) -> TogetherFit:
-        """Refine the neutral.
-
-        :param scan: the neutral's
-        :param first: the neutral as fitted alone, with its place and landmarks
-        :param coefficients: (k,) of the identity model that it was fitted with, in standard deviations
-        :param shapes: name -> (n, 3) whole deltas of its personal template
-        :raises InputError: no expression, a neutral without a place, or a scan that can't be used
-        :raises FitError: a scan that does not show this face
-        """
-        if not placed or first.place is None:
-            raise InputError(scan.name, "no expressions or no place of it, expected both to fit together")
-        surface = identity_surface(template, database.identity, self.neutral)
-        residual = first.points[template.rows] - surface.points(coefficients)
-        target, mended = scan_target(scan)
-        anchors, besides = landmark_anchors(template, first.landmarks), _besides(first)
-        neutral_view = View(
-            scan=target,
-            anchors=anchors,
-            start=first.place,
-            shown=besides.prior(template, _SHOWN_SIGMA),
-            name=f"{scan.name} -> scan",
-        )
-        views = [neutral_view, *(self._view(template, first, shapes, one) for one in placed)]
-        views = self._balanced(views, self._shows(template, target, first, first.place))
-        options = self.neutral.registration
-        registered = register_together(surface, views, coefficients, residual, options, progress)
-        lines = (*scan.warnings, *mended)
-        neutral = neutral_fit(template, database.identity, scan.name, registered[0], anchors.names, lines, besides)
-        return TogetherFit(
-            neutral=neutral,
-            weights=tuple(
-                dict(zip(one.expression.weights, map(float, each.weights), strict=True))
-                for one, each in zip(placed, registered[1:], strict=True)
-            ),
-            places=tuple(each.place for each in registered[1:]),
-            moved_mean_mm=_moved(template, first.points, neutral.points),
-        )
-
-    def _view(
-        self, template: Template, first: NeutralScan, shapes: Mapping[str, FloatArray], placed: PlacedExpression
-    ) -> View:
-        """An expression's scan, with how far its points may be from where they would be at rest."""
-        expression = placed.expression
-        modes = np.stack([shapes[shape][template.rows] for shape in expression.weights])
-        expected = np.array([float(weight) for weight in expression.weights.values()])
-        spread = expected_spread(modes, expected, self.expressions)
-        anchors = expression_anchors(template, first, expression)
-        held = np.sqrt(anchors.variances(self.neutral.landmark_sigma_mm) + anchors.places(spread) ** 2)
-        precision = np.full(len(expected), 1.0 / self.expressions.weight_sigma**2)
-        return View(
-            scan=scan_target(expression.scan)[0],
-            anchors=replace(anchors, sigmas=held),
-            start=placed.place,
-            shown=Shown(modes=modes, expected=expected, precision=precision),
-            sigmas=np.sqrt(self.neutral.registration.surface_sigma_mm**2 + _ALIKE * spread**2),
-            name=f"{expression.scan.name} -> scan",
-        )
-
-    def _shows(self, template: Template, target: ScanTarget, first: NeutralScan, place: Similarity) -> BoolArray:
-        """(m,) rows of the skin that have a place on the neutral's scan."""
-        points = (first.points + (0.0 if first.expression is None else first.expression))[template.rows]
-        normals, options = point_normals(points, template.triangles), self.neutral.registration
-        return target.matches(points, normals, options.reach_mm, options.angle, place).kept
-
-    def _balanced(self, views: Sequence[View], shows: BoolArray) -> list[View]:
-        """The views, each point of which counts together as much as on one scan, shared by what they know of it.
-
-        What surfaces show is wrong in the same way on every scan: where points lie along them. Landmarks err one by
-        one; a landmark of n scans counts as much as sqrt(n), since the model's prior was made for one scan.
-
-        :param shows: (m,) points that the first scan shows
-        """
-        surfaces, landmarks = self.neutral.registration.surface_sigma_mm, self.neutral.landmark_sigma_mm
-        sigmas = [np.full(len(shows), surfaces) if view.sigmas is None else view.sigmas for view in views]
-        known = shows / sigmas[0] ** 2 + sum(1.0 / sigma**2 for sigma in sigmas[1:])
-        # sum 1 / (sigma_v share)^2 = 1 / surface_sigma^2 over the views: as on one scan.
-        share = surfaces * np.sqrt(known)
-        counts: dict[str, float] = {}
-        for view in views:
-            for name, variance in zip(view.anchors.names, view.anchors.variances(landmarks), strict=True):
-                counts[name] = counts.get(name, 0.0) + landmarks**2 / variance
-        balanced = []
-        for view, sigma in zip(views, sigmas, strict=True):
-            often = np.array([max(1.0, counts[name]) for name in view.anchors.names])
-            # Sigma by n^(1/4) is precision by 1 / sqrt(n): n scans come to sqrt(n).
-            held = np.sqrt(view.anchors.variances(landmarks)) * often**0.25
-            balanced.append(replace(view, sigmas=sigma * share, anchors=replace(view.anchors, sigmas=held)))
-        return balanced
-
-
-def _besides(first: NeutralScan) -> ShownShapes:
-    """What the neutral's scan shows besides, as one shape."""
-    if first.expression is None:
-        return ShownShapes()
-    return ShownShapes(deltas={"shown": first.expression}, weights={"shown": 1.0})
-
-
-def _moved(template: Template, before: FloatArray, after: FloatArray) -> float:
+    if not placed or first.place is None:
+        raise InputError(scan.name, "no expressions or no place of it, expected both to fit together")
+    surface = identity_surface(template, database.identity, options)
+    residual = first.points[template.rows] - surface.points(coefficients)
+    target, mended = scan_target(scan)
+    anchors, besides = landmark_anchors(template, first.landmarks), ShownShapes()
+    if first.expression is not None:  # as one shape
+        besides = ShownShapes(deltas={"shown": first.expression}, weights={"shown": 1.0})
+    name, prior = f"{scan.name} -> scan", besides.prior(template, _SHOWN_SIGMA)
+    views = [View(scan=target, anchors=anchors, start=first.place, shown=prior, name=name)]
+    views += (_view(template, first, shapes, one, options, expression_options) for one in placed)
+    points, solver = first.shown[template.rows], options.registration
+    normals = point_normals(points, template.triangles)
+    shows = target.matches(points, normals, solver.reach_mm, solver.angle, first.place).kept
+    views = _balanced(views, shows, options)
+    found = register_together(surface, views, coefficients, residual, solver, progress)
+    lines = (*scan.warnings, *mended)
+    neutral = neutral_fit(template, database.identity, scan.name, found[0], anchors.names, lines, besides)
     face = template.rows[template.face]
-    return float(np.linalg.norm(after[face] - before[face], axis=1).mean()) if len(face) else 0.0
+    moved = np.linalg.norm(neutral.points[face] - first.points[face], axis=1)
+    return neutral, found[1:], float(moved.mean()) if len(moved) else 0.0
+
+
+def _view(
+    template: Template,
+    first: NeutralScan,
+    shapes: Mapping[str, FloatArray],
+    expression: ExpressionScan,
+    options: FitNeutralOptions,
+    expression_options: RegisterScansOptions,
+) -> View:
+    """An expression's scan, with how far its points may be from where they would be at rest."""
+    assert expression.place is not None
+    modes = np.stack([shapes[shape][template.rows] for shape in expression.weights])
+    expected = np.array([float(weight) for weight in expression.weights.values()])
+    spread = expected_spread(modes, expected, expression_options)
+    anchors = expression_anchors(template, first, expression)
+    # Variances add: of the landmarks' noise, and of the person's own motion beyond the template's.
+    held = np.sqrt(anchors.variances(options.landmark_sigma_mm) + anchors.places(spread) ** 2)
+    precision = np.full(len(expected), 1.0 / expression_options.weight_sigma**2)
+    return View(
+        scan=scan_target(expression.scan)[0],
+        anchors=replace(anchors, sigmas=held),
+        start=expression.place,
+        shown=Shown(modes=modes, expected=expected, precision=precision),
+        sigmas=np.sqrt(options.registration.surface_sigma_mm**2 + _ALIKE * spread**2),
+        name=f"{expression.scan.name} -> scan",
+    )
+
+
+def _balanced(views: Sequence[View], shows: BoolArray, options: FitNeutralOptions) -> list[View]:
+    """The views, each point of which counts together as much as on one scan, shared by what they know of it.
+
+    What surfaces show is wrong in the same way on every scan: where points lie along them. Landmarks err one by
+    one; a landmark of n scans counts as much as sqrt(n), since the model's prior was made for one scan.
+
+    :param shows: (m,) points that the first scan shows
+    """
+    surfaces, landmarks = options.registration.surface_sigma_mm, options.landmark_sigma_mm
+    sigmas = [np.full(len(shows), surfaces) if view.sigmas is None else view.sigmas for view in views]
+    known = shows / sigmas[0] ** 2 + sum(1.0 / sigma**2 for sigma in sigmas[1:])
+    # sum 1 / (sigma_v share)^2 = 1 / surface_sigma^2 over the views: as on one scan.
+    share = surfaces * np.sqrt(known)
+    counts: dict[str, float] = {}
+    for view in views:
+        for name, variance in zip(view.anchors.names, view.anchors.variances(landmarks), strict=True):
+            counts[name] = counts.get(name, 0.0) + landmarks**2 / variance
+    balanced = []
+    for view, sigma in zip(views, sigmas, strict=True):
+        often = np.array([max(1.0, counts[name]) for name in view.anchors.names])
+        # Sigma by n^(1/4) is precision by 1 / sqrt(n): n scans come to sqrt(n).
+        held = np.sqrt(view.anchors.variances(landmarks)) * often**0.25
+        balanced.append(replace(view, sigmas=sigma * share, anchors=replace(view.anchors, sigmas=held)))
+    return balanced

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -53,53 +53,48 @@ class ScanCheck:
     nearest: Mapping[str, float]  # the mixture of all shapes that comes nearest: the largest weights
     guess: Guess  # of a scan that does not belong: what it may be of
 
-    def figures(self) -> dict[str, Any]:
-        """For a report."""
-        return asdict(self)
 
-
-class ScanChecks:
-    """Checks of scans against one neutral and its shapes.
+def scan_checks(
+    template: Template,
+    neutral: FloatArray,
+    shapes: Mapping[str, FloatArray],
+    composites: Mapping[str, Composite],
+    fits: Mapping[str, Mapping[str, Any]],
+) -> dict[str, ScanCheck]:
+    """Scan -> its check against a neutral and its shapes.
 
     :param neutral: (n, 3) whole points
     :param shapes: name -> (n, 3) whole deltas of the personal template
+    :param composites: scan -> what was registered, with the weights asked for
+    :param fits: scan -> `ScanFit` as JSON
     """
-
-    def __init__(self, template: Template, neutral: FloatArray, shapes: Mapping[str, FloatArray]) -> None:
-        face = np.flatnonzero(template.face)
-        some = face[:: max(1, len(face) // _POINTS)]
-        self._points, self._neutral, self._names = template.rows[some], neutral, tuple(shapes)
-        self._areas = point_areas(neutral[template.rows], template.triangles)[some]
-        self._deltas = np.stack([delta[self._points] for delta in shapes.values()])  # (e, s, 3)
-
-    def check(self, composite: Composite, fit: Mapping[str, Any]) -> ScanCheck:
-        """A scan's.
-
-        :param composite: with the weights asked for
-        :param fit: `ScanFit` as JSON
-        """
-        seen = composite.matched[self._points]
-        rows = self._points[seen]
-        neutral = self._neutral[rows]
-        fitted = _Mixtures(self._deltas[:, seen], neutral, self._areas[seen], composite.points[rows] - neutral)
-        asked = np.array([max(composite.weights.get(name, 0.0), 0.0) for name in self._names])
+    face, names = np.flatnonzero(template.face), tuple(shapes)
+    some = face[:: max(1, len(face) // _POINTS)]
+    points, areas = template.rows[some], point_areas(neutral[template.rows], template.triangles)[some]
+    deltas, checks = np.stack([delta[points] for delta in shapes.values()]), {}  # (e, s, 3)
+    for scan, composite in composites.items():
+        seen = composite.matched[points]
+        rows = points[seen]
+        fitted = _Mixtures(deltas[:, seen], neutral[rows], areas[seen], composite.points[rows] - neutral[rows])
+        asked = np.array([max(composite.weights.get(name, 0.0), 0.0) for name in names])
         own, placed = (fitted.weights(asked, _LEAST * asked, _MOST * asked, placed=one) for one in (False, True))
         nothing = np.zeros_like(asked)
         nearest = fitted.weights(nothing, nothing, np.maximum(_ANY, _MOST * asked), placed=True)
-        largest = sorted(zip(-nearest[: len(asked)], self._names, strict=True))[:_NAMED]
+        largest = sorted(zip(-nearest[: len(asked)], names, strict=True))[:_NAMED]
         guess: Guess = "person"
         if fitted.off_mm(placed) <= _LIMITS["off_mm"][1] and fitted.unexplained(placed) <= _LIMITS["unexplained"][1]:
             guess = "place"
         elif fitted.off_mm(nearest) <= _SAME_PERSON_MM and nearest[: len(asked)].sum() <= _SHAPES:
             guess = "expression"
-        return ScanCheck(
+        checks[scan] = ScanCheck(
             off_mm=fitted.off_mm(own),
             unexplained=fitted.unexplained(own),
-            coverage=fit["coverage"],
-            landmark_mm=fit["landmark_mean_mm"],
+            coverage=fits[scan]["coverage"],
+            landmark_mm=fits[scan]["landmark_mean_mm"],
             nearest={name: float(-less) for less, name in largest if -less >= _WORTH_NAMING},
             guess=guess,
         )
+    return checks
 
 
 class _Mixtures:
@@ -155,52 +150,41 @@ class _Mixtures:
 
 
 def misfits(checks: Mapping[str, ScanCheck], asked: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
-    """Scan -> why it does not belong, of those that don't.
+    """Scan -> why it does not belong, by the first limit that it misses, of those that don't.
 
     :param asked: scan -> the shapes that it is to show
     """
     reasons = {}
-    for name, check in checks.items():
-        others = [other for key, other in checks.items() if key != name]
-        reason = _reason(check, others, asked[name])
-        if reason:
-            reasons[name] = reason
+    for scan, check in checks.items():
+        others = [other for key, other in checks.items() if key != scan]
+        limits = {}
+        for name, (surely, standing_out) in _LIMITS.items():  # less where the actor's other scans are much alike
+            limits[name] = surely
+            if len(others) >= _FEWEST:
+                values = np.array([getattr(other, name) for other in others])
+                middle = np.median(values)
+                spread = 1.4826 * np.median(np.abs(values - middle))  # of a normal distribution: its standard deviation
+                limits[name] = float(np.clip(middle + _SPREADS * spread, standing_out, surely))
+        if check.coverage < _LEAST_COVERAGE:
+            least = f"expected {100 * _LEAST_COVERAGE:.0f} % or more"
+            reasons[scan] = f"it shows {100 * check.coverage:.0f} % of the face, {least}"
+        elif check.off_mm > limits["off_mm"] or check.unexplained > limits["unexplained"]:
+            instead = ", ".join(f"{name} {weight:.2f}" for name, weight in check.nearest.items())
+            guess = {
+                "expression": f"it shows {instead or 'no shape clearly'}",
+                "place": "it may be of another size, or misplaced",
+                "person": "it may be another person's",
+            }[check.guess]
+            reasons[scan] = (
+                f"{guess}; half of the face is {check.off_mm:.1f} mm or more from the neutral with "
+                f"{first_names(tuple(asked[scan]), 3)} (expected {limits['off_mm']:.1f} mm at most), which leaves "
+                f"{100 * min(check.unexplained, 1.0):.0f} % of the motion (expected "
+                f"{100 * limits['unexplained']:.0f} % at most)"
+            )
+        elif check.landmark_mm > limits["landmark_mm"]:
+            most = f"expected {limits['landmark_mm']:.1f} mm at most"
+            reasons[scan] = f"landmarks are {check.landmark_mm:.1f} mm off, {most}"
     return reasons
-
-
-def _reason(check: ScanCheck, others: list[ScanCheck], asked: Mapping[str, float]) -> str:
-    """The first limit that a scan misses; empty where it misses none."""
-    off, left, landmarks = (_most(name, others) for name in ("off_mm", "unexplained", "landmark_mm"))
-    if check.coverage < _LEAST_COVERAGE:
-        return f"it shows {100 * check.coverage:.0f} % of the face, expected {100 * _LEAST_COVERAGE:.0f} % or more"
-    if check.off_mm > off or check.unexplained > left:
-        return (
-            f"{_guess(check)}; half of the face is {check.off_mm:.1f} mm or more from the neutral with "
-            f"{first_names(tuple(asked), 3)} (expected {off:.1f} mm at most), which leaves "
-            f"{100 * min(check.unexplained, 1.0):.0f} % of the motion (expected {100 * left:.0f} % at most)"
-        )
-    if check.landmark_mm > landmarks:
-        return f"landmarks are {check.landmark_mm:.1f} mm off, expected {landmarks:.1f} mm at most"
-    return ""
-
-
-def _guess(check: ScanCheck) -> str:
-    """What a scan may be of."""
-    if check.guess == "expression":
-        instead = ", ".join(f"{name} {weight:.2f}" for name, weight in check.nearest.items())
-        return f"it shows {instead or 'no shape clearly'}"
-    return "it may be of another size, or misplaced" if check.guess == "place" else "it may be another person's"
-
-
-def _most(name: str, others: list[ScanCheck]) -> float:
-    """The largest value of a figure that belongs: less where the actor's other scans are much alike."""
-    surely, standing_out = _LIMITS[name]
-    if len(others) < _FEWEST:
-        return float(surely)
-    values = np.array([getattr(other, name) for other in others])
-    middle = np.median(values)
-    spread = 1.4826 * np.median(np.abs(values - middle))  # of a normal distribution: its standard deviation
-    return float(np.clip(middle + _SPREADS * spread, standing_out, surely))
 
 
 def left_out_lines(project: Project, reasons: Mapping[str, str]) -> Iterator[str]:

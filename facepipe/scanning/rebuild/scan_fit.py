@@ -1,21 +1,28 @@
-"""A scan made ready to be fitted to, how a face lies on it, and the picture of both."""
+"""A scan read with its landmarks and made ready to be fitted to, how a face lies on it, and the picture of both."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.errors import FacepipeError
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import Registered, RegistrationOptions, ScanTarget
 from facepipe.geometry.similarity import Similarity
+from facepipe.kinds import Watch
 from facepipe.scanning.clean_scan import CleanScan
-from facepipe.scanning.rebuild.options import UNITS
+from facepipe.scanning.rebuild.declared import UNITS
 from facepipe.scanning.rebuild.template import Template
-from facepipe.scans import Scan
+from facepipe.scans import Scan, ScanLandmarks
+
+if TYPE_CHECKING:
+    from facepipe.scanning.photos import PhotoScan
 
 _PARTS = {"brows": range(17, 27), "lids": range(36, 48), "lips": range(48, 68)}  # landmarks
 _ALIKE = 0.15  # a scale nearer than this to a unit's counts as that unit
@@ -35,6 +42,67 @@ class ScanFit:
     slid_mm: Mapping[str, float]  # brows, lids, lips: how far off their landmarks points lie along the surface, RMS
     outliers: tuple[str, ...]  # landmarks and markers that are ignored
     steps: int
+
+
+def slid_text(slid_mm: Mapping[str, float]) -> str:
+    """How far parts of a face may have slid along a scan, as `ScanFit.slid_mm`."""
+    return ", ".join(f"{part} {off:.2f} mm" for part, off in slid_mm.items())
+
+
+# What is known of a scan: it, its landmarks, warnings, and what `facepipe scan` reports of its photos.
+Given = tuple[Scan, ScanLandmarks, tuple[str, ...], Mapping[str, Any]]
+
+
+def scan_input(source: Path, landmarks: Path | None, watch: Watch) -> Given:
+    """The scan in a file, or that of the photos in a folder.
+
+    :param landmarks: their file; None: they come from the photos, or are found on the scan
+    :raises FacepipeError: files that can't be used, photos that give no scan, or no landmarks found
+    """
+    from facepipe.importers.scan_file import read_scan
+    from facepipe.scanning.photos import ScanPhotos, bars
+
+    if not source.is_dir():
+        scan = read_scan(source)
+        return (scan, *landmarks_of(landmarks, scan), {})
+    with named(source), bars(watch) as step:
+        made = ScanPhotos()(source, step)
+    return input_of_photos(made, landmarks)
+
+
+def input_of_photos(made: PhotoScan, landmarks: Path | None) -> Given:
+    """The same of the scan that photos gave."""
+    found, warnings = landmarks_of(landmarks, made.scan, made.landmarks)
+    return made.scan, found, (*made.report.warnings, *warnings), made.report.to_dict()
+
+
+def landmarks_of(
+    file: Path | None, scan: Scan, known: ScanLandmarks | None = None
+) -> tuple[ScanLandmarks, tuple[str, ...]]:
+    """Landmarks from a file, else the known ones, else those that are found on the scan; and warnings.
+
+    :raises FacepipeError: a file that can't be used, or no landmarks found
+    """
+    from facepipe.importers.scan_landmarks import read_scan_landmarks
+
+    if file is not None:
+        return read_scan_landmarks(file), ()
+    if known is not None and known.known.any():
+        return known, ()
+    from facepipe.pictures.surface_view import draw_surface
+    from facepipe.scanning.landmarks import FindScanLandmarks
+
+    found = FindScanLandmarks(draw=draw_surface)(scan)
+    return found.landmarks, found.report.warnings
+
+
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Errors with the file that they are about."""
+    try:
+        yield
+    except FacepipeError as error:
+        raise error if str(path) in error.where else error.under(path) from None
 
 
 def scan_target(scan: Scan) -> tuple[ScanTarget, tuple[str, ...]]:
@@ -65,6 +133,9 @@ def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[st
     :param names: of the anchors
     """
     distances = registered.distances[np.isfinite(registered.distances)]
+    # By landmarks alone: elsewhere nothing says how far a face has slid along its scan.
+    slides = dict(zip(names, registered.anchor_slides, strict=True))
+    known = {part: [slides[key] for i in marks if (key := f"landmark {i}") in slides] for part, marks in _PARTS.items()}
     return ScanFit(
         scan=scan,
         mm_per_unit=registered.place.scale,
@@ -75,17 +146,10 @@ def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[st
         landmark_mean_mm=float(registered.anchor_distances.mean())
         if len(registered.anchor_distances)
         else float("nan"),
-        slid_mm=_slid(registered, names),
+        slid_mm={part: float(np.sqrt(np.mean(np.square(found)))) for part, found in known.items() if found},
         outliers=tuple(names[number] for number in registered.outliers),
         steps=registered.steps,
     )
-
-
-def _slid(registered: Registered, names: tuple[str, ...]) -> dict[str, float]:
-    """Of the parts of a face that have landmarks."""
-    slides = dict(zip(names, registered.anchor_slides, strict=True))
-    known = {part: [slides[key] for i in marks if (key := f"landmark {i}") in slides] for part, marks in _PARTS.items()}
-    return {part: float(np.sqrt(np.mean(np.square(found)))) for part, found in known.items() if found}
 
 
 def in_place(scan: Scan, place: Similarity) -> Scan:
@@ -123,28 +187,30 @@ def row_distances(
     return distances
 
 
-@dataclass(frozen=True, kw_only=True)
-class FaceOnScan:
-    """A face as a scan shows it, and the scan."""
+def draw_face_on_scan(
+    path: Path,
+    *,
+    template: Template,
+    points: FloatArray,
+    scan: Scan,
+    place: Similarity,
+    neutral: FloatArray | None = None,
+) -> None:
+    """Draw a scan, a face as it shows it, and their distance.
 
-    template: Template
-    points: FloatArray  # (n, 3) whole points
-    scan: Scan
-    place: Similarity  # from the scan's coordinates to those of the points
-    neutral: FloatArray | None = None  # (n, 3) the points without what the scan shows besides, where that is something
+    :param points: (n, 3) whole points
+    :param place: from the scan's coordinates to those of the points
+    :param neutral: (n, 3) the points without what the scan shows besides, where that is something
+    """
+    from facepipe.pictures import save_png
+    from facepipe.scanning.rebuild_pictures import FitPicture, fit_sheet
+    from facepipe.verbs.whole_faces import whole_parts
 
-    def draw(self, path: Path) -> None:
-        """Scan, face and their distance."""
-        from facepipe.pictures import save_png
-        from facepipe.scanning.rebuild_pictures import FitPicture, fit_sheet
-        from facepipe.verbs.whole_faces import whole_parts
-
-        template = self.template
-        sheet = FitPicture(
-            parts=whole_parts(template.parts, self.points),
-            landmarks=self.points[template.rows[template.landmarks]],
-            scan=in_place(self.scan, self.place),
-            distances=scan_distances(template, self.points, self.scan, self.place),
-            neutral=None if self.neutral is None else whole_parts(template.parts, self.neutral),
-        )
-        save_png(fit_sheet(sheet), path)
+    sheet = FitPicture(
+        parts=whole_parts(template.parts, points),
+        landmarks=points[template.rows[template.landmarks]],
+        scan=in_place(scan, place),
+        distances=scan_distances(template, points, scan, place),
+        neutral=None if neutral is None else whole_parts(template.parts, neutral),
+    )
+    save_png(fit_sheet(sheet), path)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import suggestion
-from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
-from facepipe.scanning.rebuild.options import SplitExpressionsOptions
+from facepipe.geometry.polygons import flipped_triangles
+from facepipe.scanning.rebuild.declared import Judged, SplitExpressionsOptions
 from facepipe.scanning.rebuild.register_scans import Composite
 from facepipe.scanning.rebuild.template import Template
 
@@ -21,6 +22,7 @@ _OBSERVED = 0.05  # shapes seen less than this may stay as the template has them
 # And these do, if what was found is no more than what registered expressions are off by (mm, mean): with them 3 of 371
 # shapes of seven simulated people were worse than the template's, without none.
 _HARDLY, _SLIGHT_MM = 0.2, 0.25
+_USUAL = SplitExpressionsOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +42,7 @@ class ShapeReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SplitReport(Report):
+class SplitShapesReport(Judged):
     """How expressions were split."""
 
     shapes: Mapping[str, ShapeReport]
@@ -50,75 +52,85 @@ class SplitReport(Report):
     rank: int  # of the weights: shapes that scans could separate
     unseen: tuple[str, ...]  # shapes that no scan shows: the template's
     undecided: tuple[str, ...] = ()  # shapes that scans hardly show, or as one with another: the template's
+    flipped_triangles: int = 0  # in some shape, where the personal template's has them upright
+
+    of_action: ClassVar[tuple[str, ...]] = ("flipped_triangles",)
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Shapes that some scan shows; the others are the personal template's to the bit."""
+        return tuple(name for name, one in self.shapes.items() if one.scans)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SplitFit:
-    """An actor's shapes."""
+@one_thread()
+def split_expressions(
+    template: Template,
+    neutral: FloatArray,
+    shapes: Mapping[str, FloatArray],
+    composites: Mapping[str, Composite],
+    options: SplitOptions = _USUAL,
+) -> tuple[dict[str, FloatArray], SplitShapesReport]:
+    """Registered expressions split into the shapes that they are sums of, near the personal template's.
 
-    shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta from the neutral, millimetres
-    report: SplitReport
-
-
-@dataclass(frozen=True, kw_only=True)
-class SplitExpressions:
-    """Registered expressions split into the shapes that they are sums of, near the personal template's."""
-
-    options: SplitOptions = field(default_factory=SplitExpressionsOptions)
-
-    @one_thread()
-    def __call__(
-        self,
-        template: Template,
-        neutral: FloatArray,
-        shapes: Mapping[str, FloatArray],
-        composites: Mapping[str, Composite],
-    ) -> SplitFit:
-        """Split.
-
-        :param neutral: (n, 3) whole points
-        :param shapes: name -> (n, 3) whole deltas of the personal template
-        :param composites: by the names of their scans
-        :raises InputError: no composite, or one of shapes that are not there
-        """
-        if not composites:
-            raise InputError(template.where, "no scanned expression, expected one or more beside the neutral")
-        names = tuple(shapes)
-        weights = np.zeros((len(composites), len(names)))
-        for row, (scan, composite) in enumerate(composites.items()):
-            for shape, weight in composite.weights.items():
-                if shape not in shapes:
-                    near = suggestion(shape, shapes)
-                    raise InputError(f"{scan} -> {shape}", f"no such shape in the personal template{near}")
-                weights[row, names.index(shape)] = max(weight, 0.0)
-            if not weights[row].any():
-                raise InputError(scan, "shows none of its shapes, expected a weight above 0")
-        split = split_shapes(
-            neutral,
-            np.stack(list(shapes.values())),
-            np.stack([composite.points for composite in composites.values()]),
-            weights,
-            template.topology.triangles,
-            self.options,
-            point_weights=np.stack([composite.matched for composite in composites.values()]).astype(np.float64),
-            stiff=template.stiff,
-            names=names,
-        )
-        templates = np.stack(list(shapes.values()))
-        # the split with the templates (e, n, 3) in place of shapes that the scans hardly show to be others
-        slight = (split.observed < _HARDLY) & (split.changes < _SLIGHT_MM) & (split.changes > 0.0)
-        split = replace(
-            split,
-            deltas=np.where(slight[:, None, None], templates, split.deltas),
-            gains=np.where(slight, 1.0, split.gains),
-            changes=np.where(slight, 0.0, split.changes),
-            undecided=tuple(sorted({*split.undecided, *np.flatnonzero(slight).tolist()})),
-        )
-        report = _report(split, names, tuple(composites))
-        return SplitFit(shapes=dict(zip(names, split.deltas, strict=True)), report=report)
+    :param neutral: (n, 3) whole points
+    :param shapes: name -> (n, 3) whole deltas of the personal template
+    :param composites: by the names of their scans
+    :return: name -> (n, 3) whole delta from the neutral, millimetres; and how they were split
+    :raises InputError: no composite, or one of shapes that are not there
+    """
+    if not composites:
+        raise InputError(template.where, "no scanned expression, expected one or more beside the neutral")
+    names = tuple(shapes)
+    weights = np.zeros((len(composites), len(names)))
+    for row, (scan, composite) in enumerate(composites.items()):
+        for shape, weight in composite.weights.items():
+            if shape not in shapes:
+                near = suggestion(shape, shapes)
+                raise InputError(f"{scan} -> {shape}", f"no such shape in the personal template{near}")
+            weights[row, names.index(shape)] = max(weight, 0.0)
+        if not weights[row].any():
+            raise InputError(scan, "shows none of its shapes, expected a weight above 0")
+    templates = np.stack(list(shapes.values()))
+    split = split_shapes(
+        neutral,
+        templates,
+        np.stack([composite.points for composite in composites.values()]),
+        weights,
+        template.topology.triangles,
+        options,
+        point_weights=np.stack([composite.matched for composite in composites.values()]).astype(np.float64),
+        stiff=template.stiff,
+        names=names,
+    )
+    # the split with the templates (e, n, 3) in place of shapes that the scans hardly show to be others
+    slight = (split.observed < _HARDLY) & (split.changes < _SLIGHT_MM) & (split.changes > 0.0)
+    split = replace(
+        split,
+        deltas=np.where(slight[:, None, None], templates, split.deltas),
+        gains=np.where(slight, 1.0, split.gains),
+        changes=np.where(slight, 0.0, split.changes),
+        undecided=tuple(sorted({*split.undecided, *np.flatnonzero(slight).tolist()})),
+    )
+    return dict(zip(names, split.deltas, strict=True)), _report(split, names, tuple(composites))
 
 
-def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitReport:
+def turned_over(
+    template: Template, neutral: FloatArray, before: Mapping[str, FloatArray], after: Mapping[str, FloatArray]
+) -> int:
+    """How many triangles some shape of `after` turns over at weight 1 where that of its name `before` does not.
+
+    :param neutral: (n, 3) whole points
+    :param before: name -> (n, 3) whole deltas, and `after`
+    """
+    triangles = template.topology.triangles
+    turned = np.zeros(len(triangles), bool)
+    for name, delta in after.items():
+        turned |= flipped_triangles(neutral + before[name], neutral + delta, triangles)
+    return int(turned.sum())
+
+
+def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> SplitShapesReport:
+    # Both ways: of two shapes that scans show as one, neither can be said to be seen.
     alike: dict[int, list[str]] = {}
     for first, second in split.together:
         alike.setdefault(first, []).append(names[second])
@@ -134,7 +146,7 @@ def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         for number, name in enumerate(names)
     }
     undecided = tuple(names[number] for number in split.undecided)
-    return SplitReport(
+    return SplitShapesReport(
         shapes=shapes,
         weights={
             scan: {name: float(weight) for name, weight in zip(names, row, strict=True) if weight > 0}

@@ -16,18 +16,18 @@ examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from facepipe.core.errors import InputError
 from facepipe.core.reports import table
-from facepipe.declare import source
-from facepipe.kinds import Job, StageAction, action
-from facepipe.scanning.rebuild.options import SplitExpressionsOptions
+from facepipe.declare import source, to_json
+from facepipe.kinds import Job, StageAction, action, found_of
+from facepipe.scanning.rebuild.declared import SplitExpressionsOptions
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.action_reports import SplitShapesReport
-    from facepipe.scanning.rebuild.split_expressions import SplitReport
+    from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
     from facepipe.stage import Face
 
 _MOST_LEFT_MM = 2.0  # 95th percentile of what shapes leave of an expression
@@ -42,49 +42,51 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
     expressions: tuple[Path, ...] = source("what `facepipe register-scan` made", metavar="EXPRESSION")
 
     def author(self, face: Face, job: Job) -> SplitShapesReport:
-        from facepipe.scanning.rebuild.action_reports import SplitShapesReport
-        from facepipe.scanning.rebuild.expression_file import (
-            author_shapes,
-            quality_with,
-            read_expression,
-            split_files,
-        )
-        from facepipe.scanning.rebuild.split_expressions import SplitExpressions
+        from facepipe.scanning.database import quality_from
+        from facepipe.scanning.rebuild.expression_file import read_expression
+        from facepipe.scanning.rebuild.split_expressions import split_expressions, turned_over
         from facepipe.scanning.rebuild.template import Template
+        from facepipe.verbs.author_neutral import AuthorNeutral
         from facepipe.verbs.whole_faces import whole_face
 
-        parts = face.parts()
-        template, base = Template.of(parts, str(self.personal)), whole_face(parts, str(self.personal))
-        read = [read_expression(Path(path), self.personal, base) for path in self.expressions]
-        actor = split_files(SplitExpressions(options=self), template, base, read)
-        report, quality = actor.fit.report, quality_with(parts.recipe, str(self.personal), actor.flipped_triangles)
-        authored = author_shapes(face, base, actor.fit, job.recipe(weights=report.weights, **quality))
-        warnings = (*actor.warnings, *authored.warnings)
-        return SplitShapesReport.from_report(
-            report, warnings, _misses(report), flipped_triangles=actor.flipped_triangles
+        parts, where = face.parts(), str(self.personal)
+        template, base = Template.of(parts, where), whole_face(parts, where)
+        read = [read_expression(Path(path), Path(self.personal), base) for path in self.expressions]
+        names = [name for name, _, _ in read]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise InputError(base.name, f"two expressions are called '{twice}', expected each name once")
+        composites = {name: composite for name, composite, _ in read}
+        shapes, report = split_expressions(template, base.points, base.deltas, composites, self)
+        seen = {name: shapes[name] for name in report.seen}
+        flipped = turned_over(template, base.points, base.deltas, seen)
+        before = found_of(parts.recipe)
+        found: dict[str, Any] = {"weights": report.weights}
+        if "quality" in before:  # the personal template's measures, with the triangles that shapes turn over
+            quality = quality_from(before["quality"], f"{where} -> recipe -> quality")
+            found["quality"] = to_json(replace(quality, flipped_triangles=quality.flipped_triangles + flipped))
+        authored = AuthorNeutral(shapes=seen)(face, base.points, recipe=job.recipe(**found))
+        missed = tuple(
+            f"{scan}: shapes leave {left:.2f} mm of it (95th percentile), expected at most {_MOST_LEFT_MM:g} mm"
+            for scan, left in report.residual_p95_mm.items()
+            if left > _MOST_LEFT_MM
         )
+        lines = (*(line for _, _, notes in read for line in notes), *report.warnings, *authored.warnings, *missed)
+        return replace(report, flipped_triangles=flipped, missed=missed, warnings=lines)
 
     def text(self, report: SplitShapesReport, out: Path) -> str:
-        seen = {name: one for name, one in report.shapes.items() if one.scans}
         shapes: list[tuple[str, ...]] = [("shape", "observed", "gain", "change mm", "scans")]
-        for name, one in seen.items():
+        for name in report.seen:
+            one = report.shapes[name]
             numbers = (f"{one.observed:.2f}", f"{one.gain:.2f}", f"{one.change_mm:.2f}")
             shapes.append((name, *numbers, ", ".join(one.scans)))
         scans: list[tuple[str, ...]] = [("expression", "mean mm", "95 % mm", "weights")]
         for name, weights in report.weights.items():
             left = (f"{report.residual_mean_mm[name]:.2f}", f"{report.residual_p95_mm[name]:.2f}")
             scans.append((name, *left, ", ".join(f"{shape} {weight:.2f}" for shape, weight in weights.items())))
-        kept = len(report.shapes) - len(seen)
+        kept = len(report.shapes) - len(report.seen)
         last = (
-            f"{len(seen)} shapes of scans, {report.rank} separated; {kept} as the personal template has them; "
+            f"{len(report.seen)} shapes of scans, {report.rank} separated; {kept} as the personal template has them; "
             f"{report.flipped_triangles} triangles flipped"
         )
         return "\n".join([str(out), table(shapes), "", table(scans), "", last])
-
-
-def _misses(report: SplitReport) -> tuple[str, ...]:
-    return tuple(
-        f"{scan}: shapes leave {left:.2f} mm of it (95th percentile), expected at most {_MOST_LEFT_MM:g} mm"
-        for scan, left in report.residual_p95_mm.items()
-        if left > _MOST_LEFT_MM
-    )

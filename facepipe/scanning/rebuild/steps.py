@@ -11,8 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,23 +24,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.paths import check_found, check_writable
 from facepipe.core.reports import Report
 from facepipe.geometry.similarity import Similarity
-from facepipe.importers.scan_file import read_scan
-from facepipe.importers.scan_landmarks import read_scan_landmarks
-from facepipe.parts import FaceParts
 from facepipe.records import ArrayReader, from_json
-from facepipe.scanning.database import FaceDatabase, load_database
-from facepipe.scanning.rebuild.fit_neutral import NeutralReport
-from facepipe.scanning.rebuild.project import Project, ProjectScan
-from facepipe.scanning.rebuild.refine_neutral import RefineReport
-from facepipe.scanning.rebuild.register_scans import Composite, CompositeReport, NeutralScan
-from facepipe.scanning.rebuild.scan_input import landmarks_of
-from facepipe.scanning.rebuild.split_expressions import SplitReport
-from facepipe.scanning.rebuild.template import Template
-from facepipe.scans import Scan, ScanLandmarks
-from facepipe.stage import open_face, save_parts
-from facepipe.stage.recipes import source_digest
 from facepipe.verbs.array_file import read_arrays, write_arrays
-from facepipe.verbs.whole_faces import whole_face
 
 _MORE = ("together",)  # of a report of all scans together
 CORRECTIONS = "corrections"
@@ -49,87 +33,59 @@ KIND = "facepipe rebuild stage 1"
 _SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Kept:
-    """Arrays and JSON of one kind of step."""
-
-    points: tuple[str, ...] = ()  # arrays (n, 3)
-    matched: bool = False  # and one of (n,) integers
-    shapes: bool = False  # and one of (n, 3) a name
-    place: bool = False
-    report: type[Report] | None = None
-
-    def check(self, arrays: Mapping[str, AnyArray], content: Mapping[str, Any], count: int) -> None:
-        """:param count: points of the template
-        :raises InputError: something else
-        """
-        names = list(self.points) + ([f"shape/{name}" for name in _names(content)] if self.shapes else [])
-        sizes: dict[str, tuple[int, ...]] = dict.fromkeys(names, (count, 3))
-        for name, shape in (sizes | ({"matched": (count,)} if self.matched else {})).items():
-            if name not in arrays or arrays[name].shape != shape:
-                raise InputError(name, f"no array of shape {shape}")
-        if self.place:
-            _check_place(content.get("place"))
-        if self.report is not None:
-            own = content.get("report")
-            known = {key: one for key, one in own.items() if key not in _MORE} if isinstance(own, dict) else own
-            from_json(self.report, known, ArrayReader(b""), "report")
+Arrays = Mapping[str, AnyArray]
+Content = Mapping[str, Any]
 
 
-NEUTRAL = Kept(points=("points", "expression"), place=True, report=NeutralReport)
-REFINED = Kept(points=("points",), report=RefineReport)
-TEMPLATE = Kept(shapes=True)
-EXPRESSION = Kept(points=("points",), matched=True, place=True, report=CompositeReport)
-SHAPES = Kept(shapes=True, report=SplitReport)
+def check_kept(
+    arrays: Arrays,
+    content: Content,
+    *,
+    count: int,
+    points: tuple[str, ...] = (),
+    matched: bool = False,
+    shapes: bool = False,
+    place: bool = False,
+    report: type[Report] | None = None,
+) -> None:
+    """Arrays and JSON are those of one kind of step.
 
-
-def _names(content: Mapping[str, Any]) -> list[str]:
-    names = content.get("names")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError("names", "no list of names")
-    return names
-
-
-def _check_place(content: object) -> None:
-    try:
-        place = place_of(content if isinstance(content, Mapping) else {})
-    except (LookupError, TypeError, ValueError):
-        raise InputError("place", "no rotation, translation and scale") from None
-    sound = place.rotation.shape == (3, 3) and place.translation.shape == (3,) and 0.0 < place.scale < math.inf
-    turns = sound and np.allclose(place.rotation @ place.rotation.T, np.eye(3), atol=1e-3)
-    if not turns or not np.isfinite(place.translation).all():
-        raise InputError("place", "no rotation, translation and scale")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fitted:
-    """How a result lies on its scan."""
-
-    place: Similarity  # from the scan's coordinates to those of the points
-    report: Mapping[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FittedNeutral(Fitted):
-    """The neutral, as corrected."""
-
-    scan: NeutralScan
-
-
-@dataclass(frozen=True, kw_only=True)
-class FittedExpression(Fitted):
-    """An expression, as corrected."""
-
-    composite: Composite
+    :param count: points of the template
+    :param points: names of arrays (n, 3)
+    :param matched: and one of (n,) integers
+    :param shapes: and one of (n, 3) a name
+    :raises InputError: something else
+    """
+    # A file may be damaged, or from another template: what fits is used, anything else is made anew.
+    sizes: dict[str, tuple[int, ...]] = dict.fromkeys(points, (count, 3))
+    if shapes:
+        names = content.get("names")
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InputError("names", "no list of names")
+        sizes |= dict.fromkeys((f"shape/{name}" for name in names), (count, 3))
+    if matched:
+        sizes["matched"] = (count,)
+    for name, shape in sizes.items():
+        if name not in arrays or arrays[name].shape != shape:
+            raise InputError(name, f"no array of shape {shape}")
+    if place:
+        try:
+            found = place_of(content["place"])
+        except (LookupError, TypeError, ValueError):
+            raise InputError("place", "no rotation, translation and scale") from None
+        sound = found.rotation.shape == (3, 3) and found.translation.shape == (3,) and 0.0 < found.scale < math.inf
+        turns = sound and np.allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-3)
+        if not turns or not np.isfinite(found.translation).all():
+            raise InputError("place", "no rotation, translation and scale")
+    if report is not None:
+        own = content.get("report")
+        known = {key: one for key, one in own.items() if key not in _MORE} if isinstance(own, dict) else own
+        from_json(report, known, ArrayReader(b""), "report")
 
 
 def place_json(place: Similarity) -> dict[str, Any]:
     """A similarity as JSON."""
-    return {
-        "rotation": place.rotation.tolist(),
-        "translation": place.translation.tolist(),
-        "scale": place.scale,
-    }
+    return {"rotation": place.rotation.tolist(), "translation": place.translation.tolist(), "scale": place.scale}
 
 
 def place_of(values: Mapping[str, Any]) -> Similarity:
@@ -155,8 +111,8 @@ def shapes_of(arrays: Mapping[str, AnyArray], names: list[str]) -> dict[str, Flo
 class StepResult:
     """What one step found."""
 
-    arrays: Mapping[str, AnyArray]
-    content: Mapping[str, Any]  # JSON: report, weights, place
+    arrays: Arrays
+    content: Content  # JSON: report, weights, place
     reused: bool  # it was there, of the same inputs
 
 
@@ -174,8 +130,8 @@ class WorkFolder:
         self,
         name: str,
         inputs: Mapping[str, Any],
-        compute: Callable[[], tuple[Mapping[str, AnyArray], Mapping[str, Any]]],
-        check: Callable[[Mapping[str, AnyArray], Mapping[str, Any]], object] = lambda arrays, content: None,
+        compute: Callable[[], tuple[Arrays, Content]],
+        check: Callable[[Arrays, Content], object] = lambda arrays, content: None,
     ) -> StepResult:
         """The result of a step: the one that is there where it came from the same `inputs`, otherwise a new one.
 
@@ -236,9 +192,7 @@ class WorkFolder:
             check_found(path, self.path)
         return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files if path.is_file())
 
-    def _read(
-        self, path: Path, key: str, check: Callable[[Mapping[str, AnyArray], Mapping[str, Any]], object]
-    ) -> StepResult | None:
+    def _read(self, path: Path, key: str, check: Callable[[Arrays, Content], object]) -> StepResult | None:
         if not path.is_file():
             return None
         try:
@@ -259,124 +213,3 @@ def array_digest(*arrays: AnyArray) -> str:
         digest.update(f"{array.dtype.str}{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return f"sha256:{digest.hexdigest()}"
-
-
-class Steps:
-    """The work folder of one run, and what happened in it.
-
-    :param began: called with the name of each step as it begins
-    :raises InputError: a work folder that can't be made
-    """
-
-    def __init__(self, project: Project, template: Template, began: Callable[[str], object]) -> None:
-        self.project, self.template, self._began = project, template, began
-        self._folder = WorkFolder(project.work)
-        self._database: FaceDatabase | None = None
-        self._digests: dict[Path, str] = {}
-        self._found: dict[Path, ScanLandmarks] = {}
-        self.reused: list[str] = []
-        self.corrected: list[str] = []
-
-    def step(
-        self,
-        name: str,
-        inputs: Mapping[str, Any],
-        compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]],
-        kept: Kept,
-    ) -> StepResult:
-        """The result of a step, with a mesh beside it where it has points: for eyes and for an artist's hand.
-
-        :raises FacepipeError: of `compute`
-        """
-        self._began(name)
-        count = self.template.topology.point_count
-        result = self._folder.step(name, inputs, compute, partial(kept.check, count=count))
-        if result.reused:
-            self.reused.append(name)
-        if "points" in result.arrays:
-            self._show(name, result)
-        return result
-
-    def after_correction(self, name: str, points: FloatArray) -> FloatArray:
-        """The points (n, 3) of a step, or of the mesh that an artist put in their place.
-
-        :raises InputError: a mesh that can't be read, or more than one
-        :raises TopologyError: a mesh of another topology
-        """
-        path = self._folder.correction(name)
-        if path is None:
-            return np.asarray(points, np.float64)
-        self.corrected.append(name)
-        return whole_face(_face(path), str(path), self.template.topology, self.template.where).points
-
-    def has_correction(self, name: str) -> bool:
-        """Whether an artist put a mesh in the place of a step's result.
-
-        :raises InputError: more than one
-        """
-        return self._folder.correction(name) is not None
-
-    def idle_corrections(self) -> tuple[str, ...]:
-        """A line for each mesh that corrects nothing."""
-        idle = [name for name in self._folder.corrections() if name not in self.corrected]
-        return tuple(f"{self._folder.path}/corrections/{name}: corrects no result" for name in idle)
-
-    def read(self, scan: ProjectScan) -> tuple[Scan, ScanLandmarks]:
-        """A scan and its landmarks, which are found on it, once, where none are given.
-
-        :raises FacepipeError: of the readers
-        """
-        named = replace(read_scan(scan.scan), name=str(scan.scan))
-        if scan.landmarks:
-            return named, self.landmarks(scan)
-        if scan.scan not in self._found:
-            self._found[scan.scan] = landmarks_of(None, named)[0]
-        return named, self._found[scan.scan]
-
-    def landmarks(self, scan: ProjectScan) -> ScanLandmarks:
-        """Those that are given for a scan."""
-        return read_scan_landmarks(scan.landmarks) if scan.landmarks else ScanLandmarks()
-
-    def database(self) -> FaceDatabase:
-        """The project's, read once."""
-        if self._database is None:
-            self._database = load_database(self.project.database)
-        return self._database
-
-    def digest(self, path: Path | None) -> str:
-        """Of a file with what it stands on, found once; empty where there is none.
-
-        :raises InputError: a file that can't be read
-        """
-        if path is None:
-            return ""
-        if path not in self._digests:
-            self._digests[path] = source_digest(path)
-        return self._digests[path]
-
-    def inputs(self, scan: ProjectScan, options: Any, **more: Any) -> dict[str, Any]:
-        """What a fit to one scan depends on."""
-        return {
-            "template": self.digest(self.project.template),
-            "scan": self.digest(scan.scan),
-            "landmarks": self.digest(scan.landmarks),
-            "options": asdict(options),
-            **more,
-        }
-
-    def _show(self, name: str, result: StepResult) -> None:
-        path = self._folder.place(f"{name}.usdc")
-        if not (result.reused and path.is_file()):
-            save_parts(self.template.topology.parts(result.arrays["points"]), path)
-
-
-def _face(path: Path) -> FaceParts:
-    """A corrected mesh; OBJ files are in millimetres, Y up, as the meshes of the work folder are."""
-    from facepipe.importers import load, obj
-
-    suffix = path.suffix.lower()
-    if suffix == ".obj":
-        return load("obj", path, obj.Options(meters_per_unit=0.001, up_axis="Y")).parts
-    if suffix in (".glb", ".gltf"):
-        return load("gltf", path).parts
-    return open_face(path).parts()

@@ -20,7 +20,7 @@ from facepipe.geometry.visibility import seen_from_outside
 from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe, all_regions
 from facepipe.scanning.database import FaceDatabase
-from facepipe.verbs.skin.surface import Surface, slits_of, surface_of
+from facepipe.verbs.skin.surface import slits_of, surface_of
 from facepipe.verbs.whole_faces import Topology, whole_face, whole_points
 
 _LIP = 0.35  # of a slit's width: so far from its rims, points count as of the upper or lower lip or lid
@@ -28,6 +28,7 @@ _LIPS_MM, _DEEP_MM = 1.5, 6.0  # off the skin: up to there of lips and lids, and
 _AROUND = 48  # points of the skin that what is inside moves with
 _NO_REGIONS = ", expected a face with regions (facepipe regions)"
 _SIDES = ("_L", "_R")
+_SIDES_WRITTEN = (("_L", "Left"), ("Left", "_L"), ("_R", "Right"), ("Right", "_R"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,10 @@ class Template:
             raise InputError(where, "has no multipie68 landmarks, expected 68 (facepipe landmarks)")
         row_of_sewn = np.full(len(surface.points), -1)
         row_of_sewn[surface.inside] = np.arange(len(surface.inside))
+        labels = np.zeros(len(surface.points), np.int64)  # of the sewn points
+        for number, slit in enumerate(slits_of(surface), start=1):
+            near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
+            labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
         # One row for all points of a cut: with a row each, a fit could open it.
         first = np.unique(surface.group, return_index=True)[1]
         return cls(
@@ -66,7 +71,7 @@ class Template:
             row_of=row_of_sewn[surface.group],
             triangles=surface.part_triangles(surface.inside),
             landmarks=row_of_sewn[surface.landmarks],
-            labels=_labels(surface)[surface.inside],
+            labels=labels[surface.inside],
         )
 
     def body(self, topology: Topology) -> Template:
@@ -176,17 +181,15 @@ class Template:
             from scipy.spatial import cKDTree
 
             _, near = cKDTree(base[self.rows]).query(base[self.loose])
-            result[self.loose] = self._carried(base[self.loose], moved[near])
+            here, moves, pieces = base[self.loose], moved[near], self._pieces
+            there = here + moves
+            if len(here) >= 3:
+                counts = np.bincount(pieces)
+                mean = group_sums(pieces, moves, len(counts)) / counts[:, None]
+                fitted = fit_similarities(here, there, pieces, scale=False).apply(here, pieces)
+                there = np.where((counts > 2)[pieces, None], fitted, here + mean[pieces])
+            result[self.loose] = there
         return result
-
-    def _carried(self, points: FloatArray, moves: FloatArray) -> FloatArray:
-        """(l, 3) loose points, each part moved and turned as a whole."""
-        counts = np.bincount(self._pieces)
-        mean = group_sums(self._pieces, moves, len(counts)) / counts[:, None]
-        if len(points) < 3:
-            return np.asarray(points + moves)
-        fitted = fit_similarities(points, points + moves, self._pieces, scale=False).apply(points, self._pieces)
-        return np.asarray(np.where((counts > 2)[self._pieces, None], fitted, points + mean[self._pieces]))
 
     @cached_property
     def _pieces(self) -> IntArray:
@@ -195,15 +198,6 @@ class Template:
         pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
         part = components(len(self.points), pairs)[self.loose]
         return np.unique(part, return_inverse=True)[1].ravel()
-
-
-def _labels(surface: Surface) -> IntArray:
-    """(m,) of the sewn points."""
-    labels = np.zeros(len(surface.points), np.int64)
-    for number, slit in enumerate(slits_of(surface), start=1):
-        near = (slit.distance <= _LIP * slit.width) & (np.abs(slit.side) > 0.02)
-        labels[near] = number * np.sign(slit.side[near]).astype(np.int64)
-    return labels
 
 
 def region_weights(parts: FaceParts, names: Sequence[str], where: str) -> FloatArray:
@@ -267,21 +261,17 @@ def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) 
     for name, weight in composite.items():
         if not 0.0 < weight <= 2.0:
             raise InputError(f"{where} -> {name}", f"weight {weight}, expected one above 0, up to 2")
-        shape = next((each for each in _spellings(name) if each in known), None)
+        spellings = [name]  # as it is, with the other way to write its side, and without
+        for end, other in _SIDES_WRITTEN:
+            stem = name.removesuffix(end)
+            if stem and stem != name:
+                spellings += [stem + other, stem]
+                break
+        shape = next((each for each in spellings if each in known), None)
         if shape is None:
             raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, shapes)}")
         weights[shape] = max(weight, weights.get(shape, 0.0))
     return {name: weights[name] for name in shapes if name in weights}
-
-
-def _spellings(name: str) -> tuple[str, ...]:
-    """A name as it is, with the other way to write its side, and without."""
-    for short, long in (("_L", "Left"), ("_R", "Right")):
-        for end, other in ((short, long), (long, short)):
-            if name.endswith(end) and name != end:
-                stem = name.removesuffix(end)
-                return (name, stem + other, stem)
-    return (name,)
 
 
 @dataclass(frozen=True, kw_only=True)

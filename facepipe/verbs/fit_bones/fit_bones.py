@@ -20,7 +20,7 @@ from facepipe.rig import matrix_coefficients, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.apply_bones import SUFFIX, check_fits, payload_bytes
+from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.limits import LimitRules
 from facepipe.verbs.fit_bones.options import FitBonesOptions
 from facepipe.verbs.fit_bones.report import FitBonesReport

@@ -126,7 +126,7 @@ class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
         import numpy as np
 
         from facepipe.payload import PayloadContent
-        from facepipe.verbs.apply_bones import write_payload
+        from facepipe.verbs.bone_payload import write_payload
 
         animations = {animation.name: animation for animation in face.animations}
         poses = [animations[name] for name in report.targets]

@@ -32,7 +32,7 @@ from facepipe.declare import from_json
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.rig import CHANNELS, Rig, rest_coefficients
 from facepipe.rig.trs import decompose
-from facepipe.verbs.apply_bones import check_limits
+from facepipe.verbs.bone_payload import check_limits
 from facepipe.verbs.whole_faces import check_invertible, check_spaces
 
 if TYPE_CHECKING:

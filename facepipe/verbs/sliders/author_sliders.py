@@ -20,7 +20,7 @@ from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.api_schemas import check_property_name
 from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.apply_bones import beyond_limits, check_limits, limit_warnings
+from facepipe.verbs.bone_payload import beyond_limits, check_limits, limit_warnings
 from facepipe.verbs.sliders.tables import SliderTable
 
 _SHOWN = 4  # names of a list

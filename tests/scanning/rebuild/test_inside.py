@@ -52,12 +52,12 @@ def test_teeth_through_lips_are_found(template: Template) -> None:
     found = mouth_contacts(template, template.points, shapes, own)
     assert set(found) == {"mouthSmileLeft"}
     contact = found["mouthSmileLeft"]
-    assert contact.template_mm < 0.3
-    assert 2.0 < contact.depth_mm < 12.0
-    assert contact.cells > 1000
+    assert contact["template_mm"] < 0.3
+    assert 2.0 < contact["depth_mm"] < 12.0
+    assert contact["cells"] > 1000
     assert list(mouth_lines(found)) == [
-        f"mouthSmileLeft: teeth, gums or tongue come through the skin by {contact.depth_mm:.1f} mm (the template's by "
-        f"{contact.template_mm:.1f} mm)"
+        f"mouthSmileLeft: teeth, gums or tongue come through the skin by {contact['depth_mm']:.1f} mm (the template's "
+        f"by {contact['template_mm']:.1f} mm)"
     ]
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from unittest import mock
 
 import expression_domes
@@ -23,12 +25,12 @@ from facepipe.scanning.rebuild import (
     ExpressionScan,
     Rebuild,
     Rebuilt,
-    RegisterScans,
     Template,
     read_project,
+    register_scan,
 )
 from facepipe.scanning.rebuild.register_scans import placed_neutral
-from facepipe.scanning.rebuild.scan_fit import FaceOnScan, scan_distances
+from facepipe.scanning.rebuild.scan_fit import scan_distances
 from facepipe.scans import ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.verbs.whole_faces import whole_face, whole_points
@@ -93,13 +95,13 @@ def test_what_is_named_is_not_in_the_neutral(drawer: Path, tmp_path: Path, capsy
 def test_the_picture_shows_what_the_scan_does(
     drawer: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    drawn: list[FaceOnScan] = []
+    drawn: list[SimpleNamespace] = []
 
-    def draw(shown: FaceOnScan, path: Path) -> None:
+    def draw(path: Path, **shown: Any) -> None:
         path.write_bytes(b"")
-        drawn.append(shown)
+        drawn.append(SimpleNamespace(**shown))
 
-    monkeypatch.setattr(FaceOnScan, "draw", draw)
+    monkeypatch.setattr("facepipe.scanning.rebuild.scan_fit.draw_face_on_scan", draw)
     more = ("--weights", f"browUp={GIVEN}", "--picture", tmp_path / "sheet.png")
     neutral, _ = fitted(drawer, tmp_path / "named.usda", capsys, *more)
     (shown,) = drawn
@@ -134,7 +136,8 @@ def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
     brows, errors = np.linalg.norm(lifted(), axis=1) > 1.0, []
     for expression in (_lift(template), None):
         neutral = placed_neutral(template, whole, scan, known, expression)
-        found = RegisterScans()(template, neutral, deltas, given).points[:DOME]
+        composite, _, _ = register_scan(template, neutral, deltas, given)
+        found = composite.points[:DOME]
         errors.append(np.linalg.norm(found - truth(), axis=1)[brows].mean())
     assert errors[0] < 0.5 * errors[1]
 
@@ -142,7 +145,7 @@ def test_markers_lie_where_the_scan_shows_them(drawer: Path) -> None:
 def rebuilt(folder: Path) -> Rebuilt:
     project = read_project(folder / "anna.toml")
     template = Template.of(facepipe.open(folder / "head.usda").parts(), "head.usda")
-    with mock.patch("facepipe.scanning.rebuild.steps.landmarks_of", side_effect=AssertionError):
+    with mock.patch("facepipe.scanning.rebuild.rebuild.landmarks_of", side_effect=AssertionError):
         return Rebuild(project, template)()
 
 

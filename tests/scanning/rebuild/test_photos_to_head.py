@@ -15,7 +15,7 @@ from scan_actors import Actor
 from facepipe.performing import recipe_to
 from facepipe.scanning.photos import Cameras, PhotoScan, ScanPhotosReport
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
-from facepipe.scanning.rebuild.scan_input import input_of_photos
+from facepipe.scanning.rebuild.scan_fit import input_of_photos
 from facepipe.scans import Scan, ScanLandmarks
 
 
@@ -45,10 +45,10 @@ def test_landmarks_are_those_of_the_photos(tmp_path: Path) -> None:
     (tmp_path / "photos.landmarks.json").write_text("of another scan")
     (tmp_path / "photos").mkdir()
     action = FitNeutralAction(scan=tmp_path / "photos")
-    given = input_of_photos(made, action.landmarks)
-    assert given.landmarks is made.landmarks
-    assert given.photos["photos_used"] == ["a.png"]
-    assert given.warnings == ("of the photos",)
+    _, landmarks, warnings, photos = input_of_photos(made, action.landmarks)
+    assert landmarks is made.landmarks
+    assert photos["photos_used"] == ["a.png"]
+    assert warnings == ("of the photos",)
 
 
 def test_recipes_know_when_a_photo_changes(tmp_path: Path) -> None:

@@ -25,16 +25,14 @@ from facepipe.scanning.database import save_database
 from facepipe.scanning.rebuild import (
     ExpressionScan,
     FitNeutral,
-    FitTogether,
     NeutralFit,
     NeutralScan,
-    PersonalTemplate,
-    PlacedExpression,
     Rebuild,
-    RegisterScans,
     Template,
+    fit_together,
     read_project,
-    steps,
+    register_scan,
+    starting_shapes,
 )
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
@@ -83,12 +81,13 @@ def test_what_the_neutrals_scan_lacks_is_taken_from_an_expression() -> None:
     scan, landmarks = scanned(0.0, hole=True)
     alone = FitNeutral()(template, scan, landmarks, database)
     first = NeutralScan(points=alone.points, place=alone.place, landmarks=landmarks)
-    shapes = PersonalTemplate()(template, alone.points)
+    shapes = starting_shapes(template, alone.points)
     opened, marks = scanned(0.8, hole=False)
     given = ExpressionScan(scan=opened, landmarks=marks, weights={"jawOpen": 0.8})
-    placed = PlacedExpression(expression=given, place=RegisterScans()(template, first, shapes, given).place)
+    _, place, _ = register_scan(template, first, shapes, given)
+    placed = replace(given, place=place)
     coefficients = np.array(alone.report.coefficients)
-    found = FitTogether()(template, scan, first, coefficients, database, shapes, [placed])
+    fit, others, _ = fit_together(template, scan, first, coefficients, database, shapes, [placed])
     places, _ = scan_domes.grid(expression_domes.SIDE)
     near = np.linalg.norm(places - BUMP, axis=1) < 8.0
     fine, triangles = scan_domes.grid(121)
@@ -98,19 +97,19 @@ def test_what_the_neutrals_scan_lacks_is_taken_from_an_expression() -> None:
         home = POSE.undo(fit.place.undo(fit.points[: len(places)]))
         return np.asarray(closest_places(home, person(fine), triangles).distances)
 
-    before, after = off(alone), off(found.neutral)
+    before, after = off(alone), off(fit)
     assert before[near].mean() > 1.0
     assert after[near].mean() < 0.1 * before[near].mean()
     assert after[~near].mean() < 0.1
-    (weights,) = found.weights
-    assert weights["jawOpen"] == pytest.approx(0.8 * OWN["jawOpen"], abs=0.1)
-    assert np.allclose(found.places[0].rotation, POSE.rotation.T, atol=0.02)
+    (other,) = others
+    assert other.weights[0] == pytest.approx(0.8 * OWN["jawOpen"], abs=0.1)
+    assert np.allclose(other.place.rotation, POSE.rotation.T, atol=0.02)
     with pytest.raises(InputError, match="no expressions or no place of it, expected both"):
-        FitTogether()(template, scan, first, coefficients, database, shapes, [])
-    away = replace(placed, place=replace(placed.place, translation=placed.place.translation + 500.0))
-    away = replace(away, expression=replace(given, scan=replace(opened, name="open.ply")))
+        fit_together(template, scan, first, coefficients, database, shapes, [])
+    elsewhere = replace(place, translation=place.translation + 500.0)
+    away = replace(given, place=elsewhere, scan=replace(opened, name="open.ply"))
     with pytest.raises(FitError, match=r"^open\.ply -> scan: 0 points of the face find a place on it"):
-        FitTogether()(template, scan, first, coefficients, database, shapes, [away])
+        fit_together(template, scan, first, coefficients, database, shapes, [away])
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ def test_landmarks_found_on_the_neutrals_scan_count_after_an_interruption_too(
         asked.append(Path(scan.name).name)
         return read_scan_landmarks(drawer / "anna.landmarks.json"), ()
 
-    monkeypatch.setattr(steps, "landmarks_of", landmarks_of)
+    monkeypatch.setattr("facepipe.scanning.rebuild.rebuild.landmarks_of", landmarks_of)
     template = Template.of(expression_domes.face(), "head.usda")
     first = Rebuild(project, template)()
     assert asked == ["anna.ply"]
@@ -219,18 +218,18 @@ def test_all_scans_together_make_a_truer_neutral() -> None:
     scan, landmarks = read("neutral", scanned)
     alone = FitNeutral()(template, scan, landmarks, database)
     first = NeutralScan(points=alone.points, place=alone.place, landmarks=landmarks)
-    shapes, placed = PersonalTemplate()(template, alone.points), []
+    shapes, placed = starting_shapes(template, alone.points), []
     for number, name in enumerate(("smile", "closed_eyes", "pucker", "brows_up", "funnel", "sad")):
         one, marks = read(name, simulate(actor.composite(COMPOSITES[name]), 10100 + number))
         given = ExpressionScan(scan=one, landmarks=marks, weights=ours(COMPOSITES[name]))
-        place = RegisterScans()(template, first, shapes, given).place
-        placed.append(PlacedExpression(expression=given, place=place))
-    found = FitTogether()(template, scan, first, np.array(alone.report.coefficients), database, shapes, placed)
+        _, place, _ = register_scan(template, first, shapes, given)
+        placed.append(replace(given, place=place))
+    found, _, _ = fit_together(template, scan, first, np.array(alone.report.coefficients), database, shapes, placed)
 
     def off(points: np.ndarray, place: object) -> float:
         home = scanned.pose.undo(place.undo(points))  # type: ignore[attr-defined]
         return float(np.linalg.norm(home - actor.neutral, axis=1)[: ict().full_face].mean())
 
-    before, after = off(alone.points, alone.place), off(found.neutral.points, found.neutral.place)
+    before, after = off(alone.points, alone.place), off(found.points, found.place)
     print(f"alone {before:.3f} mm, together {after:.3f} mm")
     assert after < 0.96 * before

@@ -9,7 +9,7 @@ import pytest
 from rebuild_project import HEAD
 
 from facepipe.core.errors import InputError
-from facepipe.scanning.rebuild import DEFAULT_COMPOSITES, RefineNeutralOptions, read_project, resolved
+from facepipe.scanning.rebuild import DEFAULT_COMPOSITES, read_project, resolved
 from facepipe.scanning.rebuild.project import Refinement
 from facepipe.scanning.rebuild.steps import WorkFolder
 
@@ -35,20 +35,20 @@ def test_a_project_names_its_files_and_fills_in_what_it_leaves_out(folder: Path)
     assert (smile.landmarks, wink.landmarks) == (folder / "smile.landmarks.json", None)
     assert smile.weights == DEFAULT_COMPOSITES["smile"]
     assert wink.weights == {"blink": 1.0}
-    assert project.neutral_options.unit == "mm"
-    assert project.split_options.noise == 0.6
+    assert project.options.neutral.unit == "mm"
+    assert project.options.split.noise == 0.6
     assert project.neutral.weights == {}
     shown = read_project(_project(folder, HEAD + "weights = { eyeBlink_L = 1 }\n"))
     assert shown.neutral.weights == {"eyeBlink_L": 1.0}
 
 
 def test_a_table_of_refinement_asks_for_it(folder: Path) -> None:
-    assert read_project(_project(folder, HEAD)).refinement is None
-    everywhere = read_project(_project(folder, HEAD + "[options.refinement]\n")).refinement
+    assert read_project(_project(folder, HEAD)).options.refinement is None
+    everywhere = read_project(_project(folder, HEAD + "[options.refinement]\n")).options.refinement
     assert everywhere == Refinement()
     text = "[options.refinement]\nregions = ['nose', 'mouth']\ndetail_mm = 8\n"
-    some = read_project(_project(folder, HEAD + text)).refinement
-    assert some == Refinement(regions=("nose", "mouth"), options=RefineNeutralOptions(detail_mm=8.0))
+    some = read_project(_project(folder, HEAD + text)).options.refinement
+    assert some == Refinement(regions=("nose", "mouth"), detail_mm=8.0)
 
 
 @pytest.mark.parametrize(

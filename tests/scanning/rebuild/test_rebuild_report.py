@@ -67,7 +67,7 @@ class Made:
         """What pictures of little size are drawn of, from the stages' results."""
         project = read_project(self.folder / "p.toml")
         template = Template.of(open_face(project.template).parts(), "head.usda")
-        with mock.patch("facepipe.scanning.rebuild.steps.landmarks_of", side_effect=AssertionError):
+        with mock.patch("facepipe.scanning.rebuild.rebuild.landmarks_of", side_effect=AssertionError):
             rebuilt = Rebuild(project, template)()
         return RebuildPictures(project=project, template=template, rebuilt=rebuilt, size=96), rebuilt
 

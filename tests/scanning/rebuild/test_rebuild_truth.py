@@ -15,8 +15,8 @@ from facepipe.scanning.rebuild import (
     FitNeutral,
     NeutralFit,
     NeutralScan,
-    PersonalTemplate,
-    RegisterScans,
+    register_scan,
+    starting_shapes,
 )
 
 
@@ -54,12 +54,12 @@ def test_expressions_registered_from_a_rebuilt_neutral() -> None:
         scanned = simulate(actor.neutral, seed)
         scan, landmarks = read("neutral", scanned)
         neutral = FitNeutral()(template, scan, landmarks, database)
-        shapes = PersonalTemplate()(template, neutral.points)
+        shapes = starting_shapes(template, neutral.points)
         base = NeutralScan(points=neutral.points, place=neutral.place, landmarks=landmarks)
         for number, name in enumerate(names):
             truth, weights = actor.composite(COMPOSITES[name]), ours(COMPOSITES[name])
             scan, landmarks = read(name, simulate(truth, 100 * seed + number))
-            found = RegisterScans()(
+            found, _, _ = register_scan(
                 template, base, shapes, ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
             )
             start = neutral.points + np.sum([weight * shapes[shape] for shape, weight in weights.items()], axis=0)

@@ -24,8 +24,8 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe
 from facepipe.scanning.database import Quality
-from facepipe.scanning.rebuild import RefineNeutral, RefineNeutralOptions, Template
-from facepipe.scanning.rebuild.refine_neutral import flipped_before
+from facepipe.scanning.rebuild import RefineNeutralOptions, Template
+from facepipe.scanning.rebuild.refine_neutral import flipped_before, refine_neutral
 from facepipe.scanning.rebuild.template import region_weights, shown_before
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
@@ -173,19 +173,19 @@ def test_where_the_scan_lies_is_found_and_changes_nothing() -> None:
     """Whether the place is given or found, for a scan that was moved and is in another unit."""
     template, (scan, landmarks) = Template.of(_neutral(), "anna"), _scan()
     points = template.points
-    found = RefineNeutral(options=_ABOUT_RIGHT)(template, points, scan, landmarks)
+    found, place, _ = refine_neutral(template, points, scan, landmarks, options=_ABOUT_RIGHT)
     at_home = replace(scan, points=POSE.undo(scan.points)), ScanLandmarks(points=POSE.undo(landmarks.points))
-    again = RefineNeutral(options=_ABOUT_RIGHT)(template, points, *at_home)
-    assert np.abs(found.points - again.points).max() < 1e-6
-    given = RefineNeutral(options=_ABOUT_RIGHT)(template, points, scan, landmarks, found.place)
-    assert np.array_equal(given.points, found.points)
+    again, _, _ = refine_neutral(template, points, *at_home, options=_ABOUT_RIGHT)
+    assert np.abs(found - again).max() < 1e-6
+    given, _, _ = refine_neutral(template, points, scan, landmarks, place, options=_ABOUT_RIGHT)
+    assert np.array_equal(given, found)
 
 
 def test_an_eyeball_goes_with_the_skin_where_it_may_follow() -> None:
     template, (scan, _) = Template.of(_neutral(), "anna"), _scan()
     raised = replace(scan, points=scan.points + POSE.scale * 0.5 * POSE.rotation[:, 2])
     place = _placed()
-    everything = RefineNeutral()(template, template.points, raised, ScanLandmarks(), place).points
+    everything, _, _ = refine_neutral(template, template.points, raised, ScanLandmarks(), place)
     eye = template.loose
     moved = everything[eye] - template.points[eye]
     assert np.linalg.norm(moved.mean(axis=0)) > 0.2
@@ -193,7 +193,7 @@ def test_an_eyeball_goes_with_the_skin_where_it_may_follow() -> None:
     assert np.allclose(spread, np.linalg.norm(template.points[eye] - template.points[eye].mean(axis=0), axis=1))
     skin = np.ones(len(template.points))
     skin[eye[0]] = 0.0
-    without = RefineNeutral()(template, template.points, raised, ScanLandmarks(), place, skin).points
+    without, _, _ = refine_neutral(template, template.points, raised, ScanLandmarks(), place, skin)
     assert np.array_equal(without[eye], template.points[eye])
 
 
@@ -228,8 +228,8 @@ def test_a_scan_that_does_not_show_the_region_is_refused() -> None:
     weights = region_weights(template.parts, ("bump",), "anna")
     half = replace(scan, triangles=shown)
     with pytest.raises(FitError, match=f"^{scan.name} -> scan: .* points of the face find a place on it"):
-        RefineNeutral()(template, template.points, half, landmarks, _placed(), weights)
+        refine_neutral(template, template.points, half, landmarks, _placed(), weights)
     inside = np.zeros(len(template.points))
     inside[template.loose] = 1.0
     with pytest.raises(InputError, match="a scan can show no point that may follow"):
-        RefineNeutral()(template, template.points, scan, landmarks, _placed(), inside)
+        refine_neutral(template, template.points, scan, landmarks, _placed(), inside)

@@ -22,9 +22,9 @@ from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_la
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
 from facepipe.scanning.rebuild import Template
-from facepipe.scanning.rebuild.options import RegisterScansOptions
+from facepipe.scanning.rebuild.declared import RegisterScansOptions
 from facepipe.scanning.rebuild.register_scan_action import RegisterScanAction
-from facepipe.scanning.rebuild.register_scans import NeutralScan, RegisterScans, placed_neutral
+from facepipe.scanning.rebuild.register_scans import NeutralScan, expression_surface, placed_neutral
 from facepipe.scans import Scan
 from facepipe.verbs.whole_faces import whole_face, whole_points
 
@@ -69,9 +69,8 @@ def test_weights_are_held_by_their_sigma() -> None:
     head = scan_domes.face()
     template, own = Template.of(head, "head"), whole_face(head, "head")
     neutral = NeutralScan(points=own.points)
-    surface = RegisterScans(options=RegisterScansOptions(weight_sigma=0.2))._surface(
-        template, neutral, own.deltas, {"jawOpen": 0.5, "smile": 1.0}
-    )
+    weights, options = {"jawOpen": 0.5, "smile": 1.0}, RegisterScansOptions(weight_sigma=0.2)
+    surface = expression_surface(template, neutral, own.deltas, weights, options)
     np.testing.assert_allclose(surface.precision, [25.0, 25.0])
     np.testing.assert_array_equal(surface.expected, [0.5, 1.0])
 

@@ -25,7 +25,7 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.scanning.database import create_database, save_database
 from facepipe.scanning.rebuild import Rebuild, Template, read_project
 from facepipe.scanning.rebuild.register_scans import Composite
-from facepipe.scanning.rebuild.scan_check import ScanCheck, ScanChecks, misfits
+from facepipe.scanning.rebuild.scan_check import ScanCheck, misfits, scan_checks
 from facepipe.stage import open_face, save_parts
 from facepipe.verbs.whole_faces import WholeFace, whole_face
 
@@ -141,11 +141,11 @@ def test_a_scan_somewhere_else_is_off_by_that_and_may_be_the_actors_in_another_p
     head = scan_domes.face()
     template, own = Template.of(head, "head"), whole_face(head, "head")
     shown, fit = own.points + 0.8 * own.deltas["jawOpen"], {"coverage": 1.0, "landmark_mean_mm": 0.0}
-    checks = ScanChecks(template, own.points, own.deltas)
     for moved in (0.0, 6.0):
         points = shown + np.array([moved, 0.0, 0.0])
         seen = np.ones(len(points), bool)
-        check = checks.check(Composite(points=points, weights={"jawOpen": 0.8}, matched=seen), fit)
+        given = Composite(points=points, weights={"jawOpen": 0.8}, matched=seen)
+        check = scan_checks(template, own.points, own.deltas, {"one": given}, {"one": fit})["one"]
         assert 0.5 * moved <= check.off_mm <= moved + 0.01
         assert check.guess == "place"
 

@@ -1,9 +1,14 @@
-"""A foreign stage as parts, with facepipe's own attributes where it is or holds a face."""
+"""Faces of other tools' UsdSkel stages, with facepipe's own attributes where they are or hold a face.
+
+What such a stage leaves out or does differently is repaired in its session layer, which is never saved; then the
+readers of facepipe's own stages read it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
@@ -12,14 +17,13 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError, TopologyError
 from facepipe.core.names import identifier
-from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider, SliderNetwork
+from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
-from facepipe.stage.foreign.meshes import (
+from facepipe.stage.foreign_scene import (
     Scene,
     ancestors,
     bindings,
@@ -92,8 +96,26 @@ def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
     """
     skeleton = UsdSkel.Skeleton(prim)
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or []]
-    order = parents_first(joints)
-    bind, rest = _both_transforms(scene, skeleton, joints)
+    order, count = parents_first(joints), len(joints)
+    bind = matrices(skeleton.GetBindTransformsAttr().Get())
+    rest = matrices(skeleton.GetRestTransformsAttr().Get())
+    parents = Skeleton(joints=tuple(joints)).parents.tolist()
+    if len(bind) != count and len(rest) != count:
+        found = f"{len(bind)} bind and {len(rest)} rest transforms"
+        raise TopologyError(str(prim.GetPath()), f"{found}, expected {count} of one of them")
+    # rest_j = inverse(bind_parent) bind_j; binds are in the world, so above a root is the place of the prim
+    world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
+    if len(rest) != count:
+        scene.warn(f"{len(rest)} rest transforms of {count} joints: taken from bind transforms", [prim])
+        rest = np.full((count, 4, 4), np.nan)
+        for i, parent in enumerate(parents):
+            with contextlib.suppress(np.linalg.LinAlgError):  # the reader refuses what stays NaN
+                rest[i] = np.linalg.solve(bind[parent] if parent >= 0 else world, bind[i])
+    if len(bind) != count:
+        scene.warn(f"{len(bind)} bind transforms of {count} joints: taken from rest transforms", [prim])
+        bind = np.empty((count, 4, 4))
+        for i in order:
+            bind[i] = (bind[parents[i]] if parents[i] >= 0 else world) @ rest[i]
     if order != list(range(len(joints))):
         scene.warn("joints stand before their parents: reordered", [prim])
         for mesh in meshes:
@@ -127,106 +149,59 @@ def parents_first(joints: list[str]) -> list[int]:
     return list(order)
 
 
-def _both_transforms(scene: Scene, skeleton: UsdSkel.Skeleton, joints: list[str]) -> tuple[FloatArray, FloatArray]:
-    """(j, 4, 4) bind transforms in world space and rest transforms relative to the parent."""
-    prim, count = skeleton.GetPrim(), len(joints)
-    bind = matrices(skeleton.GetBindTransformsAttr().Get())
-    rest = matrices(skeleton.GetRestTransformsAttr().Get())
-    parents = Skeleton(joints=tuple(joints)).parents.tolist()
-    if len(bind) != count and len(rest) != count:
-        found = f"{len(bind)} bind and {len(rest)} rest transforms"
-        raise TopologyError(str(prim.GetPath()), f"{found}, expected {count} of one of them")
-    world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())).T
-    if len(rest) != count:
-        scene.warn(f"{len(rest)} rest transforms of {count} joints: taken from bind transforms", [prim])
-        # rest_j = inverse(bind_parent) bind_j; binds are in the world, so above a root is the place of the prim
-        above = [bind[parent] if parent >= 0 else world for parent in parents]
-        rest = np.array([_solved(parent, own) for parent, own in zip(above, bind, strict=True)]).reshape(-1, 4, 4)
-    if len(bind) != count:
-        scene.warn(f"{len(bind)} bind transforms of {count} joints: taken from rest transforms", [prim])
-        bind = np.empty((count, 4, 4))
-        for i in parents_first(joints):
-            bind[i] = (bind[parents[i]] if parents[i] >= 0 else world) @ rest[i]
-    return bind, rest
+def join_twins(
+    scene: Scene, prims: Sequence[Usd.Prim], meshes: Sequence[Mesh], animations: Mapping[Usd.Prim, Animation]
+) -> tuple[tuple[Mesh, ...], dict[Usd.Prim, Animation]]:
+    """The meshes and animations with shapes that are the shape of another mesh called as that one.
 
-
-def _solved(parent: FloatArray, child: FloatArray) -> FloatArray:
-    try:
-        return np.asarray(np.linalg.solve(parent, child))
-    except np.linalg.LinAlgError:
-        return np.full((4, 4), np.nan)  # the reader refuses it
-
-
-def twin_shapes(meshes: Sequence[Usd.Prim]) -> dict[str, str]:
-    """Names of shapes that are the shape of another mesh, to its name.
-
-    Such a one is called as its prim is, with a number behind; another mesh has a shape of the prim's name, and no mesh
+    Such a twin is called as its prim is, with a number behind; another mesh has a shape of the prim's name, and no mesh
     has both.
+
+    :param prims: those of the meshes
     """
-    every = [_tokens(mesh) for mesh in meshes]
-    plain = {prim: token for own in every for token, prim in own.items() if _identifier(token) == prim}
-    bases: dict[str, str] = {}
+    every: list[dict[str, str]] = []
+    for prim in prims:
+        api = UsdSkel.BindingAPI(prim)
+        tokens_of = [str(token) for token in api.GetBlendShapesAttr().Get() or []]
+        targets = [str(target.name) for target in api.GetBlendShapeTargetsRel().GetTargets()]
+        every.append(dict(zip(tokens_of, targets, strict=False)))
+    plain = {target: token for own in every for token, target in own.items() if _identifier(token) == target}
+    twins: dict[str, str] = {}
     for own in every:
-        twins = {token: plain[prim] for token, prim in own.items() if prim in plain and _numbered(token, prim)}
-        bases |= {token: base for token, base in twins.items() if base not in own}
-    return {token: base for token, base in bases.items() if token not in plain.values()}
-
-
-def _tokens(mesh: Usd.Prim) -> dict[str, str]:
-    """Names of a mesh's shapes, with those of their prims."""
-    api = UsdSkel.BindingAPI(mesh)
-    names = [str(name) for name in api.GetBlendShapesAttr().Get() or []]
-    targets = api.GetBlendShapeTargetsRel().GetTargets()
-    return {name: str(target.name) for name, target in zip(names, targets, strict=False)}
-
-
-def _numbered(token: str, prim: str) -> bool:
-    own = _identifier(token)
-    return own.startswith(prim) and _TWIN_NUMBER.fullmatch(own.removeprefix(prim)) is not None
+        for token, target in own.items():
+            name, base = _identifier(token), plain.get(target)
+            numbered = name.startswith(target) and _TWIN_NUMBER.fullmatch(name.removeprefix(target))
+            if numbered and base is not None and base not in own:
+                twins[token] = base
+    twins = {token: base for token, base in twins.items() if token not in plain.values()}
+    # one that an animation moves otherwise than the shape that it is stays by itself
+    for animation in animations.values():
+        weights = animation.shape_weights
+        if weights is not None:
+            column = {name: weights[:, i] for i, name in enumerate(animation.shapes)}
+            pairs = {twin: [column.get(name, np.zeros(len(weights))) for name in (twin, twins[twin])] for twin in twins}
+            apart = {twin for twin, (one, other) in pairs.items() if np.abs(one - other).max(initial=0) > _SAME_WEIGHT}
+            twins = {twin: base for twin, base in twins.items() if twin not in apart}
+    if not twins:
+        return tuple(meshes), dict(animations)
+    old, new = next(iter(twins.items()))
+    scene.warn(f"{len(twins)} shapes joined with those of other meshes, by their prims' names: {old} is {new}")
+    joined = []
+    for mesh in meshes:
+        shapes = (replace(shape, name=twins.get(shape.name, shape.name)) for shape in mesh.blendshapes)
+        joined.append(replace(mesh, blendshapes=tuple(shapes)))
+    played = {}
+    for prim, animation in animations.items():
+        kept = [i for i, shape in enumerate(animation.shapes) if shape not in twins]
+        if len(kept) < len(animation.shapes) and animation.shape_weights is not None:
+            names, weights = tuple(animation.shapes[i] for i in kept), animation.shape_weights[:, kept]
+            animation = replace(animation, shapes=names, shape_weights=weights)
+        played[prim] = animation
+    return tuple(joined), played
 
 
 def _identifier(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
-
-
-def alike_in(twins: Mapping[str, str], animations: Iterable[Animation]) -> dict[str, str]:
-    """The twins that no animation moves otherwise than the shape that they are."""
-    apart: set[str] = set()
-    for animation in animations:
-        weights = animation.shape_weights
-        if weights is None:
-            continue
-        column = {name: weights[:, i] for i, name in enumerate(animation.shapes)}
-        zeros = np.zeros(len(weights))
-        for name, base in twins.items():
-            if np.abs(column.get(name, zeros) - column.get(base, zeros)).max(initial=0.0) > _SAME_WEIGHT:
-                apart.add(name)
-    return {name: base for name, base in twins.items() if name not in apart}
-
-
-def joined_meshes(meshes: Iterable[Mesh], twins: Mapping[str, str]) -> tuple[Mesh, ...]:
-    """The meshes with twins called as the shapes that they are."""
-    return tuple(
-        replace(
-            mesh,
-            blendshapes=tuple(
-                replace(blendshape, name=twins.get(blendshape.name, blendshape.name)) for blendshape in mesh.blendshapes
-            ),
-        )
-        for mesh in meshes
-    )
-
-
-def joined_animation(animation: Animation, twins: Mapping[str, str]) -> Animation:
-    """The animation without the columns of twins, whose shapes it moves alike."""
-    kept = [i for i, name in enumerate(animation.shapes) if name not in twins]
-    if len(kept) == len(animation.shapes) or animation.shape_weights is None:
-        return animation
-    return replace(
-        animation,
-        shapes=tuple(animation.shapes[i] for i in kept),
-        shape_weights=animation.shape_weights[:, kept],
-    )
 
 
 def read_foreign(
@@ -265,55 +240,56 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
     names = distinct_names(meshes, [str(mesh.GetName()) for mesh in meshes])
     material_names, materials = bound_materials(scene, meshes)
     queries = bindings(scene)
-    read = tuple(
-        _mesh(scene, mesh, name, queries.get(str(mesh.GetPath())), skeleton, material_names)
-        for mesh, name in zip(meshes, names, strict=True)
-    )
-    twins = twin_shapes(meshes)
+    read = []
+    for mesh, name in zip(meshes, names, strict=True):
+        query = queries.get(str(mesh.GetPath()))
+        binding = Binding(query, skeleton.joints) if query is not None else None
+        read.append(read_mesh(mesh, name, binding, material_names, unbound_shapes=True))
+        if read[-1].blendshapes and (query is None or not query.HasBlendShapes()):
+            scene.warn("blendshapes of a mesh without Skeleton, which UsdSkel never shows: read all the same", [mesh])
     sliders = _sliders(scene)
     source = None if prim is None else UsdSkel.BindingAPI(prim).GetInheritedAnimationSource() or None
-    animations = _animations(scene, source, skeleton, read)
-    twins = alike_in(twins, animations.values())
-    if twins:
-        old, new = next(iter(twins.items()))
-        scene.warn(f"{len(twins)} shapes joined with those of other meshes, by their prims' names: {old} is {new}")
-    read = joined_meshes(read, twins)
-    animations = {prim: joined_animation(animation, twins) for prim, animation in animations.items()}
+    joined, animations = join_twins(scene, meshes, read, _animations(scene, source, skeleton, read))
+    stage, face_name = scene.stage, str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem
+    unit, axis = float(UsdGeom.GetStageMetersPerUnit(stage)), str(UsdGeom.GetStageUpAxis(stage))
+    if not UsdGeom.StageHasAuthoredMetersPerUnit(stage):
+        scene.warn(f"metersPerUnit not authored: taken as {unit:g}")
+    if not 0 < unit < float("inf"):
+        raise scene.error(f"metersPerUnit {unit:g}, expected a finite number above 0")
+    if not stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
+        scene.warn(f"upAxis not authored: taken as {axis}")
+    # the first learned network that takes none but these sliders
+    slider_names, chosen = {slider.name for slider in sliders}, None
+    for one in _prims(scene):
+        network = _sound(scene, "network", read_slider_network, one)
+        if network is not None and (chosen is not None or not slider_names.issuperset(network.sliders)):
+            scene.warn("a learned network of sliders left out: another is kept, or its sliders are missing", [one])
+        elif network is not None:
+            chosen = network
+    limits = None if prim is None else _sound(scene, "bone limits", read_limits, prim, len(skeleton.joints))
+    hung = _texts(scene, tokens.ATTACH_JOINT)
+    if len(hung) > 1:
+        scene.warn(f"{len(hung)} attach joints: '{hung[0]}' is kept")
     return FaceParts(
-        name=identifier(str(scene.roots[0].GetName()) if len(scene.roots) == 1 else scene.path.stem, "Face"),
-        meters_per_unit=_meters_per_unit(scene),
-        up_axis="Z" if _up_axis(scene) == "Z" else "Y",
-        meshes=read,
+        name=identifier(face_name, "Face"),
+        meters_per_unit=unit,
+        up_axis="Z" if axis == "Z" else "Y",
+        meshes=joined,
         skeleton=skeleton,
         animations=tuple(animations.values()),
         played=None if source is None or source not in animations else animations[source].name,
-        frames_per_second=float(scene.stage.GetTimeCodesPerSecond()) or 24.0,
+        frames_per_second=float(stage.GetTimeCodesPerSecond()) or 24.0,
         sliders=sliders,
-        slider_network=_slider_network(scene, sliders),
-        bone_limits=None if prim is None else _sound(scene, "bone limits", read_limits, prim, len(skeleton.joints)),
+        slider_network=chosen,
+        bone_limits=limits,
         materials=materials,
-        attach_joint=_attach_joint(scene),
+        attach_joint=hung[0] if hung else None,
         attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
     )
 
 
-def _mesh(
-    scene: Scene,
-    prim: Usd.Prim,
-    name: str,
-    query: UsdSkel.SkinningQuery | None,
-    skeleton: Skeleton,
-    materials: dict[str, str],
-) -> Mesh:
-    binding = Binding(query, skeleton.joints) if query is not None else None
-    mesh = read_mesh(prim, name, binding, materials, unbound_shapes=True)
-    if mesh.blendshapes and (query is None or not query.HasBlendShapes()):
-        scene.warn("blendshapes of a mesh without Skeleton, which UsdSkel never shows: read all the same", [prim])
-    return mesh
-
-
 def _animations(
-    scene: Scene, source: Usd.Prim | None, skeleton: Skeleton, meshes: tuple[Mesh, ...]
+    scene: Scene, source: Usd.Prim | None, skeleton: Skeleton, meshes: Sequence[Mesh]
 ) -> dict[Usd.Prim, Animation]:
     """The animations of the face, that which its skeleton plays wherever it stands; names unique."""
     shapes = {shape.name for mesh in meshes for shape in mesh.blendshapes}
@@ -325,6 +301,7 @@ def _animations(
         animation = _sound(scene, "animation", read_animation, prim, name)
         if animation is None:
             continue
+        # importers leave out what the face lacks; here it is only named
         unknown = sorted({*animation.joints} - {*skeleton.joints}) + sorted({*animation.shapes} - shapes)
         if unknown:
             scene.warn(f"moves {', '.join(unknown[:3])} ({len(unknown)} in all), which the face lacks", [prim])
@@ -333,30 +310,6 @@ def _animations(
             scene.warn(f"no {' and '.join(missing)}: taken from rest", [prim])
         animations[prim] = animation
     return animations
-
-
-def _meters_per_unit(scene: Scene) -> float:
-    unit = float(UsdGeom.GetStageMetersPerUnit(scene.stage))
-    if not UsdGeom.StageHasAuthoredMetersPerUnit(scene.stage):
-        scene.warn(f"metersPerUnit not authored: taken as {unit:g}")
-    if not 0 < unit < float("inf"):
-        raise scene.error(f"metersPerUnit {unit:g}, expected a finite number above 0")
-    return unit
-
-
-def _up_axis(scene: Scene) -> str:
-    axis = str(UsdGeom.GetStageUpAxis(scene.stage))
-    if not scene.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
-        scene.warn(f"upAxis not authored: taken as {axis}")
-    return axis
-
-
-def _attach_joint(scene: Scene) -> str | None:
-    """The body joint that the root joints hang under; the first where the stage names several."""
-    joints = _texts(scene, tokens.ATTACH_JOINT)
-    if len(joints) > 1:
-        scene.warn(f"{len(joints)} attach joints: '{joints[0]}' is kept")
-    return joints[0] if joints else None
 
 
 def _sliders(scene: Scene) -> tuple[Slider, ...]:
@@ -369,18 +322,6 @@ def _sliders(scene: Scene) -> tuple[Slider, ...]:
             scene.warn(f"sliders {', '.join(twice[:3])} ({len(twice)} in all) once more: left out", [prim])
         sliders = {slider.name: slider for slider in of_prim} | sliders
     return with_mutual_mirrors([sliders[name] for name in sorted(sliders)])
-
-
-def _slider_network(scene: Scene, sliders: Sequence[Slider]) -> SliderNetwork | None:
-    """The first learned network that takes none but the given sliders; others are left out."""
-    names, chosen = {slider.name for slider in sliders}, None
-    for prim in _prims(scene):
-        network = _sound(scene, "network", read_slider_network, prim)
-        if network is not None and (chosen is not None or not names.issuperset(network.sliders)):
-            scene.warn("a learned network of sliders left out: another is kept, or its sliders are missing", [prim])
-        elif network is not None:
-            chosen = network
-    return chosen
 
 
 def _sound(scene: Scene, what: str, read: Callable[..., Read], *given: object) -> Read | None:

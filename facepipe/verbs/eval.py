@@ -16,7 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.declare import source
 from facepipe.kinds import FileAction, Job, action
-from facepipe.verbs.render_action import Posed
+from facepipe.verbs.render import Posed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
@@ -26,6 +25,7 @@ from facepipe.stage.values import ints
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
 _PROPERTIES_LISTED = 3
+_PER_POINT_OR_CORNER = ("vertex", "varying", "faceVarying")
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
@@ -40,14 +40,23 @@ class Scene:
         self.warnings: list[str] = []
         _choose_variants(self.stage, path, variants)
         self.roots = self._find_roots(root)
-        self._open_instances()
+        # instances become plain prims: a repair below one is not one below all
+        while instances := [prim for top in self.roots for prim in Usd.PrimRange(top) if prim.IsInstance()]:
+            list(self._below())  # counts what they will become
+            for prim in instances:
+                prim.SetInstanceable(False)
         self.prims = list(self._below())
         check_kinds(self.prims, self.path)
         check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
         self._default_values()
-        self._skel_roots()
+        # each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone
+        for top in (top for top in self.roots if top.GetTypeName() in _CONTAINERS):
+            for prim in Usd.PrimRange(top):
+                if prim != top and prim.GetTypeName() == "SkelRoot":
+                    prim.SetTypeName("Xform")
+            top.SetTypeName("SkelRoot")
         # usdSkel reads skel properties only where their API is applied; files before 2021 have none
         lacking = [
             prim for prim in self.prims if not prim.HasAPI(UsdSkel.BindingAPI) and authored_skel_properties(prim)
@@ -85,16 +94,6 @@ class Scene:
         for root in self.roots:
             yield from prims_below(root, self.path)
 
-    def _open_instances(self) -> None:
-        """Instances become plain prims: a repair below one is not one below all."""
-        while True:
-            instances = [prim for root in self.roots for prim in Usd.PrimRange(root) if prim.IsInstance()]
-            if not instances:
-                return
-            list(self._below())  # counts what they will become
-            for prim in instances:
-                prim.SetInstanceable(False)
-
     def _default_values(self) -> None:
         """Values of the first time sample where there are only time samples."""
         moving: dict[str, list[Usd.Prim]] = {}
@@ -111,16 +110,6 @@ class Scene:
                     moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
         for name, prims in sorted(moving.items()):
             self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
-
-    def _skel_roots(self) -> None:
-        """Each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone."""
-        for root in self.roots:
-            if root.GetTypeName() not in _CONTAINERS:
-                continue
-            for prim in Usd.PrimRange(root):
-                if prim != root and prim.GetTypeName() == "SkelRoot":
-                    prim.SetTypeName("Xform")
-            root.SetTypeName("SkelRoot")
 
 
 def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
@@ -231,73 +220,55 @@ def mend_meshes(scene: Scene, meshes: list[Usd.Prim]) -> None:
 
 @reads_prim
 def _mend(prim: Usd.Prim) -> list[str]:
-    notes = []
+    mesh, notes = UsdGeom.Mesh(prim), []
     for primvar in UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues():
         name = str(primvar.GetPrimvarName())
         if name.startswith(("skel:", tokens.REGION_PRIMVAR)) or name == "normals":
             continue
-        problem = None if name == "displayColor" and _fits_color(prim, primvar) else _uv_problem(prim, primvar)
+        problem = _primvar_problem(mesh, primvar, is_color=name == "displayColor")
         if problem:
             primvar.GetAttr().Block()
             notes.append(f"primvar {name} {problem}: left out")
-    return [*notes, *_block_normals(prim), *_details(UsdGeom.Mesh(prim))]
-
-
-def _fits_color(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> bool:
-    count = len(primvar.ComputeFlattened() or ())
-    return count == 1 or (primvar.GetInterpolation() in ("vertex", "varying") and count == len(_points(prim)))
-
-
-def _uv_problem(prim: Usd.Prim, primvar: UsdGeom.Primvar) -> str | None:
-    """Why a primvar is no UV set; None where it is one."""
-    if str(primvar.GetTypeName()) not in UV_TYPES:
-        return f"of type {primvar.GetTypeName()}"
-    interpolation = str(primvar.GetInterpolation())
-    if interpolation not in ("vertex", "varying", "faceVarying"):
-        return f"of {interpolation} interpolation"
-    values = primvar.Get()
-    indices = ints(primvar.GetIndices()) if primvar.IsIndexed() else None
-    count = len(values if indices is None else indices)
-    expected = len(
-        UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr().Get() if interpolation == "faceVarying" else _points(prim)
-    )
-    if count != expected:
-        return f"with {count} values, expected {expected}"
-    if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
-        return f"with indices outside 0..{len(values) - 1}"
-    return None if np.isfinite(np.array(values)).all() else "with NaN or infinity"
-
-
-def _points(prim: Usd.Prim) -> Any:
-    return UsdGeom.Mesh(prim).GetPointsAttr().Get()
-
-
-def _block_normals(prim: Usd.Prim) -> list[str]:
-    """Blocks normals of other than point or face-vertex interpolation; the reader knows these by their count."""
-    mesh, notes = UsdGeom.Mesh(prim), []
+    # normals of other than point or face-vertex interpolation: the reader knows these by their count
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     given = [(mesh.GetNormalsAttr(), mesh.GetNormalsInterpolation())]
     if primvar and primvar.HasAuthoredValue():
         given.append((primvar.GetAttr(), primvar.GetInterpolation()))
     for attribute, interpolation in given:
-        if attribute.HasAuthoredValue() and interpolation not in ("vertex", "varying", "faceVarying"):
+        if attribute.HasAuthoredValue() and interpolation not in _PER_POINT_OR_CORNER:
             attribute.Block()
             notes.append(f"normals of {interpolation} interpolation: left out")
-    return notes
-
-
-def _details(mesh: UsdGeom.Mesh) -> list[str]:
-    """What a mesh has beyond its polygons."""
-    notes = []
     scheme = mesh.GetSubdivisionSchemeAttr().Get()
     if scheme != UsdGeom.Tokens.none:
         notes.append(f"subdivision surface ({scheme}): kept as its base cage")
-    creased = mesh.GetCreaseIndicesAttr().Get() or mesh.GetCornerIndicesAttr().Get()
-    if creased and scheme != UsdGeom.Tokens.none:
-        notes.append("creases and corners: left out")
+        if mesh.GetCreaseIndicesAttr().Get() or mesh.GetCornerIndicesAttr().Get():
+            notes.append("creases and corners: left out")
     if mesh.GetHoleIndicesAttr().Get():
         notes.append("holes: their faces are kept")
     return notes
+
+
+def _primvar_problem(mesh: UsdGeom.Mesh, primvar: UsdGeom.Primvar, *, is_color: bool) -> str | None:
+    """Why a primvar is no UV set, and no colour that fits where it may be one; None where it is."""
+    interpolation = str(primvar.GetInterpolation())
+    points = len(mesh.GetPointsAttr().Get())
+    if is_color:
+        count = len(primvar.ComputeFlattened() or ())
+        if count == 1 or (interpolation in ("vertex", "varying") and count == points):
+            return None
+    if str(primvar.GetTypeName()) not in UV_TYPES:
+        return f"of type {primvar.GetTypeName()}"
+    if interpolation not in _PER_POINT_OR_CORNER:
+        return f"of {interpolation} interpolation"
+    values = primvar.Get()
+    indices = ints(primvar.GetIndices()) if primvar.IsIndexed() else None
+    count = len(values if indices is None else indices)
+    expected = len(mesh.GetFaceVertexIndicesAttr().Get()) if interpolation == "faceVarying" else points
+    if count != expected:
+        return f"with {count} values, expected {expected}"
+    if indices is not None and indices.size and not (indices.min() >= 0 and indices.max() < len(values)):
+        return f"with indices outside 0..{len(values) - 1}"
+    return None if np.isfinite(np.array(values)).all() else "with NaN or infinity"
 
 
 def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:

@@ -1,14 +1,24 @@
-"""Options of what rebuild does, step by step."""
+"""What the actions of a rebuild declare: options of each step, landmarks beside scans, reports held against limits."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar
 
+from facepipe.core.reading import file_beside
+from facepipe.core.reports import Report, not_in_json
 from facepipe.declare import Ranged, option
 from facepipe.geometry.example_rigging import SplitOptions
 from facepipe.geometry.registration import RegistrationOptions
+from facepipe.kinds import StageAction
 
+if TYPE_CHECKING:
+    from facepipe.geometry.local_refinement import RefinementOptions
+    from facepipe.stage import Face
+
+J = TypeVar("J", bound="Judged")
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # mm
 
 
@@ -59,6 +69,14 @@ class RefineNeutralOptions(Ranged):
     landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks harder against the surface", 1e-3, 1e3, "mm")
     reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
 
+    @property
+    def refinement(self) -> RefinementOptions:
+        """The same for the solver."""
+        from facepipe.geometry.local_refinement import RefinementOptions
+
+        matching = RegistrationOptions(anchor_sigma_mm=self.landmark_sigma_mm, reach_mm=self.reach_mm)
+        return RefinementOptions(detail_mm=self.detail_mm, drift_mm=self.drift_mm, matching=matching)
+
 
 @dataclass(frozen=True, kw_only=True)
 class PersonalTemplateOptions(Ranged):
@@ -88,6 +106,12 @@ class RegisterScansOptions(Ranged):
     landmark_sigma_mm: float = option(0.3, "smaller ones hold landmarks and markers harder", 1e-3, 1e3, "mm")
     reach_mm: float = option(4.0, "points further from the scan don't follow it", 0.1, 1e3, "mm")
 
+    def registration(self, *, scale: bool) -> RegistrationOptions:
+        """The same for the solver, which finds the scan's scale too or not."""
+        return RegistrationOptions(
+            membrane=self.membrane, anchor_sigma_mm=self.landmark_sigma_mm, reach_mm=self.reach_mm, scale=scale
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class SplitExpressionsOptions(SplitOptions):
@@ -116,3 +140,42 @@ class BakeScanOptions(Ranged):
     texture_size: int | None = option(
         None, "size of the skin's textures (default that of the template's)", 64, 4096, "texels"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged(Report):
+    """The report of a fit, and of the action around it, held against limits."""
+
+    missed: tuple[str, ...] = ()  # a line for each limit
+    picture: Callable[[Path], None] | None = not_in_json()  # draws scan, face and their distance
+
+    of_action: ClassVar[tuple[str, ...]] = ()  # fields that the action fills, beside `missed`
+
+    def of_fit(self) -> dict[str, Any]:
+        """Its JSON without what the action fills: as the work folder of a rebuild keeps it."""
+        return {name: value for name, value in self.to_dict().items() if name not in ("missed", *self.of_action)}
+
+
+class ScanAction(StageAction[J]):
+    """Base of the actions that put a face on a scan."""
+
+    @classmethod
+    def replaced(cls, arguments: Any) -> Collection[str]:
+        """Landmarks of a scan in whose place the line gives another."""
+        of_scans = (("scan", "landmarks"), ("neutral_scan", "neutral_landmarks"))
+        return [landmarks for scan, landmarks in of_scans if getattr(arguments, scan, None)]
+
+    def draw(self, face: Face, report: J, path: Path) -> None:
+        """The picture of scan, face and their distance."""
+        if report.picture is not None:
+            report.picture(path)
+
+
+def landmark_file(scan: Path, given: Path | None) -> Path | None:
+    """The landmarks given, or those that lie beside a scan's file.
+
+    :raises InputError: a link beside it leads outside the roots
+    """
+    if given is not None or Path(scan).is_dir():
+        return None if given is None else Path(given)
+    return file_beside(Path(scan), f"{Path(scan).stem}.landmarks.json")
