@@ -142,7 +142,7 @@ def build_face(face: FaceObjects, view: StageView, own_units: bool) -> Built:
     """
     warnings: list[str] = []
     kept = None if face.record is None else kept_in(face.record)
-    made = _with_materials(_made(face, view, kept, warnings), view, warnings)
+    made = _made(face, view, kept, warnings)
     size = max((float(np.abs(mesh.points).max(initial=0.0)) for mesh in made.meshes), default=1.0)
     place = view.matrix(face.first)
     if kept is None:
@@ -198,22 +198,30 @@ def _made(face: FaceObjects, view: StageView, kept: Kept | None, warnings: list[
     free = iter(unique_identifiers([*taken, *others])[len(taken) :])
     names = [name or next(free) for name in names]
     matrix = view.matrix(face.first)
-    # the inverse (4, 4) of the place of an object
     if abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(face.first.name, "is scaled by 0, expected scales above 0")
-    first = np.linalg.inv(matrix)
+    first = np.linalg.inv(matrix)  # world -> first object
     meshes = []
     for obj, name in zip(face.meshes, names, strict=True):
         mesh = read_mesh(obj, name, joints, view.uv_names(obj), warnings)
         home = None if kept is None else _home(kept.parts, face)
         meshes.append(_in_its_place(mesh, first @ view.matrix(obj), kept, home))
     order = {} if kept is None else {mesh.name: i for i, mesh in enumerate(kept.parts.meshes)}
+    meshes.sort(key=lambda mesh: order.get(mesh.name, len(order)))
+    # a bare material of every name that is on the stage, to be filled with what is there
+    used = [mesh.material for mesh in meshes] + [own.material for mesh in meshes for own in mesh.material_faces]
+    there = [name for name in dict.fromkeys(used) if name and view.material(name) is not None]
+    for i, mesh in enumerate(meshes):
+        of_faces = tuple(own for own in mesh.material_faces if own.material in there)
+        whole = mesh.material if mesh.material in there else None
+        meshes[i] = replace(mesh, material=whole, material_faces=of_faces)
     return FaceParts(
         name=identifier(face.first.name, "Face"),
         meters_per_unit=view.unit,
         up_axis="Z" if view.up == "Z" else "Y",
-        meshes=tuple(sorted(meshes, key=lambda mesh: order.get(mesh.name, len(order)))),
+        meshes=tuple(meshes),
         skeleton=skeleton,
+        materials=tuple(Material(name=name) for name in there),
     )
 
 
@@ -232,21 +240,6 @@ def _in_its_place(mesh: Mesh, place: FloatArray, kept: Kept | None, home: FloatA
         return moved
     skin = None if moved.skin is None else replace(moved.skin, geom_bind_transform=home)
     return replace(moved, transform=home, skin=skin)
-
-
-def _with_materials(parts: FaceParts, view: StageView, warnings: list[str]) -> FaceParts:
-    """The face with a bare material of every name that is on the stage, to be filled with what is there."""
-    used = [mesh.material for mesh in parts.meshes] + [
-        material_face.material for mesh in parts.meshes for material_face in mesh.material_faces
-    ]
-    names = [name for name in dict.fromkeys(used) if name and view.material(name) is not None]
-
-    def own(mesh: Mesh) -> Mesh:
-        faces = tuple(material_face for material_face in mesh.material_faces if material_face.material in names)
-        return replace(mesh, material=mesh.material if mesh.material in names else None, material_faces=faces)
-
-    meshes = tuple(own(mesh) for mesh in parts.meshes)
-    return replace(parts, meshes=meshes, materials=tuple(Material(name=name) for name in names))
 
 
 def _snapped(matrix: FloatArray, to: FloatArray, size: float) -> FloatArray:

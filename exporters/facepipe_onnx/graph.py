@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from facepipe.core.arrays import IntArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.onnx_graph import Nodes
@@ -62,12 +62,17 @@ def build(rig: Rig, options: Options | None = None, *, triangles: IntArray | Non
     if options.joint_matrices and not rig.joints:
         raise ExportError(rig.name, "no joints, expected some for the output joint_matrices")
     nodes = Nodes()
-    worlds = None
+    worlds = ""
     if rig.joints:
         matrices = options.inputs == "matrices"
         worlds = world_nodes(nodes, rig, matrices=matrices, parent=options.parent, batch=options.batch)
     if rig.joints or options.parent:
-        skinned(nodes, rig, None if worlds is None else _ends(nodes, rig, worlds), options)
+        order = tree_order(rig.parents)[0]
+
+        def ends(constants: FloatArray) -> str:
+            return nodes.add("MatMul", worlds, nodes.constant("inverse_bind", constants[order]))
+
+        skinned(nodes, rig, ends if worlds else None, options)
     else:
         rigid(nodes, rig, options.batch)
     if worlds and options.joint_matrices:
@@ -98,12 +103,6 @@ def rigid(nodes: Nodes, rig: Rig, batch: int, activations: str | None = None) ->
     parts = partition(moved, block_size([(moved, OFFSET_BYTES)], len(rig.points)), OFFSET_BYTES)
     blocks = morph_nodes(nodes, world, rig.points @ linear.T + offset, parts, batch, activations)
     _in_point_order(nodes, _reorder(nodes, blocks, parts.position), parts, batch)
-
-
-def _ends(nodes: Nodes, rig: Rig, worlds: str) -> Ends:
-    """Products of `worlds`, sorted by depth, with constants."""
-    order = tree_order(rig.parents)[0]
-    return lambda ends: nodes.add("MatMul", worlds, nodes.constant("inverse_bind", ends[order]))
 
 
 def skinned(nodes: Nodes, rig: Rig, ends: Ends | None, options: Options, activations: str | None = None) -> None:

@@ -27,14 +27,17 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
     rows = nodes.reshape(coefficients, batch * count, 9)
     angles = nodes.slice(rows, 1, 3, 6)
     waves = nodes.concat([nodes.add("Sin", angles), nodes.add("Cos", angles)], 1)
-    products = _products()
+    # the products i k m j that are not zero: R[i, j] sums Rz[i, k] Rx[k, m] Ry[m, j]
+    turns = [_axis_rotation(axis) for axis in _ORDER]
+    first, second, third = (np.abs(linear).sum(axis=0) + fixed != 0 for linear, fixed in turns)
+    indices = itertools.product(range(3), repeat=4)
+    products = [(i, k, m, j) for i, k, m, j in indices if first[i, k] and second[k, m] and third[m, j]]
     # (9, p + 3): the scale in every product, then the translations, out of the coefficients
     columns = [6 + j for *_, j in products] + [0, 1, 2]
     scale, entries = np.eye(9)[:, columns], np.eye(16)[[4 * i + j for i, *_, j in products] + [3, 7, 11]]
     product = nodes.add("MatMul", rows, nodes.constant("scales", scale))
-    for place, axis in enumerate(_ORDER):
+    for place, (axis, (turn, still)) in enumerate(zip(_ORDER, turns, strict=True)):
         # the factor of one axis in every product, and a 1 for each translation
-        turn, still = _axis_rotation(axis)
         i, j = np.array([product[place : place + 2] for product in products]).T
         linear, fixed = np.hstack([turn[:, i, j], np.zeros((6, 3))]), np.append(still[i, j], np.ones(3))
         factor = nodes.add("Gemm", waves, nodes.constant(f"turns_{axis}", linear), nodes.constant("fixed_turns", fixed))
@@ -53,14 +56,6 @@ def _axis_rotation(axis: int) -> tuple[FloatArray, FloatArray]:
     linear[3 + axis, first, first] = linear[3 + axis, second, second] = 1.0
     fixed[axis, axis] = 1.0
     return linear, fixed
-
-
-def _products() -> list[tuple[int, int, int, int]]:
-    """The products i k l j that are not zero: ``R[i, j]`` sums ``Rz[i, k] Rx[k, l] Ry[l, j]``."""
-    turns = [_axis_rotation(axis) for axis in _ORDER]
-    first, second, third = (np.abs(linear).sum(axis=0) + fixed != 0 for linear, fixed in turns)
-    indices = itertools.product(range(3), repeat=4)
-    return [(i, k, m, j) for i, k, m, j in indices if first[i, k] and second[k, m] and third[m, j]]
 
 
 def tree_order(parents: IntArray) -> tuple[IntArray, IntArray]:

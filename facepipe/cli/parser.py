@@ -163,7 +163,8 @@ def _settings(field: Field) -> dict[str, Any]:
         settings["choices"] = field.choices
     else:
         settings["metavar"] = field.metavar or field.name.upper()
-    kind = field.parse or _kind(field)
+    plain: type = next((kind for kind in field.kinds if kind in (int, float, Path)), str)
+    kind: Any = field.parse or (type(field.choices[0]) if field.choices else plain)
 
     # `kind` as argparse calls it: errors of ours keep their words
     def read(text: str) -> Any:
@@ -174,12 +175,6 @@ def _settings(field: Field) -> dict[str, Any]:
 
     read.__name__ = getattr(kind, "__name__", "value")
     return {"type": read, **settings}
-
-
-def _kind(field: Field) -> Any:
-    if field.choices:
-        return type(field.choices[0])
-    return next((kind for kind in field.kinds if kind in (int, float, Path)), str)
 
 
 def options_from(arguments: argparse.Namespace, options: type) -> Any:

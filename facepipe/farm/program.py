@@ -145,7 +145,9 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     cache = Cache(Path(request["cache"]), request["cache_bytes"], mirror.path) if request.get("cache") else None
     for path in line.writes:
         path.parent.mkdir(parents=True, exist_ok=True)
-    places = [place for path in line.writes for place in _places(path)]
+    # a result itself, and the textures beside a stage
+    textures = [texture_folder(path) for path in line.writes if path.suffix.lower() in SUFFIXES]
+    places = [*line.writes, *textures]
     beside = {(one.parent, one.stem) for one in line.writes if one.suffix.lower() == ".gltf"}
 
     def is_own(path: Path) -> bool:
@@ -163,7 +165,7 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
                 if not isinstance(error.__cause__, OSError):  # else its storage has no locks
                     raise ChangedError(path, "is made by another batch, expected one at a time") from error
         known = None if cache is None else cache.fetch(key, is_own)
-        record = known or _made(line, mirror)
+        record = known or _made(line, places, mirror)
         if cache is not None and known is None:
             cache.keep(key, record)
     writes = {name: [mirror.put(name, own), own] for name, (_, own) in record["writes"].items()}
@@ -173,10 +175,9 @@ def _result(request: Mapping[str, Any], line: Line, key: str, mirror: Mirror) ->
     return {**record, "status": CACHED if known else MADE, "writes": writes}
 
 
-def _made(line: Line, mirror: Mirror) -> Record:
-    """What a line came to; of what it wrote the digests, its result last."""
+def _made(line: Line, places: Sequence[Path], mirror: Mirror) -> Record:
+    """What a line came to; of what it wrote at some places the digests, its result last."""
     outcome = line.run()
-    places = [place for path in line.writes for place in _places(path)]
     files = {file for place in places for file in (place, *place.rglob("*")) if file.is_file()}
     for path in [one for one in files if one.suffix.lower() == ".gltf"]:  # files beside it are called by their content
         files |= {one for one in named(path) if one.is_relative_to(path.parent) and one.is_file()}
@@ -197,11 +198,6 @@ def _brief(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _brief(one) for key, one in value.items() if not (hasattr(one, "__len__") and len(one) > _MOST)}
     return value
-
-
-def _places(path: Path) -> tuple[Path, ...]:
-    """Where a result is written: itself, and the textures beside a stage."""
-    return (path, texture_folder(path)) if path.suffix.lower() in SUFFIXES else (path,)
 
 
 def main(read: Callable[[list[str]], Line] | None = None) -> None:
