@@ -290,7 +290,7 @@ def fit_simplex(
     if not free.any():
         return SimplexFit(shares, 0.0)
     movable = np.repeat(free, sources)
-    # the problem of the `free` (v,) shares, the others held, scaled
+    # the problem of the shares that are not locked; scaled, so that gaps of all problems mean the same
     symmetric = (gram + gram.T) / 2
     left = symmetric[np.ix_(movable, movable)]
     pull = linear[movable] - symmetric[np.ix_(movable, ~movable)] @ shares.ravel()[~movable]

@@ -146,9 +146,8 @@ def _improve(
     """Put in the places on `triangles` (p,) that are nearer to the points `numbers` (p,) than those found so far."""
     wanted = points[numbers]
     tried = corners[triangles]
-    # squared distance, place and feature on triangles (p, 3, 3), each with its own point (p, 3). The foot of the
-    # perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where ``(side x (p - start)) .
-    # n > 0`` at all three sides; otherwise the nearest place on the three edges.
+    # the foot of the perpendicular ``p - ((p - a) . n) n / |n|^2`` where that lies inside, which it does where
+    # ``(side x (p - start)) . n > 0`` at all three sides; otherwise the nearest place on the three edges
     starts, ends = tried, tried[:, [1, 2, 0]]
     sides = ends - starts
     lengths = np.einsum("pei,pei->pe", sides, sides)

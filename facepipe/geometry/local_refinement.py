@@ -111,8 +111,8 @@ class _State:
         )
         pull = self._view.pull(self._surface, points, demand)
         system = self._smoothness.system(points)
-        # (n, 3, 3) and (n, 3) of matches, and of what holds points that follow in part. The hold is to the match as ``1
-        # - follow`` to ``follow``: a point alone goes the share `follow` of the way.
+        # what holds points that follow in part is to the match as ``1 - follow`` to ``follow``: a point alone goes the
+        # share `follow` of the way
         normals, blocks = pull.matches.normals, np.zeros((len(points), 3, 3))
         follow = np.maximum(self._follow, _LEAST_FOLLOW)
         areas = np.maximum(self._areas, 1e-4 * self._areas.mean())  # points without a triangle stay

@@ -180,7 +180,10 @@ def barycentrics(points: FloatArray, triangles: IntArray, ids: IntArray, x: Floa
     drawn[ids] = True
     which = (np.cumsum(drawn) - 1)[ids]
     corners = [points[each][:, (0, 1, 3)].T for each in triangles[drawn].T]
-    planes = np.stack([_cross(corners[(i + 1) % 3], corners[(i + 2) % 3]) for i in range(3)])
+    crossed = []
+    for a, b in ((corners[1], corners[2]), (corners[2], corners[0]), (corners[0], corners[1])):
+        crossed.append(np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]))
+    planes = np.stack(crossed)
     # Only ratios count; scaling keeps float32 in range, and a sign per triangle makes the three positive inside it.
     determinant = (planes[0] * np.stack(corners[0])).sum(axis=0)
     scale = np.abs(planes).max(axis=(0, 1)) * np.where(determinant < 0, -1.0, 1.0)
@@ -203,10 +206,6 @@ def expand(counts: IntArray) -> tuple[IntArray, IntArray]:
     """The owner of each of `counts` (m,) steps and its number there: of (2, 3) owners 0 0 1 1 1, numbers 0 1 0 1 2."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _crosses_centers(positions: FloatArray) -> BoolArray:

@@ -153,23 +153,22 @@ class _Lookup:
         height, width = self.image.shape[:2]
         column, row = place[:, 0] * width, (1.0 - place[:, 1]) * height
         shares = np.zeros((len(place), len(self.palette.colors)))
+        # no more than 8 lookups a side: a footprint of 256 texels would take 65,536 of each corner
         taps = min(footprint, _MOST_TAPS)
         offsets = (np.arange(taps) + 0.5) / taps * footprint - footprint / 2
         for down in offsets if len(place) else ():
             for right in offsets:
                 x = np.clip(np.floor(column + right), 0, width - 1).astype(np.int64)
                 y = np.clip(np.floor(row + down), 0, height - 1).astype(np.int64)
-                shares += self._texels(y * width + x)
+                texels = y * width + x
+                distinct, back = np.unique(texels, return_inverse=True)
+                found, unknown = texel_shares(self.image, distinct, self.palette)
+                if unknown.any():
+                    rows = np.flatnonzero(unknown[back.ravel()])
+                    self.unknown.append((texels[rows], rows))
+                shares += found[back.ravel()]
         total = shares.sum(axis=1, keepdims=True)
         return np.asarray(np.divide(shares, total, out=shares, where=total > 0))
-
-    def _texels(self, texels: IntArray) -> FloatArray:
-        distinct, back = np.unique(texels, return_inverse=True)
-        shares, unknown = texel_shares(self.image, distinct, self.palette)
-        if unknown.any():
-            rows = np.flatnonzero(unknown[back.ravel()])
-            self.unknown.append((texels[rows], rows))
-        return np.asarray(shares[back.ravel()])
 
 
 def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
@@ -263,16 +262,13 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
     shares = np.where(label[:, None] == UNKNOWN, 0.0, np.eye(count + 1)[label])
     unsure = np.flatnonzero(~exact | (label == count))
     if len(unsure) and palette.edge:
-        middles = texels[unsure]
-        edge = palette.edge
-        # texels (m, s) of the square of 2 edge + 1 around each, clamped to the image, and squared distances (m, s)
-        height, width = image.shape[:2]
-        row, column = np.divmod(middles, width)
+        # the square of 2 edge + 1 texels around each, clamped to the image, and squared distances
+        edge, (height, width) = palette.edge, image.shape[:2]
+        row, column = np.divmod(texels[unsure], width)
         down, right = (axis.ravel() for axis in np.mgrid[-edge : edge + 1, -edge : edge + 1])
         rows = np.clip(row[:, None] + down, 0, height - 1)
         columns = np.clip(column[:, None] + right, 0, width - 1)
-        squared = (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2
-        around, distance = rows * width + columns, squared
+        around, distance = rows * width + columns, (rows - row[:, None]) ** 2 + (columns - column[:, None]) ** 2
         distinct, back = np.unique(around, return_inverse=True)
         labels, pure = palette.labels(pixels[distinct])
         near, sure = labels[back.reshape(around.shape)], pure[back.reshape(around.shape)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.polygons import components, distinct_edges, merge_points
+from facepipe.geometry.polygons import components, distinct_edges, distinct_rows, merge_points
 
 _POINTS_AT_ONCE = 50_000  # points at once
 _LONE_DISTANCE = 6.0  # times the median distance of neighbours: farther off, a point is junk
@@ -42,8 +42,7 @@ def cloud_normals(points: FloatArray, neighbours: int = 16) -> CloudNormals:
     count = min(neighbours, len(points) - 1)
     distances, near = cKDTree(points).query(points, k=count + 1)
     spacing = distances[:, 1:].mean(axis=1)
-    # (n, 3) direction in which the neighbours (n, k) of each point spread least. The eigenvector of least eigenvalue of
-    # ``sum (p - mean) (p - mean)^T``: the normal of the plane of least squares.
+    # the eigenvector of least eigenvalue of ``sum (p - mean) (p - mean)^T`` is the normal of the plane of least squares
     flat = np.empty((len(points), 3))
     for start in range(0, len(points), _POINTS_AT_ONCE):
         around = points[near[start : start + _POINTS_AT_ONCE]]
@@ -142,8 +141,8 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([((b - a) ** 2).sum(axis=1), ((c - b) ** 2).sum(axis=1), ((a - c) ** 2).sum(axis=1)], axis=0)
     sound = np.asarray(doubled > _THIN_AREA * longest)
-    single = _not_repeated(corners[sound])
-    corners = corners[sound][single]
+    corners = corners[sound]
+    corners = corners[distinct_rows(np.sort(corners, axis=1))[0]]
     if not len(corners):
         raise InputError("surface", "no triangle with an area, expected a scanned surface")
     sheets = cut_sheets(corners)
@@ -160,7 +159,7 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     report = SurfaceReport(
         merged_points=len(points) - len(first),
         flat_triangles=int((~sound).sum()),
-        repeated_triangles=int((~single).sum()),
+        repeated_triangles=int(sound.sum()) - len(corners),
         unused_points=len(first) - _used(corners),
         components=int(piece.max()) + 1,
         small_components=small,
@@ -181,16 +180,6 @@ def clean_surface(points: FloatArray, triangles: IntArray, *, smallest: float = 
     )
 
 
-def _not_repeated(triangles: IntArray) -> BoolArray:
-    """The first of triangles on the same three points."""
-    rows = np.sort(triangles, axis=1)
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    keep = np.ones(len(rows), bool)
-    keep[order[1:]] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    return keep
-
-
 def _used(numbers: IntArray) -> int:
     """The number of different values."""
     return int(np.count_nonzero(np.bincount(numbers.ravel())))
@@ -206,10 +195,9 @@ def _inward(points: FloatArray, sheets: Sheets) -> BoolArray:
     triangles = np.where(sheets.turned[:, None], sheets.triangles[:, ::-1], sheets.triangles)
     placed = points[sheets.source]
     component = sheets.component
-    # the bulge of each sheet (c,) to its outside: 0.28 for a sphere, 0 for a plane, negative where turned in. ``sum_t
-    # A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of the triangles: the mean
-    # distance of the tangent planes from the sheet's centre, over the root of its area; ``1 / sqrt(4 pi)`` for a
-    # sphere.
+    # a sheet's bulge to its outside is 0.28 for a sphere, 0 for a plane, negative where turned in:
+    # ``sum_t A_t u_t . (m_t - centre) / (sum_t A_t)^1.5`` of areas A, unit normals u and middles m of triangles: the
+    # mean distance of tangent planes from the centre, over the root of the area; ``1 / sqrt(4 pi)`` for a sphere
     a, b, c = placed[triangles].transpose(1, 0, 2)
     area_normals = np.cross(b - a, c - a) / 2
     areas = np.linalg.norm(area_normals, axis=1)
@@ -270,7 +258,7 @@ def cut_sheets(triangles: IntArray) -> Sheets:
     component = components(len(triangles), pairs.triangles)
     turned, broken = _orientation(len(triangles), component, pairs)
     whole = _Pairs(pairs.triangles[~broken], pairs.sides[~broken], pairs.alike[~broken])
-    # triangles (t, 3) on points of which each has one fan of triangles, and the input's point (m,) of each
+    # one point for each fan of triangles, numbered by the input's
     corners = triangles.ravel()
     following = np.arange(len(corners)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
     one, other = whole.sides.T

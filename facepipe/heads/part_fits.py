@@ -90,9 +90,28 @@ def fit_eyes(points: FloatArray, shapes: Shapes) -> tuple[FloatArray, Shapes]:
     :param shapes: name -> weight, 1 the last -> (n, 3) offsets there
     """
     points, shapes = points.copy(), dict(shapes)
-    for side, ball in zip(_SIDES, _balls(points), strict=True):
+    eyes, average = _eyes(), asset().points
+    # both eyeballs are of one size
+    spreads = [(one[each.ball] - one[each.ball].mean(axis=0)).std() for one in (points, average) for each in eyes]
+    scale = float((spreads[0] + spreads[1]) / (spreads[2] + spreads[3]))
+    balls = []
+    for each in eyes:
+        start = each.centre + (points[each.ball] - average[each.ball]).mean(axis=0)
+        eyeball = _Ball(eye=each, centre=start, scale=scale)
+        # moved a little, so that the lids lie on it as the average ones do on theirs
+        touching = np.isin(each.rings, _TOUCH)
+        goal = _Ball(eye=each, centre=each.centre, scale=1.0).above(average[each.lids])[1][touching]
+        for _ in range(_STEPS):
+            directions, height = eyeball.above(points[each.lids])
+            miss = height[touching] - goal
+            weights = np.where(miss < 0, _INSIDE, 1.0)
+            rows = np.vstack([directions[touching] * weights[:, None], np.eye(3)])
+            step = np.linalg.lstsq(rows, np.append(miss * weights, start - eyeball.centre), rcond=None)[0]
+            eyeball = replace(eyeball, centre=eyeball.centre + step)
+        balls.append(eyeball)
+    for side, ball in zip(_SIDES, balls, strict=True):
         eye = ball.eye
-        points[eye.ball] = ball.centre + ball.scale * (asset().points[eye.ball] - eye.centre)
+        points[eye.ball] = ball.centre + ball.scale * (average[eye.ball] - eye.centre)
         points[eye.lids] = ball.lifted(points[eye.lids])
         name = f"eyeBlink{side}"
         shapes[name] = _blink(points, shapes[name], ball)
@@ -134,29 +153,6 @@ def _blink(points: FloatArray, blink: Mapping[float, FloatArray], ball: _Ball) -
         fitted[share] = offsets
     fitted[1.0][eye.lids] = end - start
     return fitted
-
-
-def _balls(points: FloatArray) -> tuple[_Ball, ...]:
-    """Both eyeballs of a person, of one size."""
-    eyes, average = _eyes(), asset().points
-    spreads = [(one[eye.ball] - one[eye.ball].mean(axis=0)).std() for one in (points, average) for eye in eyes]
-    scale = float((spreads[0] + spreads[1]) / (spreads[2] + spreads[3]))
-    balls = []
-    for eye in eyes:
-        start = eye.centre + (points[eye.ball] - average[eye.ball]).mean(axis=0)
-        ball = _Ball(eye=eye, centre=start, scale=scale)
-        # moved a little, so that the lids lie on it as the average ones do on theirs
-        touching = np.isin(eye.rings, _TOUCH)
-        goal = _Ball(eye=eye, centre=eye.centre, scale=1.0).above(average[eye.lids])[1][touching]
-        for _ in range(_STEPS):
-            directions, height = ball.above(points[eye.lids])
-            miss = height[touching] - goal
-            weights = np.where(miss < 0, _INSIDE, 1.0)
-            rows = np.vstack([directions[touching] * weights[:, None], np.eye(3)])
-            step = np.linalg.lstsq(rows, np.append(miss * weights, start - ball.centre), rcond=None)[0]
-            ball = replace(ball, centre=ball.centre + step)
-        balls.append(ball)
-    return tuple(balls)
 
 
 def _at(along: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:

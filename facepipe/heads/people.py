@@ -145,33 +145,29 @@ def draw(seed: int) -> Person:
     by_sex, old = arrays("measures")["trait_weights"] * _STEP
     across = by_sex / np.linalg.norm(by_sex)
     aged = 2.0 * (years - _YOUNG) / (_OLD - _YOUNG) - 1.0
+    tone, as_man = float(random.uniform(1.0, TONES)), sex > 0
+    hair = _pick(random, _at(_HAIR, tone))
+    fair = {"dark": 1.0, "brown": 1.0}
+    eyes = {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()}
+    shares = {name: own[as_man] for name, own in _STYLES.items()}
+    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
     return Person(
         identity=np.asarray(weights + (sex - weights @ across) * across + aged * old),
         sex=sex,
         years=years,
-        look=_look(random, seed, sex, years),
-    )
-
-
-def _look(random: np.random.Generator, seed: int, sex: float, years: float) -> Look:
-    tone, male = float(random.uniform(1.0, TONES)), sex > 0
-    hair = _pick(random, _at(_HAIR, tone))
-    fair = {"dark": 1.0, "brown": 1.0}
-    eyes = {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()}
-    shares = {name: own[male] for name, own in _STYLES.items()}
-    shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
-    return Look(
-        seed=seed,
-        tone=tone,
-        eyes=_pick(random, eyes),
-        hair=_greyed(random, hair, years),
-        style=_pick(random, shares),
-        redness=float(random.uniform(0.2, 0.8)),
-        lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
-        age=float((years - _YOUNG) / (_OLD - _YOUNG)),
-        freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
-        beard=float(random.beta(1.2, 1.6) if male else 0.0),
-        brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+        look=Look(
+            seed=seed,
+            tone=tone,
+            eyes=_pick(random, eyes),
+            hair=_greyed(random, hair, years),
+            style=_pick(random, shares),
+            redness=float(random.uniform(0.2, 0.8)),
+            lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
+            age=float((years - _YOUNG) / (_OLD - _YOUNG)),
+            freckles=float(random.random() if tone < _MIDDLE and random.random() < 0.3 else 0.0),
+            beard=float(random.beta(1.2, 1.6) if as_man else 0.0),
+            brows=float(np.clip(random.normal(0.5 + 0.15 * sex, 0.18), 0.0, 1.0)),
+        ),
     )
 
 

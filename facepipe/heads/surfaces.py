@@ -47,19 +47,21 @@ def dressed(face: FaceParts, look: Look, size: int | None) -> FaceParts:
     head, *others = face.meshes
     if size is None:
         skins = [Material(name=name, diffuse_color=(1.0, 1.0, 1.0), roughness=0.5) for name in SKIN]
-        # (n, 3) linear colours of the head's points
         uv, (uv_set, *_) = np.zeros((len(head.points), 2)), head.uv_sets
         uv[head.face_vertex_indices] = np.asarray(uv_set.values)[uv_set.indices]
         tiles = np.stack([skin.coarse(look, tile, _STEP) for tile in range(len(SKIN))])
         tile, side = np.floor(uv[:, 0]).astype(int), tiles.shape[1]
-        head = replace(
-            head,
-            colors=np.asarray(tiles[tile, ((1 - uv[:, 1]) * side).astype(int), ((uv[:, 0] - tile) * side).astype(int)]),
-        )
+        row, column = ((1 - uv[:, 1]) * side).astype(int), ((uv[:, 0] - tile) * side).astype(int)
+        head = replace(head, colors=np.asarray(tiles[tile, row, column]))
         return replace(face, meshes=(head, *others), materials=(*skins, *_loose(look, textured=False)))
     skins = mapped(partial(_skin, look, size), range(len(SKIN)))
     hairs = {"Brows": ("brows", "eyebrows"), "Lashes": ("lashes", "eyes"), "Hair": (look.style, "forehead")}
-    materials = (*skins, *_loose(look, textured=True), *_hairs(look))
+    hair, picture = look.hair_color, STYLES[look.style][1]
+    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
+    found = [_hair("Brows", brows, brow_color(hair, look.skin)), _hair("Lashes", "lashes.png", _LASHES)]
+    if picture:
+        found.append(replace(_hair("Hair", picture, hair), opacity_threshold=0.5))
+    materials = (*skins, *_loose(look, textured=True), *found)
     drawn = {material.name for material in materials}
     grown = [card_mesh(name, cards(kind), head, at) for name, (kind, at) in hairs.items() if name in drawn]
     return replace(face, meshes=(*face.meshes, *grown), materials=materials)
@@ -100,13 +102,6 @@ def _loose(look: Look, *, textured: bool) -> list[Material]:
     clear = TextureInput(texture=picture_of("sclera.png"), channels="a") if textured else 0.05
     materials[-1] = replace(materials[-1], opacity=clear, ior=1.376)
     return materials
-
-
-def _hairs(look: Look) -> list[Material]:
-    hair, picture = look.hair_color, STYLES[look.style][1]
-    brows = f"brows{int(np.clip(3 * look.brows, 0, 2))}.png"
-    found = [_hair("Brows", brows, brow_color(hair, look.skin)), _hair("Lashes", "lashes.png", _LASHES)]
-    return [*found, replace(_hair("Hair", picture, hair), opacity_threshold=0.5)] if picture else found
 
 
 def brow_color(hair: FloatArray, skin: FloatArray) -> FloatArray:
@@ -169,7 +164,7 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
-    # (n, 3) those of the skin where cards lie on it, level and outwards where they hang
+    # normals are those of the skin where cards lie on it, level and outwards where they hang
     outwards = (held.carry(head.points) + held.offsets - head.points.mean(axis=0)) * [1, 0, 1]
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     lying = np.exp(-((np.linalg.norm(held.offsets, axis=1, keepdims=True) / _HANGING) ** 2))

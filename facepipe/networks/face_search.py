@@ -113,14 +113,38 @@ def _faces(
     if near is not None:
         near = quarter_turned(near, quarters, (pixels.shape[1], pixels.shape[0]))
     photo, scale = _shrunk(torch.as_tensor(turned))
-    settled = _settled(network, photo, _candidates(network, photo) if near is None else near[None] / scale)
-    judged = [_judged(network, photo, landmarks) for landmarks in settled]
-    faces = _apart([face for face in judged if face is not None])
+    if near is None:
+        # landmarks of the crops that may show a face, the surest first
+        shortest = min(photo.shape[:2])
+        side = _LARGEST * shortest
+        peaks = [_peaks(network, photo, side)]
+        while (side := side / _RATIO) >= max(_SMALLEST * shortest, _FEWEST_PIXELS):
+            peaks.append(_peaks(network, photo, side))
+        crops, to_photo, logits = (np.concatenate(column) for column in zip(*peaks, strict=True))
+        surest = np.argsort(-logits, kind="stable")[:_MOST]
+        places, _ = network(crops[surest])
+        start = np.asarray(places * to_photo[surest, None, 1] + to_photo[surest, None, 0])
+    else:
+        start = near[None] / scale
+    settled = _settled(network, photo, start)
+    judged = [face for landmarks in settled if (face := _judged(network, photo, landmarks)) is not None]
+    faces: list[FoundFace] = []  # the surest of those that overlap
+    for face in sorted(judged, key=lambda one: -one.presence):
+        centre, side = face.landmarks.mean(axis=0), np.ptp(face.landmarks, axis=0).max() / 0.6
+        if all(np.linalg.norm(centre - other.landmarks.mean(axis=0)) > _SAME * side for other in faces):
+            faces.append(face)
     faces = [replace(face, landmarks=face.landmarks * scale) for face in faces]
     if faces and closer:
         second = own_dense_session()
         faces = [_looked_closer(second, torch.as_tensor(turned), face) for face in faces]
-    return [_turned_back(face, quarters, (turned.shape[1], turned.shape[0])) for face in faces]
+    found, size = [], (turned.shape[1], turned.shape[0])
+    for face in faces:
+        landmarks, dense = (quarter_turned(places, -quarters, size) for places in (face.landmarks, face.dense))
+        pupils = face.pupils
+        if pupils is not None:
+            pupils = np.column_stack([quarter_turned(pupils[:, :2], -quarters, size), pupils[:, 2]])
+        found.append(replace(face, landmarks=landmarks, dense=dense, pupils=pupils))
+    return found
 
 
 def _looked_closer(network: DenseLandmarkSession, photo: torch.Tensor, face: FoundFace) -> FoundFace:
@@ -139,14 +163,6 @@ def _looked_closer(network: DenseLandmarkSession, photo: torch.Tensor, face: Fou
     )
 
 
-def _turned_back(face: FoundFace, quarters: int, size: tuple[int, int]) -> FoundFace:
-    landmarks, dense = (quarter_turned(places, -quarters, size) for places in (face.landmarks, face.dense))
-    pupils = face.pupils
-    if pupils is not None:
-        pupils = np.column_stack([quarter_turned(pupils[:, :2], -quarters, size), pupils[:, 2]])
-    return replace(face, landmarks=landmarks, dense=dense, pupils=pupils)
-
-
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:
     """The photo at the resolution that the smallest crops need, and what its pixels times (x, y) are in the photo's."""
     height, width = photo.shape[:2]
@@ -161,19 +177,6 @@ def _resized(photo: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     """(1, 3, h, w) of a photo (h, w, 3), averaged where it shrinks."""
     pixels = photo.permute(2, 0, 1)[None]
     return torch.nn.functional.interpolate(pixels, size=size, mode="bilinear", antialias=True, align_corners=False)
-
-
-def _candidates(network: LandmarkSession, photo: torch.Tensor) -> FloatArray:
-    """(k, 68, 2) landmarks of the crops that may show a face, the surest first."""
-    shortest = min(photo.shape[:2])
-    side = _LARGEST * shortest
-    peaks = [_peaks(network, photo, side)]
-    while (side := side / _RATIO) >= max(_SMALLEST * shortest, _FEWEST_PIXELS):
-        peaks.append(_peaks(network, photo, side))
-    crops, to_photo, logits = (np.concatenate(column) for column in zip(*peaks, strict=True))
-    surest = np.argsort(-logits, kind="stable")[:_MOST]
-    places, _ = network(crops[surest])
-    return np.asarray(places * to_photo[surest, None, 1] + to_photo[surest, None, 0])
 
 
 def _peaks(network: LandmarkSession, photo: torch.Tensor, side: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -255,35 +258,20 @@ def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray
     if final is None or presence.mean() < _SURE:
         return None
     side = float(np.hypot(*final[:, 0])) * network.size
-    spread = _spread(looks, mean) / side
+    # RMS distances of landmarks from their mean; those of the contour slide along it: only across counts
+    off = looks - mean
+    found = np.sqrt((off**2).sum(axis=2).mean(axis=0))
+    along = np.gradient(mean[_CONTOUR], axis=0)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
+    found[_CONTOUR] = np.sqrt(2 * ((off[:, _CONTOUR] * across).sum(axis=2) ** 2).mean(axis=0))
+    spread = np.asarray(found) / side
     target = from_crop(TEMPLATE * network.size, final)
     unlike = np.sqrt(((mean - target) ** 2).sum(axis=1).mean()) / side
     if spread.mean() > _UNSTEADY or unlike > _UNLIKE:
         return None
-    return FoundFace(landmarks=mean, presence=float(presence.mean()), confidence=_confidence(spread))
-
-
-def _spread(looks: FloatArray, mean: FloatArray) -> FloatArray:
-    """(68,) RMS distances of landmarks (n, 68, 2) from their mean; those of the contour slide along it: across."""
-    off = looks - mean
-    spread = np.sqrt((off**2).sum(axis=2).mean(axis=0))
-    along = np.gradient(mean[_CONTOUR], axis=0)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
-    spread[_CONTOUR] = np.sqrt(2 * ((off[:, _CONTOUR] * across).sum(axis=2) ** 2).mean(axis=0))
-    return np.asarray(spread)
-
-
-def _confidence(spread: FloatArray) -> FloatArray:
-    """(68,) of RMS distances in sides of a crop."""
     doubt = max(_DOUBT, _USUAL * float(np.median(spread)))
-    return np.asarray(np.maximum(_LEAST, 1 / (1 + (spread / doubt) ** 4)))
-
-
-def _apart(faces: list[FoundFace]) -> list[FoundFace]:
-    """The surest of those that overlap."""
-    kept: list[FoundFace] = []
-    for face in sorted(faces, key=lambda one: -one.presence):
-        centre, side = face.landmarks.mean(axis=0), np.ptp(face.landmarks, axis=0).max() / 0.6
-        if all(np.linalg.norm(centre - other.landmarks.mean(axis=0)) > _SAME * side for other in kept):
-            kept.append(face)
-    return kept
+    return FoundFace(
+        landmarks=mean,
+        presence=float(presence.mean()),
+        confidence=np.asarray(np.maximum(_LEAST, 1 / (1 + (spread / doubt) ** 4))),
+    )

@@ -69,24 +69,22 @@ def face_mask(photo: Float32Array, landmarks: FloatArray) -> FaceMask:
         matrix = turned_crop(aligned, 0.0, scale, network.size)
         crop = plain_crop(photo, matrix, network.size).transpose(2, 0, 1)
         seen, mirrored = network(np.stack([crop, crop[..., ::-1]]))[:, :2]
-        _lay(shares, (seen + mirrored[..., ::-1]) / 2, matrix, network.size)
+        shown = (seen + mirrored[..., ::-1]) / 2
+        # what the crop shows goes over what was there, fading in from the crop's border
+        size = network.size
+        height, width = shares.shape[1:]
+        corners = np.array([(0, 0), (size, 0), (0, size), (size, size)]) @ matrix[:, :2].T + matrix[:, 2]
+        left, top = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, (width, height))
+        right, bottom = np.clip(np.ceil(corners.max(axis=0)).astype(int), 0, (width, height))
+        places = np.stack(np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5), axis=-1)
+        inside = to_crop(places, matrix) / size  # 0..1 of the crop
+        border = np.minimum(inside, 1 - inside).min(axis=-1)
+        amount = np.clip(border / _FADE, 0, 1).astype(np.float32)
+        at = np.moveaxis(inside[..., ::-1], -1, 0) * shown.shape[1] - 0.5
+        window = shares[:, top:bottom, left:right]
+        for one, channel in zip(window, shown, strict=True):
+            one += amount * (map_coordinates(channel, at, order=1, mode="nearest") - one)
     column, row = np.clip(landmarks[_INSIDE], 0, np.array(photo.shape[1::-1]) - 1).astype(np.int64).T
     if shares[0, row, column].mean() < _KNOWN:
         return FaceMask(face=np.ones_like(shares[0]), hair=np.zeros_like(shares[1]))
     return FaceMask(face=shares[0], hair=shares[1])
-
-
-def _lay(shares: Float32Array, seen: Float32Array, matrix: FloatArray, size: int) -> None:
-    """Put what a crop shows (2, s, s) over shares (2, h, w) of the photo, fading in from the crop's border."""
-    height, width = shares.shape[1:]
-    corners = np.array([(0, 0), (size, 0), (0, size), (size, size)]) @ matrix[:, :2].T + matrix[:, 2]
-    left, top = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, (width, height))
-    right, bottom = np.clip(np.ceil(corners.max(axis=0)).astype(int), 0, (width, height))
-    places = np.stack(np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5), axis=-1)
-    inside = to_crop(places, matrix) / size  # 0..1 of the crop
-    border = np.minimum(inside, 1 - inside).min(axis=-1)
-    amount = np.clip(border / _FADE, 0, 1).astype(np.float32)
-    at = np.moveaxis(inside[..., ::-1], -1, 0) * seen.shape[1] - 0.5
-    window = shares[:, top:bottom, left:right]
-    for one, channel in zip(window, seen, strict=True):
-        one += amount * (map_coordinates(channel, at, order=1, mode="nearest") - one)

@@ -59,7 +59,10 @@ def portrait(points: FloatArray, view: View, width: int, height: int, right: int
 
     :param right: pixels of its width that are kept for a bar or a legend
     """
-    axes = _axes(*(VIEWS[view] if isinstance(view, str) else view))
+    yaw, pitch = VIEWS[view] if isinstance(view, str) else view
+    backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    across = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+    axes = np.stack([across, np.cross(backward, across), backward])
     inner_width, inner_height = max(width - right, 1) * (1 - 2 * MARGIN), height * (1 - 2 * MARGIN)
     middle = (width - right) / 2, height / 2
     local = points @ axes.T if len(points) else np.zeros((1, 3))
@@ -69,9 +72,3 @@ def portrait(points: FloatArray, view: View, width: int, height: int, right: int
     distance = float(np.max(z + focal * np.maximum(x / (inner_width / 2), y / (inner_height / 2))))
     distance = max(distance, float(np.ptp(z)), 1e-3)
     return Camera(axes=axes, eye=(center + np.array([0.0, 0.0, distance])) @ axes, focal=focal, center=middle)
-
-
-def _axes(yaw: float, pitch: float) -> FloatArray:
-    backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
-    right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
-    return np.stack([right, np.cross(backward, right), backward])

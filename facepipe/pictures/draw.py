@@ -43,12 +43,26 @@ def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width:
     if covered == 0 or pixels < 0.5:
         return np.zeros_like(light)
     cell = max(1, round(pixels / _CELLS))
-    coarse = _pooled(np.dstack([light, share, depth]), cell)
+    pooled = np.dstack([light, share, depth])
+    # sums over square cells; those at the far borders may be smaller
+    rows, columns = (-(-side // cell) for side in pooled.shape[:2])
+    padded = np.zeros((rows * cell, columns * cell, pooled.shape[2]), np.float32)
+    padded[: pooled.shape[0], : pooled.shape[1]] = pooled
+    coarse = np.asarray(padded.reshape(rows, cell, columns, cell, -1).sum(axis=(1, 3)))
     values, far = coarse[..., :4], _mean(coarse[..., 4], coarse[..., 3])
     steps = np.arange(np.ceil(2.5 * pixels / cell) + 1, dtype=np.float32)
     blurred = _blurred(values, far, np.exp(-((steps * cell / pixels) ** 2) / 2), width)
     change = blurred - _mean(coarse[..., :3], coarse[..., 3:4])
-    return _enlarged(np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32), cell, light.shape[:2])
+    enlarged = np.where(coarse[..., 3:4] > 0, change, 0).astype(np.float32)
+    shape = light.shape[:2]
+    # cells as pixels (h, w, c) of `shape`, blended between the cells' middles
+    for axis in (0, 1):
+        at = np.clip((np.arange(shape[axis], dtype=np.float32) + 0.5) / cell - 0.5, 0, enlarged.shape[axis] - 1)
+        low = at.astype(np.int64)
+        high = np.minimum(low + 1, enlarged.shape[axis] - 1)
+        between = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1)).astype(np.float32)
+        enlarged = enlarged.take(low, axis=axis) * (1 - between) + enlarged.take(high, axis=axis) * between
+    return enlarged
 
 
 def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, width: float) -> Float32Array:
@@ -73,25 +87,6 @@ def _blurred(values: Float32Array, depth: Float32Array, weights: Float32Array, w
 
 def _mean(values: Float32Array, share: Float32Array) -> Float32Array:
     return np.asarray(values / np.where(share > 0, share, 1))
-
-
-def _pooled(values: Float32Array, cell: int) -> Float32Array:
-    """Sums over square cells; those at the far borders may be smaller."""
-    rows, columns = (-(-side // cell) for side in values.shape[:2])
-    padded = np.zeros((rows * cell, columns * cell, values.shape[2]), np.float32)
-    padded[: values.shape[0], : values.shape[1]] = values
-    return np.asarray(padded.reshape(rows, cell, columns, cell, -1).sum(axis=(1, 3)))
-
-
-def _enlarged(values: Float32Array, cell: int, shape: tuple[int, int]) -> Float32Array:
-    """Cells as pixels (h, w, c) of `shape`, blended between the cells' middles."""
-    for axis in (0, 1):
-        at = np.clip((np.arange(shape[axis], dtype=np.float32) + 0.5) / cell - 0.5, 0, values.shape[axis] - 1)
-        low = at.astype(np.int64)
-        high = np.minimum(low + 1, values.shape[axis] - 1)
-        share = (at - low).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1)).astype(np.float32)
-        values = values.take(low, axis=axis) * (1 - share) + values.take(high, axis=axis) * share
-    return values
 
 
 def open_share(depth: Float32Array, share: Float32Array, width: float, focal: float) -> Float32Array:
@@ -182,7 +177,15 @@ def fragments(
     :param top: the band's first row, in samples
     """
     width = behind.shape[1]
-    starts, stops, first = _by_pixel_row(spans, samples)
+    owners, rows = spans.owner, spans.row
+    new = np.ones(len(owners), bool)
+    new[1:] = (owners[1:] != owners[:-1]) | (rows[1:] // samples != rows[:-1] // samples)
+    row_group = np.cumsum(new) - 1
+    starts = np.full((int(new.sum()), samples), np.iinfo(np.int64).max)
+    stops = np.zeros_like(starts)
+    starts[row_group, rows % samples] = spans.start
+    stops[row_group, rows % samples] = spans.start + spans.count
+    first = np.flatnonzero(new)
     owner, row, column = spans.owner[first], spans.row[first] // samples, starts.min(axis=1) // samples
     plane = _planes(screen, owner, row * samples, column * samples)
     group, step = expand(-(-stops.max(axis=1) // samples) - column)
@@ -248,19 +251,6 @@ def _planes(screen: ScreenTriangles, owner: IntArray, row: IntArray, column: Int
     return _Planes(start=start, slope=slope, down=down, low=low, high=high)
 
 
-def _by_pixel_row(spans: Spans, samples: int) -> tuple[IntArray, IntArray, IntArray]:
-    """Starts and stops (g, samples) of the spans of a triangle in a row of pixels, and the first span (g,) of each."""
-    owner, row = spans.owner, spans.row
-    new = np.ones(len(owner), bool)
-    new[1:] = (owner[1:] != owner[:-1]) | (row[1:] // samples != row[:-1] // samples)
-    group = np.cumsum(new) - 1
-    starts = np.full((int(new.sum()), samples), np.iinfo(np.int64).max)
-    stops = np.zeros_like(starts)
-    starts[group, row % samples] = spans.start
-    stops[group, row % samples] = spans.start + spans.count
-    return starts, stops, np.flatnonzero(new)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Layers:
     """Fragments of see-through triangles, and how much of what is solid comes past them."""
@@ -309,18 +299,15 @@ def layers(
             every = fragments(part, spans, nearest, behind, samples, rows[0])
             opacity = shader.opacity(every.triangle, every.x, every.y)
             there = np.flatnonzero(opacity > _FAINT)
-            parts.append((chosen(every, there), opacity[there]))
-            _hide(behind, *parts[-1])
+            shown, opacity = chosen(every, there), opacity[there]
+            parts.append((shown, opacity))
+            # fragments that let no light past them hide those of the triangles to come
+            at = np.flatnonzero((shown.share == 1) & (opacity > 1 - _FAINT))
+            np.maximum.at(behind.reshape(-1), shown.pixel[at], shown.nearness[at])
     if not parts:
         return None
     several, opacities = zip(*parts, strict=True)
     return _stacked(shader, joined(several), np.concatenate(opacities), top * width)
-
-
-def _hide(behind: Float32Array, fragments: Fragments, opacity: Float32Array) -> None:
-    """Note in `behind` (rows, width) the nearness of fragments that let no light past them."""
-    at = np.flatnonzero((fragments.share == 1) & (opacity > 1 - _FAINT))
-    np.maximum.at(behind.reshape(-1), fragments.pixel[at], fragments.nearness[at])
 
 
 def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first: int) -> Layers:
@@ -331,7 +318,21 @@ def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first:
     far = np.uint64(0xFFFFFFFF) - fragments.nearness.view(np.uint32).astype(np.uint64)
     order = np.argsort((fragments.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
     fragments, opacity = chosen(fragments, order), opacity[order]
-    sheet = _sheets(shader, fragments)
+    # A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once.
+    # What fills it alone is a sheet alone.
+    surface = shader.scene.surface[fragments.triangle]
+    apart = np.ones(len(surface), bool)
+    near = fragments.nearness
+    apart[1:] = fragments.pixel[1:] != fragments.pixel[:-1]
+    apart[1:] |= surface[1:] != surface[:-1]
+    apart[1:] |= near[:-1] - near[1:] > _TOGETHER / shader.camera.focal * near[:-1]
+    alone = fragments.share == 1
+    apart[1:] |= alone[1:] | alone[:-1]
+    firsts = np.flatnonzero(apart)
+    middle = np.cumsum(fragments.share, dtype=np.float64) - fragments.share / 2
+    times_filled = np.floor(middle - (middle - fragments.share / 2)[firsts][np.cumsum(apart) - 1])
+    apart[1:] |= times_filled[1:] > times_filled[:-1]
+    sheet = np.cumsum(apart) - 1
     filled = np.maximum(np.bincount(sheet, fragments.share), 1.0)
     solid = np.bincount(sheet, fragments.share * opacity) / filled
     clear = np.log(1 - np.minimum(solid, 0.9999))
@@ -350,27 +351,6 @@ def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first:
         veiled=veiled + first,
         passed=np.exp(np.add.reduceat(clear, start)).astype(np.float32) if len(start) else np.zeros(0, np.float32),
     )
-
-
-def _sheets(shader: Shader, fragments: Fragments) -> IntArray:
-    """(f,) numbers of the sheets that fragments belong to, in the order of the fragments.
-
-    A sheet lies side by side in a pixel: neighbours in depth of one surface, as long as they fill the pixel once. What
-    fills it alone is a sheet alone.
-    """
-    surface = shader.scene.surface[fragments.triangle]
-    apart = np.ones(len(surface), bool)
-    near = fragments.nearness
-    apart[1:] = fragments.pixel[1:] != fragments.pixel[:-1]
-    apart[1:] |= surface[1:] != surface[:-1]
-    apart[1:] |= near[:-1] - near[1:] > _TOGETHER / shader.camera.focal * near[:-1]
-    alone = fragments.share == 1
-    apart[1:] |= alone[1:] | alone[:-1]
-    start = np.flatnonzero(apart)
-    middle = np.cumsum(fragments.share, dtype=np.float64) - fragments.share / 2
-    filled = np.floor(middle - (middle - fragments.share / 2)[start][np.cumsum(apart) - 1])
-    apart[1:] |= filled[1:] > filled[:-1]
-    return np.cumsum(apart) - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -394,7 +374,18 @@ def draw(shader: Shader, size: int, background: Float32Array, samples: int, mm: 
     spots, over = seen(shader, size, samples)
     shader.prepare(spots.triangle if over is None else np.append(spots.triangle, over.triangle))
     picture = background.reshape(-1, 3)
-    _paint(picture, shader, spots, size, mm)
+    if len(spots.pixel):
+        shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
+        if shader.studio.soft:
+            row, column = np.divmod(spots.pixel, size)
+            top, left = row.min(), column.min()
+            shape = int(row.max() - top) + 1, int(column.max() - left) + 1
+            window = _Window(shape=shape, place=(row - top) * shape[1] + column - left)
+            shaded = _softened(shaded, spots, window, shader.camera.focal, mm)
+        color = shaded.toned(shader.studio.tone) * spots.share[:, None]
+        picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
+        for channel in range(3):
+            picture[:, channel] += np.bincount(spots.pixel, color[:, channel], len(picture))
     if over is not None:
         over.blend(picture, shader)
     encoded = to_srgb(picture.reshape(size, size, 3)) * 255 + 0.5
@@ -435,68 +426,42 @@ def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
     mixed = np.flatnonzero(~even)
     inner = grid.transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
     near = raster.nearness.reshape(grid.shape).transpose(0, 2, 1, 3).reshape(-1, samples * samples)[mixed]
-    plain = _plain(shader, inner, near, center.ravel()[mixed])
+    # pixels whose triangles are one smooth surface can be shaded at once
+    shown = center.ravel()[mixed]
+    covered = (inner >= 0).all(axis=1)
+    surface = shader.scene.surface
+    plain = covered & (surface[inner] == surface[shown][:, None]).all(axis=1)
+    at = np.flatnonzero(plain)
+    facets = shader.unit_facets
+    level = np.full(len(at), 1.0, np.float32)
+    for sample in range(inner.shape[1]):
+        cosine = np.einsum("pc,pc->p", facets[inner[at, sample]], facets[shown[at]])
+        level = np.minimum(level, cosine)
+    depth = 1.0 / np.maximum(near[at], 1e-12)
+    step = np.ptp(depth, axis=1) * shader.camera.focal / depth.min(axis=1) if len(at) else level
+    plain[at] = (level > _SMOOTH) & (step < _STEP)
     even.ravel()[mixed[plain]] = True
     once = np.flatnonzero(even & (center >= 0))
-    edges = _edges(inner[~plain], mixed[~plain], width, samples)
-    pixel = np.concatenate([once, edges.pixel])
+    # a spot for each triangle of pixels that show several: in the middle of the samples that it covers
+    several_shown, edge_pixel = inner[~plain], mixed[~plain]
+    which, of_pixel = np.nonzero(several_shown >= 0)
+    triangle = several_shown[which, of_pixel].astype(np.int64)
+    several = int(triangle.max(initial=0)) + 1
+    code, spot, count = np.unique(which * several + triangle, return_inverse=True, return_counts=True)
+    which, triangle = np.divmod(code, several)
+    down, right = np.divmod(of_pixel, samples)
+    edge_row, edge_column = np.divmod(edge_pixel[which], width)
+    beside, below = (np.bincount(spot, (at + 0.5) / samples, len(code)) / np.maximum(count, 1) for at in (right, down))
+    pixel = np.concatenate([once, edge_pixel[which]])
     order = np.argsort(pixel, kind="stable")
     row, column = np.divmod(once, width)
     return Spots(
         pixel=pixel[order] + top * width,
-        triangle=np.concatenate([center.ravel()[once], edges.triangle])[order],
-        x=np.concatenate([column + 0.5, edges.x])[order],
-        y=np.concatenate([row + 0.5, edges.y])[order] + top,
-        share=np.concatenate([np.ones(len(once)), edges.share])[order],
+        triangle=np.concatenate([center.ravel()[once], triangle])[order],
+        x=np.concatenate([column + 0.5, edge_column + beside])[order],
+        y=np.concatenate([row + 0.5, edge_row + below])[order] + top,
+        share=np.concatenate([np.ones(len(once)), count / samples**2])[order],
     )
-
-
-def _plain(shader: Shader, triangles: IntArray, nearness: Float32Array, center: IntArray) -> BoolArray:
-    """(p,) pixels with triangles (p, s) that are one smooth surface, which can be shaded at once."""
-    covered = (triangles >= 0).all(axis=1)
-    surface = shader.scene.surface
-    plain = covered & (surface[triangles] == surface[center][:, None]).all(axis=1)
-    at = np.flatnonzero(plain)
-    facets = shader.unit_facets
-    level = np.full(len(at), 1.0, np.float32)
-    for sample in range(triangles.shape[1]):
-        cosine = np.einsum("pc,pc->p", facets[triangles[at, sample]], facets[center[at]])
-        level = np.minimum(level, cosine)
-    depth = 1.0 / np.maximum(nearness[at], 1e-12)
-    step = np.ptp(depth, axis=1) * shader.camera.focal / depth.min(axis=1) if len(at) else level
-    plain[at] = (level > _SMOOTH) & (step < _STEP)
-    return np.asarray(plain)
-
-
-def _edges(triangles: IntArray, pixel: IntArray, width: int, samples: int) -> Spots:
-    """A spot for each triangle of pixels that show (p, s) several: in the middle of the samples that it covers."""
-    which, sample = np.nonzero(triangles >= 0)
-    shown = triangles[which, sample].astype(np.int64)
-    several = int(shown.max(initial=0)) + 1
-    code, spot, count = np.unique(which * several + shown, return_inverse=True, return_counts=True)
-    which, shown = np.divmod(code, several)
-    down, right = np.divmod(sample, samples)
-    row, column = np.divmod(pixel[which], width)
-    x, y = (np.bincount(spot, (step + 0.5) / samples, len(code)) / np.maximum(count, 1) for step in (right, down))
-    return Spots(pixel=pixel[which], triangle=shown, x=column + x, y=row + y, share=count / samples**2)
-
-
-def _paint(picture: Float32Array, shader: Shader, spots: Spots, size: int, mm: float) -> None:
-    """Put what is solid over the background (size * size, 3)."""
-    if not len(spots.pixel):
-        return
-    shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
-    if shader.studio.soft:
-        row, column = np.divmod(spots.pixel, size)
-        top, left = row.min(), column.min()
-        shape = int(row.max() - top) + 1, int(column.max() - left) + 1
-        shaded = _softened(
-            shaded, spots, _Window(shape=shape, place=(row - top) * shape[1] + column - left), shader.camera.focal, mm
-        )
-    color = shaded.toned(shader.studio.tone) * spots.share[:, None]
-    picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
-    for channel in range(3):
-        picture[:, channel] += np.bincount(spots.pixel, color[:, channel], len(picture))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -97,7 +97,15 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
     from PIL import Image
 
     paint = None if options.regions is None else options.regions.colors
-    camera = _camera(parts, scene, options)
+    camera = options.camera
+    if camera is None:
+        used, right = np.unique(scene.triangles), 0  # pixels that a legend or a colour bar takes
+        if options.regions is not None and options.written:
+            right = legend_width(options.regions, options.size)
+        elif options.heatmap is not None and options.bar and options.written:
+            right = overlay.bar_width(options.size)
+        points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
+        camera = portrait(points[used], options.view, options.size, options.size, right)
     shader = Shader(scene, camera, options.heatmap, paint, options.studio)
     mm = 1000 * parts.meters_per_unit
     image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples, mm))
@@ -128,19 +136,3 @@ def _behind(options: PictureOptions) -> Float32Array:
     distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
     share = (distance**2 * (3 - 2 * distance))[..., None]
     return from_srgb(middle + (corner - middle) * share).astype(np.float32)
-
-
-def _camera(parts: FaceParts, scene: Scene, options: PictureOptions) -> Camera:
-    if options.camera is not None:
-        return options.camera
-    used = np.unique(scene.triangles)
-    points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
-    return portrait(points[used], options.view, options.size, options.size, _right_border(options))
-
-
-def _right_border(options: PictureOptions) -> int:
-    """Pixels that a colour bar or a legend takes."""
-    if options.regions is not None and options.written:
-        return legend_width(options.regions, options.size)
-    with_bar = options.heatmap is not None and options.bar and options.written
-    return overlay.bar_width(options.size) if with_bar else 0

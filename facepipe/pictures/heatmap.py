@@ -50,7 +50,11 @@ class HeatMap:
             return 0.0, 1.0
         low, high = min(0.0, float(known.min())), max(0.0, float(known.max()))
         step = tick_step(low, high) if high > low else 1.0
-        return float(np.floor(low / step - 1e-9) * step) if low < 0 else 0.0, _above(high, step, low)
+        bottom = float(np.floor(low / step - 1e-9) * step) if low < 0 else 0.0
+        if high <= 0:
+            return bottom, 0.0 if low < 0 else 1.0
+        # rounded up to half a step, so that the colours are used up to the end
+        return bottom, float(np.ceil(high / step * 2 - 1e-9) * step / 2)
 
     def colors(self, values: FloatArray) -> FloatArray:
         """(m, 3) linear colours of values (m,); outside the range the end colour, NaN grey."""
@@ -86,10 +90,3 @@ def _number(value: float, decimals: int) -> str:
     if decimals > 4 or abs(value) >= 1e6:
         return f"{value:.3g}"
     return f"{value:.{decimals}f}" if value else "0"
-
-
-def _above(high: float, step: float, low: float) -> float:
-    """`high` rounded up to half a step, so that the colours are used up to the end."""
-    if high <= 0:
-        return 0.0 if low < 0 else 1.0
-    return float(np.ceil(high / step * 2 - 1e-9) * step / 2)

@@ -110,14 +110,29 @@ class Studio:
             matt = lit.key_diffuse if of_key else lit.diffuse
             matt += np.maximum((cosine + wrap) / (1 + wrap), 0) * arriving * color_row(light.color)
             if light.highlight:
-                shine = _highlight(samples, light) * np.maximum(cosine[:, 0], 0) * light.highlight
+                # normalised Blinn-Phong with Schlick's Fresnel term at 4 % (ior 1.5)
+                half = samples.towards_eye + light.unit
+                half /= np.sqrt(np.einsum("mc,mc->m", half, half))[:, None]
+                alpha = np.maximum(samples.roughness, SHARPEST) ** 2
+                exponent = 2 / alpha**2 - 2
+                facing = np.clip(np.einsum("mc,mc->m", samples.normals, half), 0, 1)
+                grazing = 1 - np.clip(np.einsum("mc,mc->m", samples.towards_eye, half), 0, 1)
+                fresnel = 0.04 + 0.96 * grazing**5
+                shine = (
+                    np.asarray(fresnel * (exponent + 2) / 8 * np.exp(exponent * np.log(np.maximum(facing, 1e-6))))
+                    * np.maximum(cosine[:, 0], 0)
+                    * light.highlight
+                )
                 glossy = lit.key_highlights if of_key else lit.highlights
                 glossy += (shine * (arriving @ GREY))[:, None] * color_row(light.color)
         return lit
 
     def tone(self, color: FloatArray) -> FloatArray:
         """Linear light as linear colours 0..1 of a screen."""
-        return shoulder(color) if self.compress else np.minimum(color, 1.0)
+        if not self.compress:
+            return np.minimum(color, 1.0)
+        square = color * color  # above white bent below it, dark ones kept: ``x / (1 + x^4)^(1/4)``
+        return np.asarray(color / np.sqrt(np.sqrt(1 + square * square)))
 
 
 _KEY = ("key_diffuse", "key_highlights")
@@ -136,24 +151,6 @@ EVEN = Studio(
 def color_row(color: Color) -> FloatArray:
     """(3,) the colour as an array of float32."""
     return np.array(color, dtype=np.float32)
-
-
-def shoulder(color: FloatArray) -> FloatArray:
-    """Colours above white bent below it, dark ones kept: ``x / (1 + x^4)^(1/4)``."""
-    square = color * color
-    return np.asarray(color / np.sqrt(np.sqrt(1 + square * square)))
-
-
-def _highlight(samples: Samples, light: Light) -> FloatArray:
-    """Normalised Blinn-Phong with Schlick's Fresnel term at 4 % (ior 1.5)."""
-    half = samples.towards_eye + light.unit
-    half /= np.sqrt(np.einsum("mc,mc->m", half, half))[:, None]
-    alpha = np.maximum(samples.roughness, SHARPEST) ** 2
-    exponent = 2 / alpha**2 - 2
-    cosine = np.clip(np.einsum("mc,mc->m", samples.normals, half), 0, 1)
-    grazing = 1 - np.clip(np.einsum("mc,mc->m", samples.towards_eye, half), 0, 1)
-    fresnel = 0.04 + 0.96 * grazing**5
-    return np.asarray(fresnel * (exponent + 2) / 8 * np.exp(exponent * np.log(np.maximum(cosine, 1e-6))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,28 +281,27 @@ class _View:
         reflected = np.zeros_like(light)
         at = np.flatnonzero((light @ GREY > 0) & (self.normals @ box.axes[2] > -box.spread))
         if len(at):
-            reflected[at] = light[at] * self._lobe(box, at)
+            # (k, 3) share of a box's light that samples `at` (k,) reflect to the viewer
+            normals, alpha, facing, towards_eye = (
+                each[at] for each in (self.normals, self.alpha, self.facing, self.towards_eye)
+            )
+            across, along, ahead = box.axes @ self.mirrored[at].T
+            ahead = np.maximum(ahead, 0.02)
+            width, height = box.size
+            place = np.stack([np.clip(across / ahead, -width, width), np.clip(along / ahead, -height, height)], axis=1)
+            towards = _unit(place @ box.axes[:2] + box.axes[2])
+            half = _unit(towards + towards_eye)
+            cosine = np.maximum(_dot(normals, towards), 0)
+            lobe = alpha / (_dot(normals, half) ** 2 * (alpha**2 - 1) + 1)
+            widened = np.minimum(alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
+            masking = alpha / 2
+            unmasked = (cosine * (1 - masking) + masking) * (facing * (1 - masking) + masking)
+            strength = box.glare * cosine * (lobe * alpha / widened) ** 2 / (4 * unmasked)
+            mirror = self.mirror[at]
+            reflected[at] = light[at] * np.asarray(
+                (mirror + (1 - mirror) * ((1 - _dot(towards, half)) ** 5)[:, None]) * strength[:, None]
+            )
         return reflected
-
-    def _lobe(self, box: Softbox, at: IntArray) -> FloatArray:
-        """(k, 3) share of a box's light that samples `at` (k,) reflect to the viewer."""
-        normals, alpha, facing, towards_eye = (
-            each[at] for each in (self.normals, self.alpha, self.facing, self.towards_eye)
-        )
-        across, along, ahead = box.axes @ self.mirrored[at].T
-        ahead = np.maximum(ahead, 0.02)
-        width, height = box.size
-        place = np.stack([np.clip(across / ahead, -width, width), np.clip(along / ahead, -height, height)], axis=1)
-        light = _unit(place @ box.axes[:2] + box.axes[2])
-        half = _unit(light + towards_eye)
-        cosine = np.maximum(_dot(normals, light), 0)
-        lobe = alpha / (_dot(normals, half) ** 2 * (alpha**2 - 1) + 1)
-        widened = np.minimum(alpha + 0.35 * box.spread, 1.0)  # keeps the energy of what is no point
-        masking = alpha / 2
-        unmasked = (cosine * (1 - masking) + masking) * (facing * (1 - masking) + masking)
-        strength = box.glare * cosine * (lobe * alpha / widened) ** 2 / (4 * unmasked)
-        mirror = self.mirror[at]
-        return np.asarray((mirror + (1 - mirror) * ((1 - _dot(light, half)) ** 5)[:, None]) * strength[:, None])
 
 
 def scatter_share(base: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.geometry.colors import from_srgb
@@ -105,20 +105,12 @@ def color_bar(image: Image, heatmap: HeatMap) -> None:
     pen.text(((left + right) / 2, top - letters * 0.9), heatmap.unit, fill=INK, font=font(letters), anchor="mm")
     if heatmap.label:
         label_font = fitting_font(heatmap.label, letters, bottom - top)
-        _upright(image, heatmap.label, left - letters * 0.5, (top + bottom) / 2, label_font)
-
-
-def _upright(image: Image, text: str, right: float, middle: float, chosen: FreeTypeFont | ImageFont) -> None:
-    """Text that reads upwards, its foot at the column `right`."""
-    from PIL import Image as Images
-    from PIL import ImageDraw
-
-    x0, y0, x1, y1 = chosen.getbbox(text)
-    mask = Images.new("L", (int(x1 - x0) + 2, int(y1 - y0) + 2), 0)
-    ImageDraw.Draw(mask).text((1 - x0, 1 - y0), text, fill=255, font=chosen)
-    turned = mask.transpose(Images.Transpose.ROTATE_90)
-    place = round(right - turned.width), round(middle - turned.height / 2)
-    image.paste(Images.new("RGB", turned.size, INK), place, turned)
+        x0, y0, x1, y1 = label_font.getbbox(heatmap.label)
+        mask = Images.new("L", (int(x1 - x0) + 2, int(y1 - y0) + 2), 0)
+        ImageDraw.Draw(mask).text((1 - x0, 1 - y0), heatmap.label, fill=255, font=label_font)
+        turned = mask.transpose(Images.Transpose.ROTATE_90)  # reads upwards, its foot beside the bar
+        place = round(left - letters * 0.5 - turned.width), round((top + bottom) / 2 - turned.height / 2)
+        image.paste(Images.new("RGB", turned.size, INK), place, turned)
 
 
 def draw_landmarks(
@@ -131,7 +123,15 @@ def draw_landmarks(
     from PIL import Image as Images
     from PIL import ImageDraw
 
-    points, numbers = landmark_points(parts, scheme)
+    marked, start = [], 0
+    for mesh in parts.meshes:
+        if scheme in mesh.landmarks:
+            marked.append(np.asarray(mesh.landmarks[scheme].indices, dtype=np.int64) + start)
+        start += len(mesh.points)
+    if not marked:
+        known = sorted({name for mesh in parts.meshes for name in mesh.landmarks})
+        raise InputError(f"{parts.name} -> landmarks", unknown(scheme, known, "scheme"))
+    points, numbers = np.concatenate(marked), np.concatenate([np.arange(len(indices)) for indices in marked])
     screen = camera.project(scene.points)
     where = screen[points, :2] / screen[points, 3:]
     width, height = image.size
@@ -176,24 +176,6 @@ def _label_centers(dots: FloatArray, places: FloatArray, widths: FloatArray, rad
         centers[number] = choices[np.argmin(np.round(crowding * radius**3, 3))]
         taken.append(centers[number])
     return centers
-
-
-def landmark_points(parts: FaceParts, scheme: str) -> tuple[IntArray, IntArray]:
-    """Points (l,) of all meshes' landmarks of a scheme, and their numbers within it.
-
-    :raises InputError: no mesh has the scheme
-    """
-    points, numbers, start = [], [], 0
-    for mesh in parts.meshes:
-        if scheme in mesh.landmarks:
-            indices = np.asarray(mesh.landmarks[scheme].indices, dtype=np.int64)
-            points.append(indices + start)
-            numbers.append(np.arange(len(indices)))
-        start += len(mesh.points)
-    if not points:
-        known = sorted({name for mesh in parts.meshes for name in mesh.landmarks})
-        raise InputError(f"{parts.name} -> landmarks", unknown(scheme, known, "scheme"))
-    return np.concatenate(points), np.concatenate(numbers)
 
 
 def _disc(pixels: FloatArray, x: float, y: float, radius: float, color: tuple[int, int, int], opacity: float) -> None:

@@ -206,19 +206,17 @@ class Scene:
         return corners
 
 
-def neutral_points(parts: FaceParts) -> FloatArray:
-    """(n, 3) world-space points of all meshes, in mesh order, at rest."""
-    placed = [transformed(mesh.points, mesh.transform) for mesh in parts.meshes]
-    return np.concatenate([*placed, np.zeros((0, 3))])
-
-
 def world_points(parts: FaceParts, points: FloatArray | None, what: str = "points") -> FloatArray:
     """`points` (n, 3), checked against the meshes, or the neutral; turned to Y up.
 
     :raises InputError: the shape is not (n, 3) for the n points of all meshes, or a value is not finite
     """
     count = parts.point_count
-    placed = neutral_points(parts) if points is None else np.asarray(points, dtype=np.float64)
+    if points is None:
+        points = np.concatenate(
+            [*(transformed(mesh.points, mesh.transform) for mesh in parts.meshes), np.zeros((0, 3))]
+        )
+    placed = np.asarray(points, dtype=np.float64)
     if placed.shape != (count, 3):
         raise InputError(f"{parts.name} -> {what}", f"shape {placed.shape}, expected ({count}, 3)")
     if not np.isfinite(placed).all():
@@ -252,12 +250,8 @@ def build_scene(
         for bound in mesh.material_faces:
             of_face[np.asarray(bound.faces, dtype=np.int64)] = len(surfaces)
             surfaces.append(Surface(mesh=mesh, material=materials.get(bound.material)))
-        triangles, corners, surface = (
-            np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners],
-            corners,
-            of_face[faces],
-        )
-        pieces.append((triangles + start, corners, surface, np.full(len(triangles), start)))
+        triangles = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
+        pieces.append((triangles + start, corners, of_face[faces], np.full(len(triangles), start)))
         start += len(mesh.points)
     empty = np.zeros((0, 3), np.int64)
     pieces.append((empty, empty, empty[:, 0], empty[:, 0]))

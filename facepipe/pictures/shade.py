@@ -17,7 +17,7 @@ from facepipe.pictures.camera import Camera
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.lighting import EVEN, PORTRAIT, Lit, PhotoLights, Portrait, Samples, Studio
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
-from facepipe.pictures.scene import Scene, Surface
+from facepipe.pictures.scene import Scene
 
 T = TypeVar("T")
 
@@ -107,7 +107,31 @@ class Materials:
         for number, material in enumerate(self._each):
             if _inputs(material):
                 at = np.flatnonzero(kind == number)
-                self._look_up(number, surfaces, at, ids[at], weights[at])
+                own_ids = ids[at]
+                own_weights = weights[at]
+                targets = {
+                    "diffuse_color": surfaces.base,
+                    "emissive_color": surfaces.emission,
+                    "metallic": surfaces.metallic[:, None],
+                    "roughness": surfaces.roughness[:, None],
+                    "occlusion": surfaces.occlusion[:, None],
+                    "clearcoat": surfaces.coat[:, None],
+                    "clearcoat_roughness": surfaces.coat_roughness[:, None],
+                }
+                for name, target in targets.items():
+                    source = getattr(material, name)
+                    read = self._read(source, own_ids, own_weights) if isinstance(source, TextureInput) else None
+                    if read is not None:
+                        target[at] = np.clip(read[0], 0.0, 1.0)
+                if isinstance(material.opacity, TextureInput):
+                    matt = np.minimum(surfaces.roughness[at] / _MATT, 1)
+                    surfaces.presence[at] = np.maximum(
+                        surfaces.opacity[at], (1 - matt) * np.minimum(surfaces.opacity[at] / _CUT, 1)
+                    )
+                    surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
+                    surfaces.through[at] = _THROUGH * matt
+                if material.normal is not None:
+                    self._bend(_as_normals(material.normal), surfaces, at, own_ids, own_weights)
         metal = surfaces.metallic[:, None]
         surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
         return surfaces
@@ -123,33 +147,6 @@ class Materials:
                 if read is not None:
                     opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
         return opacity
-
-    def _look_up(self, number: int, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Float32Array) -> None:
-        """Overwrite what the textures of one surface say at the samples numbered `at`."""
-        material = self._each[number]
-        targets = {
-            "diffuse_color": surfaces.base,
-            "emissive_color": surfaces.emission,
-            "metallic": surfaces.metallic[:, None],
-            "roughness": surfaces.roughness[:, None],
-            "occlusion": surfaces.occlusion[:, None],
-            "clearcoat": surfaces.coat[:, None],
-            "clearcoat_roughness": surfaces.coat_roughness[:, None],
-        }
-        for name, target in targets.items():
-            source = getattr(material, name)
-            read = self._read(source, ids, weights) if isinstance(source, TextureInput) else None
-            if read is not None:
-                target[at] = np.clip(read[0], 0.0, 1.0)
-        if isinstance(material.opacity, TextureInput):
-            matt = np.minimum(surfaces.roughness[at] / _MATT, 1)
-            surfaces.presence[at] = np.maximum(
-                surfaces.opacity[at], (1 - matt) * np.minimum(surfaces.opacity[at] / _CUT, 1)
-            )
-            surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
-            surfaces.through[at] = _THROUGH * matt
-        if material.normal is not None:
-            self._bend(_as_normals(material.normal), surfaces, at, ids, weights)
 
     def _read(
         self, source: TextureInput, ids: IntArray, weights: Float32Array, *, color: bool = True, whole: bool = False
@@ -360,7 +357,9 @@ class Shader:
         """(n, 10 + 2 c) what is interpolated: camera position, normal, own colour, heat value, light on either side."""
         scene = self.scene
         colors: FloatArray = np.ones((len(scene.points), 3))
-        for surface, start in self._mesh_starts():
+        numbers, at = np.unique(self.scene.surface, return_index=True)
+        for number, triangle in zip(numbers, at, strict=True):
+            surface, start = self.scene.surfaces[number], int(self.scene.first_point[triangle])
             if surface.mesh.colors is not None:
                 colors[start : start + len(surface.mesh.points)] = surface.mesh.colors
         colors = colors if self.paint is None else self.paint
@@ -384,10 +383,6 @@ class Shader:
         levels = [partial(self.scene.textures.levels, texture) for texture in textures]
         calls: list[Callable[[], object]] = [lambda: self.point_values, lambda: self.shadow, *levels]
         mapped(lambda call: call(), calls)
-
-    def _mesh_starts(self) -> list[tuple[Surface, int]]:
-        surface, at = np.unique(self.scene.surface, return_index=True)
-        return [(self.scene.surfaces[s], int(self.scene.first_point[t])) for s, t in zip(surface, at, strict=True)]
 
     def shade(self, ids: IntArray, x: FloatArray, y: FloatArray, *, grainy: bool = False) -> Shaded:
         """What leaves screen positions (m,) inside triangles `ids` (m,).
@@ -437,24 +432,22 @@ class Shader:
     def _samples(self, surfaces: Surfaces, values: FloatArray, front: BoolArray, ids: IntArray) -> Samples:
         normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
         inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
+        # (m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open
+        ahead, behind = np.split(values[:, 10:], 2, axis=1)
+        behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
         return Samples(
             normals=normals,
             towards_eye=_unit_normals(-values[:, :3]),
             up=self.camera.axes[:, 1].astype(np.float32),
             base=surfaces.base,
             roughness=surfaces.roughness,
-            carried=_through(self._carried(values, front, ids).T, surfaces.through).T * surfaces.occlusion[:, None],
+            carried=_through(np.where(front[:, None], ahead, behind).T, surfaces.through).T
+            * surfaces.occlusion[:, None],
             mirror=surfaces.mirror,
             coat=surfaces.coat,
             coat_roughness=surfaces.coat_roughness,
             inside=inside,
         )
-
-    def _carried(self, values: FloatArray, front: BoolArray, ids: IntArray) -> FloatArray:
-        """(m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open."""
-        ahead, behind = np.split(values[:, 10:], 2, axis=1)
-        behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
-        return np.where(front[:, None], ahead, behind)
 
     def _key_light(self, position: FloatArray, normals: FloatArray, turns: FloatArray | None) -> FloatArray:
         """(m,) share of the key light that arrives at camera positions (m, 3); `turns` as in `DepthMap.softly_lit`."""

@@ -54,7 +54,23 @@ def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Im
         homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
         nearness = rasterise(screen_triangles(homogeneous, solid), width, height).nearness
         farthest = _nearby(np.minimum, nearness)  # steep surfaces must not hide their own edges
-        _draw(cover, farthest, points[pairs])
+        ends = points[pairs]
+        # set the samples along edges (e, 2, 3) where nothing is nearer
+        rows, columns = cover.shape
+        low, high = ends[..., :2].min(axis=1), ends[..., :2].max(axis=1)
+        ends = ends[(high > 0).all(axis=1) & (low < (columns, rows)).all(axis=1)]
+        length = np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
+        count = np.minimum(np.ceil(length), 4 * (columns + rows)).astype(np.int64) + 1
+        which = np.repeat(np.arange(len(ends)), count)
+        share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[which]
+        at = ends[which, 0, :2] * (1 - share[:, None]) + ends[which, 1, :2] * share[:, None]
+        line_nearness = (1 - share) / ends[which, 0, 2] + share / ends[which, 1, 2]
+        column, row = np.floor(at).astype(np.int64).T
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        column, row, line_nearness, which = column[inside], row[inside], line_nearness[inside], which[inside]
+        clear = line_nearness >= farthest[row, column] * (1 - SLACK)
+        tone = np.clip(length / FINE / LONG, SHORT, 1.0)[which] * 255
+        np.maximum.at(cover, (row[clear], column[clear]), np.rint(tone[clear]).astype(np.uint8))
     return Image.fromarray(_nearby(np.maximum, cover)).reduce(FINE)
 
 
@@ -63,22 +79,3 @@ def _nearby(extreme: np.ufunc, samples: Samples) -> Samples:
     padded = np.pad(samples, 1)
     rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
     return np.asarray(extreme(extreme(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
-
-
-def _draw(cover: ByteArray, farthest: FloatArray, ends: FloatArray) -> None:
-    """Set the samples along edges (e, 2, 3) where nothing is nearer."""
-    height, width = cover.shape
-    low, high = ends[..., :2].min(axis=1), ends[..., :2].max(axis=1)
-    ends = ends[(high > 0).all(axis=1) & (low < (width, height)).all(axis=1)]
-    length = np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
-    count = np.minimum(np.ceil(length), 4 * (width + height)).astype(np.int64) + 1
-    which = np.repeat(np.arange(len(ends)), count)
-    share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[which]
-    at = ends[which, 0, :2] * (1 - share[:, None]) + ends[which, 1, :2] * share[:, None]
-    nearness = (1 - share) / ends[which, 0, 2] + share / ends[which, 1, 2]
-    column, row = np.floor(at).astype(np.int64).T
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    column, row, nearness, which = column[inside], row[inside], nearness[inside], which[inside]
-    clear = nearness >= farthest[row, column] * (1 - SLACK)
-    tone = np.clip(length / FINE / LONG, SHORT, 1.0)[which] * 255
-    np.maximum.at(cover, (row[clear], column[clear]), np.rint(tone[clear]).astype(np.uint8))

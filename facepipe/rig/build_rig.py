@@ -26,7 +26,6 @@ def build(parts: FaceParts) -> Rig:
     shapes = parts.shapes
     # geomBindTransform goes into the points, as each mesh has its own: one matrix a joint then serves all meshes
     points = [transformed(mesh.points, space) for space, mesh in zip(spaces, parts.meshes, strict=True)]
-    # (n,) which points are skinned by dual quaternions; None where none is
     by_mesh = [mesh.skin is not None and mesh.skin.dual_quaternion for mesh in parts.meshes]
     return Rig(
         name=parts.name,

@@ -42,6 +42,7 @@ def decompose(matrices: FloatArray) -> Trs:
     gram = np.swapaxes(rotation, -1, -2) @ rotation
     skewed = flat | (np.abs(gram - np.eye(3)).max(axis=(-1, -2)) > _SHEAR_TOLERANCE)
     if skewed.any():
+        # with a shear, columns over their lengths are no rotation: the nearest (polar decomposition), and its scales
         bent = linear[skewed]
         U, _, Vt = np.linalg.svd(bent)
         sign = np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)

@@ -15,7 +15,6 @@ from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.texels import Texels, spread
 from facepipe.textures.evened import (
-    Relief,
     balance,
     inner,
     is_skin,
@@ -112,27 +111,22 @@ def _flow(first: _Level, other: _Level, texel: float) -> FloatArray:
         flow = 2 * np.stack([zoom(part, 2, order=1, mode="nearest", grid_mode=True) for part in coarse])
         flow = np.pad(flow, ((0, 0), *[(0, side - flow.shape[1])] * 2), mode="edge")
     for _ in range(_STEPS if side <= _FINEST else 0):
-        flow = flow + _step(first, other, flow, texel)
+        at = np.indices(first.bright.shape, np.float32) + flow
+        there, seen = (map_coordinates(each, at, order=1, mode="nearest") for each in (other.bright, other.trust))
+        weight = first.trust * seen * (np.minimum(first.trust, seen) > _FAINT)
+        off = first.bright - there
+        weight = weight / (1 + (off / _UNLIKE) ** 2)
+        down, right = np.gradient((first.bright + there) / 2)
+        down, right = (np.where(weight > 0, each, 0) for each in (down, right))
+        xx, xy, yy, xr, yr = (
+            gaussian_filter(weight * one * two, _WINDOW / texel)
+            for one, two in ((down, down), (down, right), (right, right), (down, off), (right, off))
+        )
+        ridge = _RIDGE * texel**2 * gaussian_filter(weight, _WINDOW / texel) + 1e-12
+        xx, yy, xr, yr = xx + ridge, yy + ridge, xr - ridge * flow[0], yr - ridge * flow[1]
+        flow = flow + np.asarray(np.stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2))
         flow = flow * np.minimum(1, _FARTHEST / texel / np.maximum(np.hypot(*flow), 1e-9))
     return flow
-
-
-def _step(first: _Level, other: _Level, flow: FloatArray, texel: float) -> FloatArray:
-    """What is to be added to a displacement."""
-    at = np.indices(first.bright.shape, np.float32) + flow
-    there, seen = (map_coordinates(each, at, order=1, mode="nearest") for each in (other.bright, other.trust))
-    weight = first.trust * seen * (np.minimum(first.trust, seen) > _FAINT)
-    off = first.bright - there
-    weight = weight / (1 + (off / _UNLIKE) ** 2)
-    down, right = np.gradient((first.bright + there) / 2)
-    down, right = (np.where(weight > 0, each, 0) for each in (down, right))
-    xx, xy, yy, xr, yr = (
-        gaussian_filter(weight * one * two, _WINDOW / texel)
-        for one, two in ((down, down), (down, right), (right, right), (down, off), (right, off))
-    )
-    ridge = _RIDGE * texel**2 * gaussian_filter(weight, _WINDOW / texel) + 1e-12
-    xx, yy, xr, yr = xx + ridge, yy + ridge, xr - ridge * flow[0], yr - ridge * flow[1]
-    return np.asarray(np.stack([yy * xr - xy * yr, xx * yr - xy * xr]) / (xx * yy - xy**2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,11 +181,8 @@ class Baker:
         layers = self._ranked(photos, self._alike([self._layer(photo) for photo in photos]))
         # (3,) linear, the median of the face in the first photo
         weight = layers[0].trust * self.skin.areas * inner(self.skin)
-        color, paint, own = (
-            None,
-            None,
-            np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T]),
-        )
+        own = np.exp([quantile(channel, weight, 0.5) for channel in (self.template + layers[0].colors).T])
+        color = paint = None
         if scalp is not None and not bald:
             color = hair_color(photos, [layer.scale for layer in layers], scalp)
         if scalp is not None and (bald or color is not None):
@@ -226,12 +217,15 @@ class Baker:
         scale = balance(photo, np.exp([quantile(channel, weight, 0.5) for channel in shown.T]))
         kept = mask * (1 - _FOLDED * self.lids)
         observed = [self.evened(number, one, light, kept) for number, one in enumerate(observed)]
-        observed = [self._lessened(number, one, around, np.log(scale)) for number, one in enumerate(observed)]
-        colors, trust = self.at_points(observed)
+        lessened = []
+        for texture, one in zip(skin.textures, observed, strict=True):
+            ratio = one.ratio - around.too_much(texture.texels.taken(one.place), one.ratio) - np.log(scale)
+            lessened.append(replace(one, ratio=ratio.astype(np.float32)))
+        colors, trust = self.at_points(lessened)
         white = photo.white * np.exp(raw - colors)
         harmonics = renewed(photo, white, trust * skin.areas, scale)
         calm = (1 - _STRAINED * around.folds) * np.clip(photo.facing, 0.0, 1.0)[:, None]
-        return _Layer(observed=tuple(observed), colors=colors, trust=trust, calm=calm, scale=scale, light=harmonics)
+        return _Layer(observed=tuple(lessened), colors=colors, trust=trust, calm=calm, scale=scale, light=harmonics)
 
     def at_points(self, observed: Sequence[Observed]) -> tuple[FloatArray, FloatArray]:
         """(n, 3) mean colours at points, and (n,) confidence."""
@@ -249,43 +243,40 @@ class Baker:
         ratio = (one.ratio - part.carried(light))[kept]
         return Observed(place=one.place[kept], ratio=ratio, trust=trust[kept])
 
-    def _lessened(self, number: int, one: Observed, around: Relief, level: FloatArray) -> Observed:
-        """What was observed of a texture without what is too much, and less a level (3,)."""
-        part = self.skin.textures[number].texels.taken(one.place)
-        ratio = one.ratio - around.too_much(part, one.ratio) - level
-        return Observed(place=one.place, ratio=ratio.astype(np.float32), trust=one.trust)
-
     def _alike(self, layers: Sequence[_Layer]) -> list[_Layer]:
         """Layers as bright, and of the hue, that all have in the mean: how a photo's light is balanced is a guess."""
         first = max(layers, key=lambda layer: float(layer.trust @ self.skin.areas))
-        offs = [self._off(first, layer) for layer in layers]
-        return [_shifted(layer, off - np.mean(offs, axis=0)) for layer, off in zip(layers, offs, strict=True)]
-
-    def _off(self, first: _Layer, layer: _Layer) -> FloatArray:
-        """(3,) by how much one is brighter than another where both show skin."""
-        weight = first.trust * layer.trust * self.skin.areas
-        return np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T])
+        offs = []  # (3,) by how much the first is brighter where both show skin
+        for layer in layers:
+            weight = first.trust * layer.trust * self.skin.areas
+            offs.append(np.array([quantile(channel, weight, 0.5) for channel in (first.colors - layer.colors).T]))
+        alike = []
+        for layer, own in zip(layers, offs, strict=True):
+            off = own - np.mean(offs, axis=0)
+            observed = tuple(replace(one, ratio=one.ratio + off.astype(np.float32)) for one in layer.observed)
+            scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
+            alike.append(replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light))
+        return alike
 
     def _ranked(self, photos: Sequence[Exposure], layers: Sequence[_Layer]) -> list[_Layer]:
         """Layers of which the one that shows the face best is preferred: much of it, large, and well lit."""
         face = inner(self.skin) * self.skin.areas
         shown = [float(layer.trust * layer.calm[:, 0] @ face) for layer in layers]
         best = int(np.argmax([share * photo.clarity for share, photo in zip(shown, photos, strict=True)]))
-        return [
-            layer if number == best else self._registered(layers[best], replace(layer, calm=_OTHERS * layer.calm))
-            for number, layer in enumerate(layers)
-        ]
-
-    def _registered(self, first: _Layer, layer: _Layer) -> _Layer:
-        """A layer whose features lie where the first has them."""
-        observed = []
-        for texture, flat, one, other in zip(
-            self.skin.textures, self.flats, first.observed, layer.observed, strict=True
-        ):
-            texel = float(np.sqrt(self.skin.areas.sum() / len(texture.texels.at)))
-            observed.append(registered(texture.texels, one, other, flat, texel))
-        colors, trust = self.at_points(observed)
-        return replace(layer, observed=tuple(observed), colors=colors, trust=trust)
+        ranked = list(layers)
+        for number, layer in enumerate(layers):
+            if number == best:
+                continue
+            observed = []  # the others' features, brought to where the best has them
+            for texture, flat, one, other in zip(
+                self.skin.textures, self.flats, layers[best].observed, layer.observed, strict=True
+            ):
+                texel = float(np.sqrt(self.skin.areas.sum() / len(texture.texels.at)))
+                observed.append(registered(texture.texels, one, other, flat, texel))
+            colors, trust = self.at_points(observed)
+            calm = _OTHERS * layer.calm
+            ranked[number] = replace(layer, observed=tuple(observed), colors=colors, trust=trust, calm=calm)
+        return ranked
 
     def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
         merged = [self._merged(number, layers) for number in range(len(self.flats))]
@@ -340,10 +331,3 @@ class Baker:
 
         guide = whole(other, known, target)
         return guide + whole(colors - guide, trust, target - guide)
-
-
-def _shifted(layer: _Layer, off: FloatArray) -> _Layer:
-    """A layer that is brighter by logarithms (3,), in light that is as much less."""
-    observed = tuple(replace(one, ratio=one.ratio + off.astype(np.float32)) for one in layer.observed)
-    scale, light = (each * np.exp(-off) for each in (layer.scale, layer.light))
-    return replace(layer, observed=observed, colors=layer.colors + off, scale=scale, light=light)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.polygons import components
 from facepipe.geometry.texels import Texels
 from facepipe.heads.people import Look
@@ -70,25 +70,18 @@ def balance(photo: Exposure, skin_color: FloatArray) -> FloatArray:
     stage = np.log(level * mean / float(mean @ GREY))
     shown = np.log(skin_color) + stage
     tones = np.log([Look(tone=tone).skin for tone in np.linspace(1.0, 10.0, 91)])
-    usual, spread = _usual_light(None if photo.eye_whites is None else stage + photo.eye_whites - _WHITES)
+    # mean of the light of a photo, a logarithm, and variances of its brightness and hue: of all photos', and of what
+    # the whites of eyes tell of this one's
+    usual, spread = np.full((1, 3), np.log(_BRIGHTEST)), _LIGHT_SPREAD[:, None, None] ** 2
+    if photo.eye_whites is not None:
+        whites, other = stage + photo.eye_whites - _WHITES, _WHITES_SPREAD[:, None, None] ** 2
+        mean = (_level_and_hue(usual) / spread + _level_and_hue(whites[None]) / other) / (1 / spread + 1 / other)
+        usual, spread = mean.sum(axis=0), 1 / (1 / spread + 1 / other)
     parts = _level_and_hue(shown - tones - usual)
     cost = (parts**2 / (spread + _SKIN_SPREAD**2)).sum(axis=(0, 2))
     light = usual + (parts * spread / (spread + _SKIN_SPREAD**2)).sum(axis=0)
     likely = np.exp((cost.min() - cost) / 2)
     return np.asarray(np.exp(likely @ light / likely.sum() - stage))
-
-
-def _usual_light(whites: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(3,) mean of the light of a photo, a logarithm, and (2, 1, 1) variances of its brightness and hue.
-
-    :param whites: (3,) light that whites of eyes tell of, if any
-    """
-    usual, spread = np.full((1, 3), np.log(_BRIGHTEST)), _LIGHT_SPREAD[:, None, None] ** 2
-    if whites is None:
-        return usual[0], spread
-    other = _WHITES_SPREAD[:, None, None] ** 2
-    mean = (_level_and_hue(usual) / spread + _level_and_hue(whites[None]) / other) / (1 / spread + 1 / other)
-    return np.asarray(mean.sum(axis=0)[0]), np.asarray(1 / (1 / spread + 1 / other))
 
 
 def _level_and_hue(logarithms: FloatArray) -> FloatArray:
@@ -113,26 +106,6 @@ def _forehead(skin: SkinSurface) -> tuple[FloatArray, FloatArray]:
     arcs -= _LOWER * unit * up
     distance, nearest = cKDTree(arcs).query(skin.points)
     return step((skin.points - arcs[nearest]) @ up / unit, *_FOREHEAD), distance / unit
-
-
-def _limits(skin: SkinSurface) -> FloatArray:
-    """(n,) deviations beyond which a colour is no skin.
-
-    Faces have lips, lashes and nostrils; foreheads are skin alone; brows are hair that belongs there.
-    """
-    above, brows = _forehead(skin)
-    outside, face, brow = _STRANGE
-    limits = outside + (face - outside) * step(inner(skin), *_CORE) * (1 - _BARE * above)
-    return np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - above))
-
-
-def _off(skin: SkinSurface, strange: BoolArray) -> FloatArray:
-    """(n,) 0..1, 1 well off strange points (n,)."""
-    if not strange.any():
-        return np.ones(len(strange))
-    distance = cKDTree(skin.points[strange]).query(skin.points)[0]
-    wide = 1 + _WIDER * (1 - inner(skin))
-    return step(distance / skin.eye_distance(skin.points) / wide, *_EDGE)
 
 
 def renewed(photo: Exposure, white: FloatArray, weight: FloatArray, scale: FloatArray) -> FloatArray:
@@ -182,17 +155,22 @@ def is_skin(skin: SkinSurface, colors: FloatArray, trust: FloatArray) -> FloatAr
         off = np.abs(level - quantile(level, weight, 0.5))
         square += (off / np.clip(1.5 * quantile(off, weight, 0.5), least, most)) ** 2
     far = skin.smooth(np.sqrt(square)[:, None], trust, _GRAIN)[:, 0]
-    strange = (trust > 0) & (far > _limits(skin))
-    certain = _off(skin, strange)
-    return certain * _joined(skin, certain * trust > _FAINT, weight)
-
-
-def _joined(skin: SkinSurface, certain: BoolArray, weight: FloatArray) -> FloatArray:
-    """(n,) the connected part of certain points with the most weight (n,), and the uncertain ones."""
-    inside = certain[skin.edges].all(axis=1)
-    part = components(len(certain), skin.edges[inside])
-    main = np.bincount(part, weight * certain).argmax()
-    return np.asarray(~certain | (part == main), np.float64)
+    # deviations beyond which a colour is no skin: faces have lips, lashes and nostrils; foreheads are skin alone; brows
+    # are hair that belongs there
+    above, brows = _forehead(skin)
+    outside, on_face, brow = _STRANGE
+    limits = outside + (on_face - outside) * step(face, *_CORE) * (1 - _BARE * above)
+    strange = (trust > 0) & (far > np.asarray(limits + brow * (1 - step(brows, *_BROWS)) * (1 - above)))
+    certain: FloatArray = np.ones(len(strange))
+    if strange.any():
+        distance = cKDTree(skin.points[strange]).query(skin.points)[0]
+        wide = 1 + _WIDER * (1 - face)
+        certain = step(distance / skin.eye_distance(skin.points) / wide, *_EDGE)
+    known = certain * trust > _FAINT
+    inside = known[skin.edges].all(axis=1)
+    part = components(len(known), skin.edges[inside])
+    main = np.bincount(part, weight * known).argmax()
+    return certain * np.asarray(~known | (part == main), np.float64)
 
 
 def one_sided(skin: SkinSurface, colors: FloatArray, trust: FloatArray, uneven: float = _UNEVEN) -> FloatArray:

@@ -96,27 +96,23 @@ def seen_skin(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: 
     outside = np.zeros(int(skin.opaque.max(initial=0)) + len(skin.points) + 1, bool)
     outside[skin.span] = skin.outside
     opening = covered & ~np.asarray(outside[skin.opaque].all(axis=1))[np.maximum(raster.triangle, 0)]
+    # where depth jumps to a neighbour's
+    finite = np.where(np.isfinite(far), far, 1e9)
+    edge = np.zeros(far.shape, bool)
+    for axis in (0, 1):
+        across = np.abs(np.diff(finite, axis=axis)) > _JUMP * eyes
+        for first in (slice(None, -1), slice(1, None)):
+            part = (first, slice(None)) if axis == 0 else (slice(None), first)
+            edge[part] |= across
     return SeenSkin(
         view=view,
         eye_distance=eyes,
         depth=far,
         outline=_distance(~covered),
-        crease=_distance(_outlines(far, _JUMP * eyes)),
+        crease=_distance(edge),
         opening=_distance(opening),
         mask=face_mask(pixels, landmarks),
     )
-
-
-def _outlines(depth: Float32Array, jump: float) -> BoolArray:
-    """(h, w) where depth jumps to a neighbour's."""
-    finite = np.where(np.isfinite(depth), depth, 1e9)
-    edge = np.zeros(depth.shape, bool)
-    for axis in (0, 1):
-        across = np.abs(np.diff(finite, axis=axis)) > jump
-        for first in (slice(None, -1), slice(1, None)):
-            part = (first, slice(None)) if axis == 0 else (slice(None), first)
-            edge[part] |= across
-    return edge
 
 
 def _distance(marked: BoolArray) -> Float32Array:
@@ -210,8 +206,11 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     :param template: (m, 3) linear colours of the texture's texels
     """
     texels = skin.textures[number].texels
-    near = (photo.trust > 0) | _beside(skin, photo.trust > 0)
-    place = np.flatnonzero(near[texels.corners].any(axis=1))
+    marked = photo.trust > 0
+    beside = np.zeros(len(marked), bool)
+    for one, other in (skin.edges.T, skin.edges.T[::-1]):
+        beside[one[marked[other]]] = True
+    place = np.flatnonzero((marked | beside)[texels.corners].any(axis=1))
     part = texels.taken(place)
     local = part.carried(photo.points)
     normals = _unit(part.carried(photo.normals))
@@ -228,7 +227,9 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
         pixels[kept],
         trust[kept],
     )
-    shown = sampled(photo.pixels, pixels, _spacing(part.at, pixels))
+    following = np.flatnonzero(np.diff(part.at) == 1)  # texels side by side, and pixels of the photo between them
+    apart = np.linalg.norm(pixels[following + 1] - pixels[following], axis=1)
+    shown = sampled(photo.pixels, pixels, float(np.median(apart)) if len(apart) else 1.0)
     hidden, arriving = part.carried(photo.light.hidden), part.carried(photo.light.arriving[:, None])[:, 0]
     white = photo.light.white(normals, hidden, arriving)
     linear = from_srgb(np.clip(shown, 0, 1))
@@ -239,22 +240,6 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     matt = np.maximum(linear - glint, DARKEST) / floor
     ratio = np.log(matt / (1 + returned(hidden) * matt)) - np.log(template[place])
     return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust.astype(np.float32))
-
-
-def _beside(skin: SkinSurface, marked: BoolArray) -> BoolArray:
-    """(n,) points next to marked ones (n,)."""
-    beside = np.zeros(len(marked), bool)
-    for one, other in (skin.edges.T, skin.edges.T[::-1]):
-        beside[one[marked[other]]] = True
-    return beside
-
-
-def _spacing(at: IntArray, pixels: FloatArray) -> float:
-    """Pixels of the photo from one texel to the next."""
-    neighbours = np.flatnonzero(np.diff(at) == 1)
-    if not len(neighbours):
-        return 1.0
-    return float(np.median(np.linalg.norm(pixels[neighbours + 1] - pixels[neighbours], axis=1)))
 
 
 def sampled(pixels: Float32Array, places: FloatArray, spacing: float) -> Float32Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,11 +16,12 @@ from facepipe.geometry.landmarks import eye_distance
 from facepipe.geometry.polygons import edges, point_areas, point_normals, triangulate
 from facepipe.geometry.texels import Texels, membrane, texels_of
 from facepipe.geometry.vectors import transformed
-from facepipe.parts import FaceParts, Material, Mesh, Texture, TextureInput
+from facepipe.parts import FaceParts, Material, Mesh, TextureInput
 from facepipe.pictures.occlusion import visible_sky
 from facepipe.stage import Face
 from facepipe.stage.materials import author_opacity
 
+SMALLEST, LARGEST = 64, 4096  # texels a side
 SCHEME = "multipie68"
 LEFT = (*range(17, 22), *range(36, 42), 31, 48, 3, 6)  # landmarks whose mirrors are known
 RIGHT = (*range(26, 21, -1), 45, 44, 43, 42, 47, 46, 35, 54, 13, 10)
@@ -104,38 +104,30 @@ def skin_of(parts: FaceParts, neutral: FloatArray, size: int | None) -> SkinSurf
     if not textures:
         raise InputError(f"{parts.name} -> {mesh.name}", "no texture of colours, expected a material with one")
     first = sum(len(other.points) for other in parts.meshes[: parts.meshes.index(mesh)])
-    opaque = np.concatenate(list(_opaque(parts)))
+    # triangles of each mesh without those of materials that let light through
+    opacity = {material.name: material.opacity for material in parts.materials}
+    solid, start = [], 0
+    for other in parts.meshes:
+        corners, faces = triangulate(other.face_vertex_counts)
+        whole = np.array([opacity.get(name, 1.0) == 1.0 for name in names_of(other)])[of_faces(other)]
+        solid.append(np.asarray(other.face_vertex_indices, dtype=np.int64)[corners[whole[faces]]] + start)
+        start += len(other.points)
+    opaque = np.concatenate(solid)
     corners, _ = triangulate(mesh.face_vertex_counts)
     triangles = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
     span = slice(first, first + len(mesh.points))
+    normals = point_normals(neutral, opaque)
+    sky = visible_sky(neutral, normals, opaque, np.zeros(len(neutral), bool), _SKY_RESOLUTION)
     return SkinSurface(
         mesh=mesh,
         first=first,
         triangles=triangles,
         opaque=opaque,
         points=neutral[span],
-        outside=_open(neutral, opaque)[span],
+        outside=np.asarray(sky.share(normals) > _OPEN)[span],
         mirror=mirrored_points(transformed(mesh.points, mesh.transform), np.asarray(mesh.landmarks[SCHEME].indices)),
         textures=textures,
     )
-
-
-def _open(points: FloatArray, opaque: IntArray) -> BoolArray:
-    """(n,) points that see enough of the sky past triangles (o, 3)."""
-    normals = point_normals(points, opaque)
-    sky = visible_sky(points, normals, opaque, np.zeros(len(points), bool), _SKY_RESOLUTION)
-    return np.asarray(sky.share(normals) > _OPEN)
-
-
-def _opaque(parts: FaceParts) -> Iterator[IntArray]:
-    """Triangles of each mesh without those of materials that let light through."""
-    opacity = {material.name: material.opacity for material in parts.materials}
-    first = 0
-    for mesh in parts.meshes:
-        corners, faces = triangulate(mesh.face_vertex_counts)
-        solid = np.array([opacity.get(name, 1.0) == 1.0 for name in names_of(mesh)])[of_faces(mesh)]
-        yield np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners[solid[faces]]] + first
-        first += len(mesh.points)
 
 
 def names_of(mesh: Mesh) -> tuple[str, ...]:
@@ -187,18 +179,13 @@ def textures_of(parts: FaceParts, mesh: Mesh, size: int | None) -> tuple[SkinTex
         if uv is None or not chosen.any():
             continue
         rows = triangles if uv.indices is None else np.asarray(uv.indices, dtype=np.int64)[corners]
-        texels = texels_of(np.asarray(uv.values)[rows[chosen]], triangles[chosen], size or _side(source.texture))
+        side = size
+        if not side:
+            image = open_image(source.texture.image(), f"texture {source.texture.name}")
+            side = int(np.clip(max(image.size), SMALLEST, LARGEST))
+        texels = texels_of(np.asarray(uv.values)[rows[chosen]], triangles[chosen], side)
         textures.append(SkinTexture(materials=names, source=source, texels=texels))
     return tuple(textures)
-
-
-def _side(texture: Texture) -> int:
-    from facepipe.core.images import open_image
-
-    return int(np.clip(max(open_image(texture.image(), f"texture {texture.name}").size), SMALLEST, LARGEST))
-
-
-SMALLEST, LARGEST = 64, 4096  # texels a side
 
 
 def mirrored_points(points: FloatArray, landmarks: IntArray) -> IntArray:

@@ -366,6 +366,7 @@ def _with_gains(slider: Slider, driven: Sequence[Driven], gains: FloatArray) -> 
             channels.append((*target.channel, gain))
         elif gain and target.shape is not None:
             shapes.append((target.shape, gain))
+    # the slider's own gain and the learnt one of a channel are one number in the end
     by_channel: dict[tuple[str, str], float] = {}
     for joint, channel, gain in channels:
         by_channel[joint, channel] = by_channel.get((joint, channel), 0.0) + gain
