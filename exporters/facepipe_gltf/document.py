@@ -22,15 +22,13 @@ from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
 from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
 from facepipe_gltf.buffers import Buffers, Chunk
-from facepipe_gltf.encoding import Encoding
+from facepipe_gltf.encoding import MESHOPT, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
 from facepipe_gltf.materials import Image, MaterialWriter
 from facepipe_gltf.morphs import Sculpt, chosen_shapes, extras
-from facepipe_gltf.node import run_node
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
-from facepipe_gltf.read.meshopt import EXTENSION
 from facepipe_gltf.record import record_of
 from facepipe_gltf.record_format import Record, packed
 
@@ -107,6 +105,8 @@ def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
 
 
 def _run(request: bytes) -> bytes:
+    from facepipe_gltf.node import run_node
+
     node = find_program("node")
     if node is None:
         raise InputError(_WHERE, "needs node (20 or newer) on the PATH, and its package meshoptimizer")
@@ -178,16 +178,16 @@ def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (
         place: Json = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
         if stream is not None:
             own = place | {"byteStride": stream.size, "count": stream.elements, "mode": stream.mode}
-            place = {"buffer": 1, "byteOffset": whole, "byteLength": len(stream.data), "extensions": {EXTENSION: own}}
+            place = {"buffer": 1, "byteOffset": whole, "byteLength": len(stream.data), "extensions": {MESHOPT: own}}
             whole += len(stream.data) + -len(stream.data) % _ALIGNMENT
         views.append(view | place)
         chunks += [data, bytes(-len(data) % _ALIGNMENT)]
         size += len(data) + -len(data) % _ALIGNMENT
     # the second buffer is in no file: readers decode into it
-    fallback: Json = {"byteLength": whole, "extensions": {EXTENSION: {"fallback": True}}}
+    fallback: Json = {"byteLength": whole, "extensions": {MESHOPT: {"fallback": True}}}
     result = document.json | {"bufferViews": views, "buffers": [{"byteLength": size}, fallback]}
     for key in ("extensionsUsed", "extensionsRequired"):
-        result[key] = sorted([*result.get(key, []), EXTENSION])
+        result[key] = sorted([*result.get(key, []), MESHOPT])
     return dataclasses.replace(document, json=result, binary=chunks) if streams else document
 
 

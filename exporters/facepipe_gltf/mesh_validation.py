@@ -11,15 +11,15 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.records import Json
+from facepipe_gltf.encoding import MESHOPT
 from facepipe_gltf.raw import RawDocument, as_list, as_object, children, is_index, local_matrix, parents, world_matrices
-from facepipe_gltf.read.meshopt import EXTENSION
 
 Problem = tuple[str, str]  # JSON path, message
 
 _WEIGHT_SUM_TOLERANCE = 1e-3
 _REST_TOLERANCE = 1e-3
 _COMPARED = 256  # joints of a skin whose matrices are tried against all others'
-_SUPPORTED = ("KHR_mesh_quantization", EXTENSION)
+_SUPPORTED = ("KHR_mesh_quantization", MESHOPT)
 
 
 def joints_of(skin: Json) -> list[int]:

@@ -25,9 +25,7 @@ from facepipe.rig import SetFace, set_face
 from facepipe_gltf.buffers import Chunk
 from facepipe_gltf.document import Document, lower_levels, write
 from facepipe_gltf.options import Options
-from facepipe_gltf.raw import RawDocument
 from facepipe_gltf.record_format import content_digest
-from facepipe_gltf.validation import errors
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -49,6 +47,9 @@ def _changed(document: Json, on_document: OnDocument | None, target: Path, binar
     if on_document is None:
         return document
     from pygltflib import GLTF2
+
+    from facepipe_gltf.raw import RawDocument
+    from facepipe_gltf.validation import errors
 
     whole = _object(GLTF2, json.loads(json.dumps(document)))  # a copy: the caller's changes end here
     on_document(whole)

@@ -22,7 +22,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget, same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import read_bytes
-from facepipe_gltf.read.meshopt import EXTENSION, decode
+from facepipe_gltf.encoding import MESHOPT
+from facepipe_gltf.read.meshopt import decode
 from facepipe_gltf.read.values import Value, parse, quote
 
 _MAGIC = b"glTF"
@@ -31,7 +32,7 @@ _BINARY_CHUNK = 0x004E4942
 
 _SUPPORTED_EXTENSIONS = frozenset(
     {
-        EXTENSION,
+        MESHOPT,
         "KHR_mesh_quantization",
         "KHR_texture_transform",
         "KHR_materials_clearcoat",
@@ -113,7 +114,7 @@ class Document:
         """The buffer, first byte and length of a bufferView."""
         number = self.index("bufferViews", reference)
         value = self.entries("bufferViews")[number]
-        packed = value.extension(EXTENSION)
+        packed = value.extension(MESHOPT)
         if packed is not None:
             if number not in self._decoded:
                 data = self.buffer(packed.require("buffer"))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-EXTENSION = "EXT_meshopt_compression"
+from facepipe_gltf.encoding import MESHOPT
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -31,7 +31,7 @@ def decode(data: bytes, count: int, size: int, mode: str, filtered: str = "NONE"
     :raises ValueError: sizes, modes or data that the extension doesn't have
     """
     if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES") or filtered not in ("NONE", *_FILTERS):
-        raise ValueError(f"mode {mode[:20]}, filter {filtered[:20]}, expected ones of {EXTENSION}")
+        raise ValueError(f"mode {mode[:20]}, filter {filtered[:20]}, expected ones of {MESHOPT}")
     try:
         if mode == "ATTRIBUTES":
             # (count, size): each byte of an element differs by little from that byte of the element before
