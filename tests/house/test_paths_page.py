@@ -198,7 +198,7 @@ OPENED = {
     "it was typed, and is checked by the command line or its reader": """
         facepipe.checks:validate facepipe.cli:_project facepipe.cli.batch_child:read_line
         facepipe.importers.npz:read_arrays facepipe.importers.npz:_check_directory
-        facepipe.verbs.blend.blend_action:BlendFaces.check
+        facepipe.verbs.blend.blend:BlendFaces.check
         facepipe.scanning.database.actions:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
