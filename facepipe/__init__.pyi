@@ -48,13 +48,13 @@ from facepipe.scanning.rebuild.register_scans import RegisterScanReport
 from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
 from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
-from facepipe.verbs.animate.animate import AnimateReport
+from facepipe.verbs.animate.face_clip import AnimateReport
 from facepipe.verbs.apply_bones import ApplyBonesReport
 from facepipe.verbs.blend.quality import BlendReport
 from facepipe.verbs.blend.weights import Weights
 from facepipe.verbs.eval import EvalReport
 from facepipe.verbs.fit_bones.limits import LimitRules
-from facepipe.verbs.fit_bones.report import FitBonesReport
+from facepipe.verbs.fit_bones.target_fits import FitBonesReport
 from facepipe.verbs.inspect import InspectReport
 from facepipe.verbs.landmarks import LandmarksReport
 from facepipe.verbs.lod.levels import LodReport

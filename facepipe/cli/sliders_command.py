@@ -9,7 +9,7 @@ from facepipe.cli.action_line import ActionLine
 from facepipe.cli.show import emit
 from facepipe.core.errors import InputError
 from facepipe.core.reports import table
-from facepipe.verbs.sliders.sliders_action import SlidersOfFace
+from facepipe.verbs.sliders.sliders import SlidersOfFace
 
 if TYPE_CHECKING:
     from facepipe.parts import Curve, Slider

@@ -140,32 +140,21 @@ def _mesh_shapes(
             continue
         delta, held = deltas[name]
         with_normals = old is not None and old.normal_offsets is not None
-        shape = _new_shape(name, delta, back, triangles if with_normals else None, held=held)
-        if shape is not None:
+        moving = np.linalg.norm(delta, axis=1) >= _STILL_MM
+        indices = np.flatnonzero(moving)
+        if with_normals:
+            # neighbours of points that move are there too: their normals turn
+            indices = np.union1d(indices, triangles[moving[triangles].any(axis=1)].ravel())
+        if not len(indices) and held:
+            indices = np.zeros(1, np.int64)  # USD reads a shape without indices as one over all points
+        if len(indices):
+            offsets = np.where(moving[indices, None], delta[indices], 0.0) @ back.T
+            shape = Blendshape(name=name, point_indices=indices.astype(np.int32), offsets=offsets)
             if with_normals:
-                turned = _shape_normals(shape.point_indices, shape.offsets, points, triangles)
+                turned = _shape_normals(shape.point_indices, offsets, points, triangles)
                 shape = replace(shape, normal_offsets=turned)
             shapes.append(shape)
     return tuple(shapes)
-
-
-def _new_shape(
-    name: str, delta: FloatArray, back: FloatArray, triangles: IntArray | None, *, held: bool
-) -> Blendshape | None:
-    """A sparse shape; None where nothing moves, unless it is `held`.
-
-    :param triangles: where given, neighbours of points that move are there too: their normals turn
-    """
-    moving = np.linalg.norm(delta, axis=1) >= _STILL_MM
-    indices = np.flatnonzero(moving)
-    if triangles is not None:
-        indices = np.union1d(indices, triangles[moving[triangles].any(axis=1)].ravel())
-    if not len(indices):
-        if not held:
-            return None
-        indices = np.zeros(1, np.int64)  # USD reads a shape without indices as one over all points
-    offsets = np.where(moving[indices, None], delta[indices], 0.0) @ back.T
-    return Blendshape(name=name, point_indices=indices.astype(np.int32), offsets=offsets)
 
 
 def _with_normals(shape: _Shape, indices: IntArray, points: FloatArray, triangles: IntArray) -> _Shape:

@@ -95,10 +95,18 @@ class Inspect(Inspector[InspectReport]):
 
 def report_of(face: Face) -> InspectReport:
     """What a face holds, with what is implausible about it as warnings."""
+    from facepipe.core.reading import digest
     from facepipe.rig import implausible
     from facepipe.rig.conventions import convention_of
+    from facepipe.stage.neural_rig_link import read_neural_rig_link
 
-    parts = face.parts()
+    parts, link = face.parts(), read_neural_rig_link(face.prim)
+    neural_rig: dict[str, str] | None = None
+    if link is not None and link.path is None:
+        neural_rig = {"file": link.file, "state": link.refusal or "lost"}
+    elif link is not None and link.path is not None:
+        same = digest([link.path]) == link.digest
+        neural_rig = {"file": link.file, "state": "as applied" if same else "changed since"}
     return InspectReport(
         face=face.where,
         meters_per_unit=face.meters_per_unit,
@@ -129,32 +137,17 @@ def report_of(face: Face) -> InspectReport:
         sliders=tuple(slider.name for slider in parts.sliders),
         materials=tuple(material.name for material in parts.materials),
         photos=tuple(photo.name for photo in parts.photos),
-        levels={name: _faces(face.at_level(number)) for number, name in enumerate(face.levels)},
+        levels={
+            name: sum(len(mesh.face_vertex_counts) for mesh in face.at_level(number).meshes)
+            for number, name in enumerate(face.levels)
+        },
         person=face.person().description,
         attach_joint=parts.attach_joint,
         attribution=parts.attribution,
         recipe=parts.recipe.verb if parts.recipe else None,
-        neural_rig=_neural_rig(face),
+        neural_rig=neural_rig,
         warnings=tuple(implausible(parts)),
     )
-
-
-def _faces(face: Face) -> int:
-    return sum(len(mesh.face_vertex_counts) for mesh in face.meshes)
-
-
-def _neural_rig(face: Face) -> dict[str, str] | None:
-    """The file that a face links, and whether it is still what was applied."""
-    from facepipe.core.reading import digest
-    from facepipe.stage.neural_rig_link import read_neural_rig_link
-
-    link = read_neural_rig_link(face.prim)
-    if link is None:
-        return None
-    if link.path is None:
-        return {"file": link.file, "state": link.refusal or "lost"}
-    state = "as applied" if digest([link.path]) == link.digest else "changed since"
-    return {"file": link.file, "state": state}
 
 
 def _listing(names: tuple[str, ...]) -> str:

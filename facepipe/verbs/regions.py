@@ -246,16 +246,18 @@ def set_regions(
         if name in done or len(masks) < len(old.regions):
             subsets = [region for region in old.regions if identifier(region) in old.point_subsets]
             if subsets:
-                # region -> the points where no other has more
-                first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
-                points_of: dict[str, IntArray] = {
-                    identifier(region): np.flatnonzero(first == number).astype(np.int32)
-                    for number, region in enumerate(masks)
-                }
                 gone = tuple(identifier(region) for region in subsets if region not in masks)
-                author_region_subsets(prim, points_of, gone)
+                author_region_subsets(prim, _points_of(masks), gone)
             author_regions(prim, replace(old, regions=masks))
     return RegionsReport(meshes=tuple(reports), warnings=_warnings(face, legend, reports, masks_of))
+
+
+def _points_of(masks: Masks) -> dict[str, IntArray]:
+    """Point subset of a region -> the points where no other has more."""
+    import numpy as np
+
+    first = np.argmax(np.stack(list(masks.values()), axis=1), axis=1)
+    return {identifier(name): np.flatnonzero(first == number).astype(np.int32) for number, name in enumerate(masks)}
 
 
 def _named(face: Face, legend: RegionLegend, mapped: Collection[str]) -> dict[str, str]:

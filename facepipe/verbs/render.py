@@ -66,13 +66,22 @@ class Render(Posed, FileAction[Report]):
             raise InputError("--pose", "given with --slider, expected only one of them")
 
     def write(self, job: Job) -> Report:
+        from facepipe.core.names import named
         from facepipe.importers import read_face
         from facepipe.pictures import PictureOptions, RegionColors, picture, save_png
+        from facepipe.rig.bone_coefficients import coefficients_of
 
         with job.watch("render", 2) as bar:
             face = read_face(self.face)
             face = face.at_level(self.lod) if self.lod else face
-            parts, points = face.parts(), self._points(face)
+            parts = face.parts()
+            weights = named(self.weights, face.shapes, "--set", "shape")
+            coefficients = coefficients_of(self.bones, face.skeleton.joints, face.skeleton.names)
+            if self.sliders:
+                sliders = named(self.sliders, [slider.name for slider in face.sliders], "--slider", "slider")
+                points = face.evaluate(weights, coefficients=coefficients, sliders=sliders)
+            else:
+                points = face.evaluate(weights, coefficients=coefficients, pose=self.pose or "set")
             bar.update()
             options = PictureOptions(
                 size=self.size,
@@ -84,18 +93,6 @@ class Render(Posed, FileAction[Report]):
             save_png(picture(parts, points, options), job.out)
             bar.update()
         return Report(warnings=face.warnings)
-
-    def _points(self, face: Face) -> FloatArray:
-        """(n, 3) points in the pose that is asked for."""
-        from facepipe.core.names import named
-        from facepipe.rig.bone_coefficients import coefficients_of
-
-        weights = named(self.weights, face.shapes, "--set", "shape")
-        coefficients = coefficients_of(self.bones, face.skeleton.joints, face.skeleton.names)
-        if not self.sliders:
-            return face.evaluate(weights, coefficients=coefficients, pose=self.pose or "set")
-        sliders = named(self.sliders, [slider.name for slider in face.sliders], "--slider", "slider")
-        return face.evaluate(weights, coefficients=coefficients, sliders=sliders)
 
     def _heatmap(self, face: Face, points: FloatArray) -> HeatMap | None:
         import numpy as np

@@ -101,17 +101,24 @@ def match_meshes(
     :raises TopologyError: the first difference of two meshes
     """
     pairs = _pairs(parts.meshes, others, where, only)
+    starts, other_starts = _starts(parts.meshes), _starts(others)
     if pairs is None:
-        whole = _whole(parts.meshes)
+        corners = [mesh.face_vertex_indices for mesh in parts.meshes]
+        whole = Mesh(
+            name="all",
+            points=np.concatenate([mesh.points for mesh in parts.meshes]),
+            face_vertex_counts=np.concatenate([mesh.face_vertex_counts for mesh in parts.meshes]),
+            face_vertex_indices=np.concatenate([own + start for own, start in zip(corners, starts, strict=False)]),
+        )
         check_same_faces(f"{where} -> {others[0].name}", others[0], whole, parts.name)
         numbers = np.arange(len(whole.points))
         return Match(numbers, numbers)
-    starts, other_starts = _starts(parts.meshes), _starts(others)
     rows, other_rows = [], []
     for number, other in pairs:
         mesh, trail = parts.meshes[number], f"{where} -> {others[other].name}"
         used = np.arange(len(mesh.points))
         if triangles and (np.asarray(others[other].face_vertex_counts) == 3).all():
+            # a writer of triangles drops points that are in no face, but not ours
             used = np.unique(mesh.face_vertex_indices)
             if len(others[other].points) == len(mesh.points):
                 used = np.arange(len(mesh.points))
@@ -120,7 +127,12 @@ def match_meshes(
             check_same_faces(trail, others[other], mesh, parts.name)
         rows.append(starts[number] + used)
         other_rows.append(other_starts[other] + np.arange(len(used)))
-    return Match(np.concatenate(rows), np.concatenate(other_rows), _notes(parts, others, pairs, where))
+    paired, other_paired = ({pair[end] for pair in pairs} for end in (0, 1))
+    lacking = [mesh.name for number, mesh in enumerate(parts.meshes) if number not in paired]
+    extra = [mesh.name for number, mesh in enumerate(others) if number not in other_paired]
+    notes = [f"{where}: lacks meshes, which don't count: {', '.join(lacking)}"] if lacking else []
+    notes += [f"{where}: meshes that the face lacks: {', '.join(extra)}"] if extra else []
+    return Match(np.concatenate(rows), np.concatenate(other_rows), tuple(notes))
 
 
 def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str) -> list[tuple[int, int]] | None:
@@ -133,7 +145,18 @@ def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str
             raise InputError(f"{where}:{only}", f"{len(others)} meshes, expected a single one or one called '{only}'")
         return [(names.index(only), places.get(only, 0))]
     if len(others) == 1:
-        return _single(meshes, others[0], where)
+        # by name, or the only one of as many points, or all of them
+        points, count, called = [len(mesh.points) for mesh in meshes], len(others[0].points), others[0].name
+        if called in names and points[names.index(called)] == count:
+            return [(names.index(called), 0)]
+        if points.count(count) == 1:
+            return [(points.index(count), 0)]
+        if count == sum(points):
+            return None
+        if called in names or len(meshes) == 1:
+            return [(names.index(called) if called in names else 0, 0)]  # whose first difference is an error
+        what = f"mesh '{called}' of {count:,} points is none of {', '.join(names)}"
+        raise TopologyError(where, f"{what}, expected FILE:MESH to say which")
     pairs = [(number, places[name]) for number, name in enumerate(names) if name in places]
     if not pairs:
         some = ", ".join(list(places)[:6]) or "none"
@@ -141,47 +164,8 @@ def _pairs(meshes: Sequence[Mesh], others: Sequence[Mesh], where: str, only: str
     return pairs
 
 
-def _single(meshes: Sequence[Mesh], other: Mesh, where: str) -> list[tuple[int, int]] | None:
-    """The mesh that a single other one is: by name, or the only one of as many points; None for all of them."""
-    names, points = [mesh.name for mesh in meshes], [len(mesh.points) for mesh in meshes]
-    named, count = other.name in names, len(other.points)
-    if named and points[names.index(other.name)] == count:
-        return [(names.index(other.name), 0)]
-    if points.count(count) == 1:
-        return [(points.index(count), 0)]
-    if count == sum(points):
-        return None
-    if named or len(meshes) == 1:
-        return [(names.index(other.name) if named else 0, 0)]  # whose first difference is an error
-    what = f"mesh '{other.name}' of {count:,} points is none of {', '.join(names)}"
-    raise TopologyError(where, f"{what}, expected FILE:MESH to say which")
-
-
-def _notes(parts: FaceParts, others: Sequence[Mesh], pairs: list[tuple[int, int]], where: str) -> tuple[str, ...]:
-    lacking = [mesh.name for number, mesh in enumerate(parts.meshes) if number not in {a for a, _ in pairs}]
-    extra = [mesh.name for number, mesh in enumerate(others) if number not in {b for _, b in pairs}]
-    return tuple(
-        f"{where}: {text}: {', '.join(names)}"
-        for text, names in (("lacks meshes, which don't count", lacking), ("meshes that the face lacks", extra))
-        if names
-    )
-
-
 def _starts(meshes: Sequence[Mesh]) -> IntArray:
     return np.concatenate([[0], np.cumsum([len(mesh.points) for mesh in meshes], dtype=np.int64)])
-
-
-def _whole(meshes: Sequence[Mesh]) -> Mesh:
-    """All meshes as one."""
-    starts = _starts(meshes)
-    return Mesh(
-        name="all",
-        points=np.concatenate([mesh.points for mesh in meshes]),
-        face_vertex_counts=np.concatenate([mesh.face_vertex_counts for mesh in meshes]),
-        face_vertex_indices=np.concatenate(
-            [mesh.face_vertex_indices + start for mesh, start in zip(meshes, starts, strict=False)]
-        ),
-    )
 
 
 def _check_triangles(where: str, other: Mesh, mesh: Mesh, used: IntArray, name: str) -> None:
@@ -327,31 +311,24 @@ def whole_face(
     between = sorted({shape.name for mesh in parts.meshes for shape in mesh.blendshapes if shape.inbetweens})
     if between:
         warnings.append(f"{name}: inbetweens of {', '.join(between)} are left out")
-    shapes = parts.shapes
+    deltas = {shape: np.zeros((len(points), 3)) for shape in parts.shapes}
+    meshes: dict[str, list[str]] = {shape: [] for shape in parts.shapes}
+    start = 0
+    for mesh, to in zip(parts.meshes, to_millimetres(parts), strict=True):
+        for blendshape in mesh.blendshapes:
+            # offsets are differences of points: the translation cancels
+            moved = np.asarray(blendshape.offsets, np.float64) @ to[:3, :3].T
+            deltas[blendshape.name][start + blendshape.point_indices] = moved
+            meshes[blendshape.name].append(mesh.name)
+        start += len(mesh.points)
     return WholeFace(
         name=name,
         topology=Topology.of(parts),
         points=points,
-        deltas={shape: _delta(parts, shape) for shape in shapes},
-        meshes={
-            shape: tuple(
-                mesh.name for mesh in parts.meshes if any(blendshape.name == shape for blendshape in mesh.blendshapes)
-            )
-            for shape in shapes
-        },
+        deltas=deltas,
+        meshes={shape: tuple(dict.fromkeys(names)) for shape, names in meshes.items()},
         warnings=tuple(warnings),
     )
-
-
-def _delta(parts: FaceParts, shape: str) -> FloatArray:
-    ends = np.cumsum([len(mesh.points) for mesh in parts.meshes])
-    delta = np.zeros((int(ends[-1]), 3))
-    for mesh, end, to in zip(parts.meshes, ends, to_millimetres(parts), strict=True):
-        for blendshape in mesh.blendshapes:
-            if blendshape.name == shape:
-                start = int(end) - len(mesh.points)
-                delta[start + blendshape.point_indices] = np.asarray(blendshape.offsets, np.float64) @ to[:3, :3].T
-    return delta
 
 
 def to_millimetres(parts: FaceParts) -> list[FloatArray]:

@@ -196,10 +196,8 @@ OPENED = {
         facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:view
         """,
     "it was typed, and is checked by the command line or its reader": """
-        facepipe.checks:validate facepipe.cli:_project
-        facepipe.importers.npz:read_arrays
-        facepipe.verbs.blend.blend_action:BlendFaces.check
-        facepipe.scanning.database.info_action:DatabaseInfo.look
+        facepipe.checks:validate facepipe.cli:_project facepipe.importers.npz:read_arrays
+        facepipe.verbs.blend.blend:BlendFaces.check facepipe.scanning.database.info_action:DatabaseInfo.look
         facepipe.neural.train_encoder:Checkpoint._file
         facepipe.scanning.rebuild.fit_neutral_action:FitNeutralAction.check
         facepipe.scanning.rebuild.scan_fit:scan_input facepipe.scanning.photos.photos:read_photos

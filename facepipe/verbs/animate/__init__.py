@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.verbs.animate.animate import AnimateFace, AnimateReport
-    from facepipe.verbs.animate.animate_action import Animate
+    from facepipe.verbs.animate.animate import Animate
     from facepipe.verbs.animate.clip_files import Performance, read_performance
+    from facepipe.verbs.animate.face_clip import AnimateFace, AnimateReport
     from facepipe.verbs.animate.options import AnimateOptions
 else:
     __getattr__, __dir__ = lazy(__name__)

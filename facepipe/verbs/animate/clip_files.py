@@ -298,7 +298,20 @@ def _performance(
     path: Path, keyed: list[dict[str, Any]], frames: list[Any], rate: float | None, *, degrees: bool
 ) -> Performance:
     where = [f"{path} -> frame {number}" for number in range(1, len(frames) + 1)]
-    weights = [_weights(*one) for one in zip(where, keyed, frames, strict=True)]
+    weights = []
+    skipped = (*_WEIGHTS, *_SECONDS, "timecode", "frame", "index")
+    for trail, own, frame in zip(where, keyed, frames, strict=True):
+        held = _first(own, _WEIGHTS)
+        if isinstance(held, list):
+            listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in held]
+            held = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}
+        beside = {name: value for name, value in frame.items() if name.casefold() not in skipped}
+        if held is not None:
+            beside = {name: value for name, value in beside.items() if angle_of(name)}
+            if not isinstance(held, Mapping):
+                raise InputError(trail, "weights of another form, expected names with numbers")
+        numbers = {**(held or {}), **beside}
+        weights.append({str(name): _number(f"{trail} -> {name}", value) for name, value in numbers.items()})
     names = list(dict.fromkeys(name for weight in weights for name in weight))
     if not names:
         raise InputError(path, "no weights, expected names of shapes with numbers")
@@ -318,21 +331,6 @@ def _performance(
     rate = rate or _rate_of(seconds)
     # from the first: clocks of captures start anywhere
     return steady(str(path), (seconds - seconds[0]) * rate, rate, names, values)
-
-
-def _weights(where: str, keyed: Mapping[str, Any], frame: Mapping[str, Any]) -> dict[str, float]:
-    """Name -> number of one frame."""
-    held = _first(keyed, _WEIGHTS)
-    if isinstance(held, list):
-        rows = [_keyed(one) if isinstance(one, Mapping) else {} for one in held]
-        held = {str(_first(row, ("categoryname", "name"))): _first(row, ("score", "value")) for row in rows}
-    skipped = (*_WEIGHTS, *_SECONDS, "timecode", "frame", "index")
-    beside = {name: value for name, value in frame.items() if name.casefold() not in skipped}
-    if held is not None:
-        beside = {name: value for name, value in beside.items() if angle_of(name)}
-        if not isinstance(held, Mapping):
-            raise InputError(where, "weights of another form, expected names with numbers")
-    return {str(name): _number(f"{where} -> {name}", value) for name, value in {**(held or {}), **beside}.items()}
 
 
 def _keyed(value: Mapping[str, Any]) -> dict[str, Any]:
@@ -373,6 +371,7 @@ def _timecode_frames(where: Sequence[str], codes: Sequence[str], fps: float) -> 
     seconds, frames = np.array([one[0] for one in parsed]), np.array([one[1] for one in parsed])
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     counted = seconds * nominal + frames
+    # frame numbers that never come near the rate are of a lower one: at the wrong rate a clip would stutter each second
     highest = int(frames.max())
     if len(np.unique(seconds)) > 2 and highest + 1.5 * max(middle(np.diff(counted)), 1.0) < nominal:
         shown = f"frames 0 to {highest} in every second"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.verbs.blend.blend_action import BlendFaces
+    from facepipe.verbs.blend.blend import BlendFaces
     from facepipe.verbs.blend.options import BlendOptions
     from facepipe.verbs.blend.quality import BlendReport, MatchReport, match
     from facepipe.verbs.blend.result import Blend

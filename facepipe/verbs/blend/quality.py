@@ -110,7 +110,23 @@ class _Eye:
         beyond, (*sources, depth) = self._furthest(rest)
         shape, worst = None, [0.0] * len(rest)
         for number, sculpt in enumerate(self._solution.sculpts):
-            further, depths = self._furthest(self._posed(number, rest))
+            # depths of the face around the eye under the sculpt, in every source and in the blend
+            on_face, on_part = self._on_face[sculpt.points], self._on_part[sculpt.points]
+            skin, eye = on_face >= 0, on_part >= 0
+            posed = list(rest)
+            for k, offsets in enumerate((*sculpt.offsets, self._solution.offsets[number])):
+                if eye.any():
+                    # the eyeball moves too: the face is seen from it
+                    face, part = self._face[k].copy(), self._part[k].copy()
+                    face[on_face[skin]] += offsets[skin]
+                    part[on_part[eye]] += offsets[eye]
+                    motion = fit_similarity(self._part[k], part)
+                    posed[k] = motion.scale * self._surfaces[k].depths(motion.undo(face))
+                elif skin.any():
+                    posed[k] = rest[k].copy()
+                    moved = self._face[k][on_face[skin]] + offsets[skin]
+                    posed[k][on_face[skin]] = self._surfaces[k].depths(moved)
+            further, depths = self._furthest(posed)
             if further > max(beyond, 0.0):
                 beyond, shape, worst = further, sculpt.name, depths
         return LidContact(
@@ -126,26 +142,6 @@ class _Eye:
         beyond = depths[-1] - np.max(depths[:-1], axis=0)
         point = beyond.argmax() if beyond.max() > 0 else depths[-1].argmax()
         return float(beyond[point]) * self._mm, [float(depth[point]) * self._mm for depth in depths]
-
-    def _posed(self, number: int, rest: list[FloatArray]) -> list[FloatArray]:
-        """Depths of the face around the eye under one sculpt, in every source and in the blend."""
-        sculpt = self._solution.sculpts[number]
-        on_face, on_part = self._on_face[sculpt.points], self._on_part[sculpt.points]
-        skin, eye = on_face >= 0, on_part >= 0
-        posed = list(rest)
-        for k, offsets in enumerate((*sculpt.offsets, self._solution.offsets[number])):
-            if eye.any():
-                # the eyeball moves too: the face is seen from it
-                face, part = self._face[k].copy(), self._part[k].copy()
-                face[on_face[skin]] += offsets[skin]
-                part[on_part[eye]] += offsets[eye]
-                motion = fit_similarity(self._part[k], part)
-                posed[k] = motion.scale * self._surfaces[k].depths(motion.undo(face))
-            elif skin.any():
-                posed[k] = rest[k].copy()
-                moved = self._face[k][on_face[skin]] + offsets[skin]
-                posed[k][on_face[skin]] = self._surfaces[k].depths(moved)
-        return posed
 
 
 def _places(points: IntArray, count: int) -> IntArray:

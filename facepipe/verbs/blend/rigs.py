@@ -37,7 +37,14 @@ def blend_skeletons(
     base = skeletons[0]
     if not base.joints:
         return base
-    places = [_places(skeleton, base, number) for number, skeleton in enumerate(skeletons)]
+    places = []
+    for number, skeleton in enumerate(skeletons, 1):
+        numbers = {joint: i for i, joint in enumerate(skeleton.joints)}
+        missing = next((joint for joint in base.joints if joint not in numbers), None)
+        if missing is not None:
+            what = f"no joint '{missing}', expected it as in the first"
+            raise TopologyError(f"source {number} -> {skeleton.name}", what)
+        places.append(np.array([numbers[joint] for joint in base.joints], dtype=np.int64))
     binds = np.stack([_float64(one.bind_transforms)[at] for one, at in zip(skeletons, places, strict=True)])
     rests = np.empty(binds.shape)
     for own, skeleton, at in zip(rests, skeletons, places, strict=True):
@@ -87,16 +94,6 @@ def _local(worlds: FloatArray, base: Skeleton) -> FloatArray:
     parents = base.parents
     above = np.where((parents < 0)[:, None, None], np.eye(4), _inverse(worlds, base)[parents])
     return np.asarray(above @ worlds)
-
-
-def _places(skeleton: Skeleton, base: Skeleton, number: int) -> IntArray:
-    numbers = {joint: i for i, joint in enumerate(skeleton.joints)}
-    missing = next((joint for joint in base.joints if joint not in numbers), None)
-    if missing is not None:
-        raise TopologyError(
-            f"source {number + 1} -> {skeleton.name}", f"no joint '{missing}', expected it as in the first"
-        )
-    return np.array([numbers[joint] for joint in base.joints], dtype=np.int64)
 
 
 def _inverse(matrices: FloatArray, base: Skeleton) -> FloatArray:

@@ -371,10 +371,20 @@ class Expression:
 
     def solve(self, shared: Shared) -> FloatArray:
         """(u, 3) offsets of the sculpt's points."""
+        graph, bridges, points = self._graph, self._graph.bridges, self.sculpt.points
         if self._prepared is None:
-            self._prepared = self._prepare()
-        prepared, graph, points = self._prepared, self._graph, self.sculpt.points
-        bridges = graph.bridges
+            held = self._system.moving(self._moving) if self._hold_static else None
+            edges = held.edges if held else np.flatnonzero(self._moving[graph.edges].any(axis=1))
+            across = held.bridges if held else np.arange(len(bridges.followers))
+            ends = graph.edges[edges]
+            self._prepared = _Prepared(
+                held=held,
+                edges=edges,
+                bridges=across,
+                edge_vectors=self._vectors(ends[:, 0], ends[:, 1]),
+                bridge_vectors=self._vectors(bridges.leaders[across], bridges.followers[across]),
+            )
+        prepared = self._prepared
         along = shared.between(bridges.leaders[prepared.bridges], bridges.followers[prepared.bridges])
         wanted = mix(shared.edge_shares[prepared.edges], prepared.edge_vectors)
         bridged, anchored = mix(along, prepared.bridge_vectors), np.zeros(3)
@@ -403,20 +413,6 @@ class Expression:
         touching = np.flatnonzero(self._moving[self._graph.edges].any(axis=1))
         ends = self._graph.edges[touching]
         return touching, mix(shared.edge_shares[touching], self._vectors(ends[:, 0], ends[:, 1]))
-
-    def _prepare(self) -> _Prepared:
-        graph, bridges = self._graph, self._graph.bridges
-        held = self._system.moving(self._moving) if self._hold_static else None
-        edges = held.edges if held else np.flatnonzero(self._moving[graph.edges].any(axis=1))
-        across = held.bridges if held else np.arange(len(bridges.followers))
-        ends = graph.edges[edges]
-        return _Prepared(
-            held=held,
-            edges=edges,
-            bridges=across,
-            edge_vectors=self._vectors(ends[:, 0], ends[:, 1]),
-            bridge_vectors=self._vectors(bridges.leaders[across], bridges.followers[across]),
-        )
 
     def _vectors(self, start: IntArray, end: IntArray) -> FloatArray:
         """(K, q, 3) vectors of the sources' offsets from points to points."""

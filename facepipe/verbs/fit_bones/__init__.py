@@ -6,11 +6,10 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.verbs.fit_bones.bone_fit import BoneFit
-    from facepipe.verbs.fit_bones.fit_bones import FitBones, initial_coefficients
-    from facepipe.verbs.fit_bones.fit_bones_action import FitBonesToTargets
+    from facepipe.verbs.fit_bones.fit_bones import FitBonesToTargets
     from facepipe.verbs.fit_bones.limits import LimitRules, read_limits
     from facepipe.verbs.fit_bones.options import FitBonesOptions
-    from facepipe.verbs.fit_bones.report import FitBonesReport, TargetReport
+    from facepipe.verbs.fit_bones.target_fits import FitBones, FitBonesReport, TargetReport, initial_coefficients
     from facepipe.verbs.fit_bones.targets import Target, read_targets
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -112,20 +112,20 @@ class BoneFit:
             raise InputError(self.rig.name, f"initial {start.shape}, expected {self._rest.shape} finite numbers")
         start = np.clip(start, self.lower, self.upper)
         batches = [targets[first : first + _MANY] for first in range(0, len(targets), _MANY)]
+        fits: list[Fitted] = []
         with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # steps that lead too far count as worse
-            fits = [fitted for batch in batches for fitted in self._fitted(np.stack(batch), start)]
+            for batch in batches:
+                if self.sparsity > 0:
+                    fits += [self._sparse(target, start) for target in batch]
+                else:
+                    most = min(self.steps, _SHARED)
+                    ends = fit_together(self._shared(), np.stack(batch), start, most, self.threshold)
+                    fits += [self._finished(target, start, end) for target, end in zip(batch, ends, strict=True)]
         if any((fitted.coefficients[:, 6:] == 0.0).any() for fitted in fits):
             raise np.linalg.LinAlgError("a joint of scale 0")
         if not all(np.isfinite(fitted.largest + fitted.slope) for fitted in fits):
             raise InputError(self.rig.name, "numbers of the start or the target too large to square")
         return fits
-
-    def _fitted(self, targets: FloatArray, start: FloatArray) -> list[Fitted]:
-        """The fits of (K, n, 3)."""
-        if self.sparsity > 0:
-            return [self._sparse(target, start) for target in targets]
-        ends = fit_together(self._shared(), targets, start, min(self.steps, _SHARED), self.threshold)
-        return [self._finished(target, start, shared) for target, shared in zip(targets, ends, strict=True)]
 
     def _finished(self, target: FloatArray, start: FloatArray, shared: Fitted) -> Fitted:
         """The fit of one target, by damped steps of its own where those it `shared` did not end at an optimum."""
@@ -135,23 +135,18 @@ class BoneFit:
             if fitted.largest > self.threshold and fitted.steps > _STRAIGHT:
                 halfway = self._solve(0.5 * (self._at_rest + target), start, self.weights, settled=_ROUGH)
                 fitted = _nearer(fitted, self._solve(target, halfway.coefficients, self.weights))
-        return self._evened(fitted, target) if fitted.largest > self.threshold else fitted
-
-    def _evened(self, fitted: Fitted, target: FloatArray) -> Fitted:
-        """Rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
-
-        Source: Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times
-        distances, round by round; here their squares, which takes fewer rounds.
-        """
+        # rounds in which points count the more the further they are off: the largest distance falls, the mean rises.
+        # Lawson, "Contributions to the theory of linear least maximum approximation", 1961: weights times distances,
+        # round by round; here their squares, which takes fewer rounds
         weights, latest = self.weights, fitted
         for _ in range(self.rounds):
+            if fitted.largest <= self.threshold:
+                break
             apart = np.linalg.norm(latest.points - target, axis=1) / latest.largest
             weights = weights * (apart**2 + _LEAST_WEIGHT)
             weights = weights * (self.weights.sum() / weights.sum())
             latest = self._solve(target, latest.coefficients, weights, settled=_ROUGH)
             fitted = _nearer(fitted, latest)
-            if fitted.largest <= self.threshold:
-                break
         return fitted
 
     def _sparse(self, target: FloatArray, start: FloatArray) -> Fitted:
@@ -190,6 +185,9 @@ class BoneFit:
             moments = self.skin.moments(target, weights, world)
         metric = self._metric if variables is None else self._metric_of(variables)
         problem = Problem(
+            tree=self.tree,
+            skin=self.skin,
+            moments=moments,
             target=target,
             weights=weights,
             variables=self.variables if variables is None else variables,
@@ -199,7 +197,7 @@ class BoneFit:
             settled=settled,
             pull=self._pull(springs),
         )
-        return fit(self.tree, self.skin, moments, problem, start)
+        return fit(problem, start)
 
     def _shared(self) -> Shared:
         """What the fits of many targets share."""

@@ -1,168 +1,174 @@
-"""Fits the bones of a face to targets: how much its points count, where the fit starts, and what is authored."""
+"""Fit the bones of a face to targets: coefficients within limits, a SkelAnimation for each target.
+
+A target is a blendshape of the face (jawOpen, jawOpen=0.5), `shapes` (each of them), an animation of the face (all its
+frames), a face stage of its topology, a stage with points over time, a SkelAnimation of a stage (clip.usda:talk), or an
+OBJ, GLB or glTF of its topology (sculpt.obj:Head says which mesh a single one of another name is; OBJ is read in the
+units and axes of the face). Meshes that a target lacks don't count.
+
+Limits are those of the rig, and over them those of a file, where later joints win: {"joints": {"*": {"t": [-0.1, 0.1],
+"r": [-0.5, 0.5]}, "jaw": {"rx": [0, 0.4], "tz": [null, 0]}}, "lock": ["root:*", "eye*:s"], "units": "cm"}. Channels are
+tx ty tz (units: stage, mm, cm or m) rx ry rz (radians) sx sy sz (factors), or t r s; null is no limit.
+
+OUT is an override layer over RIG and needs that file; hand on what --flatten writes. Its skeleton plays the fit of a
+single target; of several none plays. What bones can't reach is reported; --residual keeps it as a sparse blendshape,
+which the animation turns on. Exit code 1: done, but a target is missed by more than the threshold.
+
+The recipe stays on the result. --edit fits again from it with what the line changes: another RIG, other targets (all of
+them), limits, masks and options; a --region joins those there are (NAME=1 undoes one). Payload and picture are made
+where they are asked for.
+
+examples:
+  facepipe fit-bones rig.usda --target smile.usda -o fitted.usda --residual
+  facepipe fit-bones rig.usda --target shapes --limits limits.json --region mouth=2 --region neck=0 -o fitted.usda
+  facepipe fit-bones rig.usda --target cache.usdc -o clip.usda --coefficients clip.fpb
+  facepipe fit-bones --edit fitted.usda --threshold-mm 0.5 --no-residual --force
+"""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
-from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.names import suggestion
-from facepipe.core.threads import one_thread
-from facepipe.parts import Blendshape, FaceParts, Recipe, all_regions
-from facepipe.payload import decode
-from facepipe.rig import matrix_coefficients, rest_coefficients
-from facepipe.stage import Face
-from facepipe.stage.animation_source import play
-from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
-from facepipe.verbs.fit_bones.limits import LimitRules
-from facepipe.verbs.fit_bones.options import FitBonesOptions
-from facepipe.verbs.fit_bones.report import FitBonesReport
-from facepipe.verbs.fit_bones.target_fits import FittedTarget, TargetFits
-from facepipe.verbs.fit_bones.targets import Target
+from facepipe.declare import beside, named_numbers, option, source, values_of
+from facepipe.kinds import Job, StageAction, action
+from facepipe.verbs.fit_bones.options import LIMIT_RULES, FitBonesOptions, read_rules
 
-_LARGEST_WEIGHT = 1e12
-_NO_REGIONS = "none, the face has neither regions nor point subsets"
+if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
+    from facepipe.stage import Face
+    from facepipe.verbs.fit_bones.limits import LimitRules
+    from facepipe.verbs.fit_bones.target_fits import FitBonesReport
+else:
+    LimitRules = Any
+
+_PICTURES = 12  # of a heat map's sheet
 
 
+def _split_target(word: str) -> tuple[str | None, str]:
+    from facepipe.verbs.fit_bones.targets import split_file
+
+    return split_file(word)
+
+
+def _split_initial(word: str) -> tuple[str | None, str]:
+    return (word, "") if Path(word).suffix.lower() == ".fpb" else (None, word)  # animations' names have no suffix
+
+
+@action("fit-bones", "bring bones to targets, within limits")
 @dataclass(frozen=True, kw_only=True)
-class FitBones(FitBonesOptions):
-    """Coefficients, within limits, that bring a skinned face to targets; a SkelAnimation for each.
+class FitBonesToTargets(FitBonesOptions, StageAction["FitBonesReport"]):
+    """The action."""
 
-    The face's skeleton plays that of a single target: what opens the stage shows the fit. Where that target is another
-    face, the fit is the person from then on.
+    rig: Path = source("face stage with joints and skin weights")
+    targets: tuple[str, ...] = source("what to reach", flag="--target", metavar="T", split=_split_target)
+    initial: str | None = source(
+        "start from the first frame of an animation of RIG or of a payload (default rest)",
+        default=None,
+        flag="--initial",
+        metavar="ANIMATION|FPB",
+        split=_split_initial,
+    )
+    limits: LimitRules | None = option(
+        None, "limits over those of the rig (default none)", metavar="JSON", parse=read_rules, value=LIMIT_RULES
+    )
+    regions: Mapping[str, float] = option(
+        dict,
+        "how much points of a region or point subset count, 0 or more (default 1)",
+        flag="--region",
+        metavar="NAME=WEIGHT",
+        parse=named_numbers,
+    )
+    mask: tuple[str, ...] = option(
+        (), "only points of this region or point subset count (default all do)", metavar="NAME"
+    )
+    coefficients: Path | None = beside("write the coefficients as a payload: .fpb", ".fpb", "write_coefficients")
+    precision: Literal["float16", "float32"] = option("float32", "of the payload", kept=False)
+    heatmap: Path | None = beside("draw the targets that are missed most, coloured by distance", ".png", "draw")
 
-    Source: the bone driving coefficients document, claims 1-5.
+    def check(self) -> None:
+        super().check()
+        seen = set()
+        for word in self.targets:
+            file, name = _split_target(word)
+            key = (word if file is None else Path(file).resolve(), name)
+            if key in seen:
+                raise InputError(f"target {word}", "given twice, expected it once")
+            seen.add(key)
 
-    >>> face = facepipe.open("rig.usda")
-    >>> targets = read_targets(face, ["smile.usda", "jawOpen"])
-    >>> with face.deriving("fitted.usda") as result:
-    ...     report = FitBones(residual=True)(result, targets)
+    def author(self, face: Face, job: Job) -> FitBonesReport:
+        from facepipe.importers import read_face
+        from facepipe.verbs.fit_bones.limits import LimitRules
+        from facepipe.verbs.fit_bones.target_fits import FitBones, initial_coefficients
+        from facepipe.verbs.fit_bones.targets import read_targets
 
-    :param limits: over those of the rig
-    :param regions: region or point subset -> how much its points count, 0 or more
-    :param mask: regions or point subsets outside which no point counts; empty: all do
-    :param initial: (m, 9) coefficients to start from, brought into the limits; default rest
-    :raises InputError: options out of range
-    """
-
-    limits: LimitRules = field(default_factory=LimitRules)
-    regions: Mapping[str, float] = field(default_factory=dict)
-    mask: Sequence[str] = ()
-    initial: FloatArray | None = None
-
-    @one_thread()
-    def __call__(
-        self,
-        face: Face,
-        targets: Sequence[Target],
-        *,
-        recipe: Recipe | None = None,
-        done: Callable[[], object] = lambda: None,
-    ) -> FitBonesReport:
-        """Fit, and author the result on `face`.
-
-        :param recipe: authored with the result; None leaves what the face has
-        :param done: called after every frame
-        :raises InputError, TopologyError: a face without bones, singular binds, or targets, limits and regions that
-            don't fit it, or joints that a symmetric fit can't pair; nothing is authored then
-        :raises FitError: limits that let a joint shrink to nothing, and a fit that did
-        """
-        start = time.perf_counter()
-        weights = point_weights(face.parts(), self.regions, self.mask)
-        fits = TargetFits(face, targets, self, limits=self.limits, weights=weights, initial=self.initial)
-        fitted = fits.fit_all(done)
-        parts = fits.parts
-        meshes = tuple(
-            replace(mesh, blendshapes=(*mesh.blendshapes, *_residual_shapes(fitted, number)))
-            for number, mesh in enumerate(parts.meshes)
+        rig = read_face(self.rig)
+        targets = tuple(read_targets(rig, self.targets, lambda path: _read(path, rig)))
+        if self.coefficients and len(targets) > 1 and any(target.times is not None for target in targets):
+            what = "holds one clip or several poses, expected a single --target with times"
+            raise InputError(self.coefficients, what)
+        fit = FitBones(
+            **values_of(FitBonesOptions, self),
+            limits=self.limits or LimitRules(),
+            regions=self.regions,
+            mask=self.mask,
+            initial=None if self.initial is None else initial_coefficients(rig, self.initial),
         )
-        is_person = len(fitted) == 1 and targets[0].person
-        result = replace(
-            parts,
-            meshes=meshes,
-            animations=(*parts.animations, *(target.animation for target in fitted)),
-            person=fitted[0].animation.name if is_person else parts.person,
-            recipe=recipe or parts.recipe,
+        with job.watch("fit", sum(len(target.points) for target in targets)) as bar:
+            report = fit(face, targets, recipe=job.recipe(), done=bar.update)
+        return replace(report, fitted=targets)
+
+    def write_coefficients(self, face: Face, report: FitBonesReport, path: Path) -> dict[str, Any]:
+        """Write the coefficients on the stage as a payload: one clip, one pose, or one pose a target."""
+
+        import numpy as np
+
+        from facepipe.payload import PayloadContent
+        from facepipe.verbs.bone_payload import write_payload
+
+        animations = {animation.name: animation for animation in face.animations}
+        poses = [animations[name] for name in report.targets]
+        values = np.concatenate([pose.coefficients for pose in poses if pose.coefficients is not None])
+        times = poses[0].times if len(poses) == 1 else None
+        content = PayloadContent(
+            joints=face.skeleton.joints,
+            coefficients=values[0] if len(poses) == 1 and times is None else values,
+            times=times,
+            meters_per_unit=face.meters_per_unit,
+            precision=self.precision,
         )
-        authored = author_changes(face, result)
-        if len(fitted) == 1:
-            play(face, fitted[0].animation.name)
-        return replace(fits.report(fitted), authored=authored, seconds=time.perf_counter() - start)
+        return write_payload(path, content, face.rig()).to_dict()
+
+    def draw(self, face: Face, report: FitBonesReport, path: Path) -> None:
+        """Draw the targets that are missed most, in the pose of their worst frame, on one scale."""
+        import numpy as np
+
+        from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
+
+        misses = {name: target.distances.max_mm for name, target in report.targets.items()}
+        targets = dict(zip(misses, report.fitted, strict=True))
+        order = sorted(misses, key=lambda name: -misses[name])
+        # at least the threshold: a good fit would show its rounding in the colours of large misses
+        scale = (0.0, float(max(misses[order[0]], report.threshold_mm)))
+        parts, images = face.parts(), []
+        for name in order[:_PICTURES]:
+            points = targets[name].points
+            posed = [face.evaluate(joint_transforms=face.sample(name, frame)[0]) for frame in range(len(points))]
+            off = np.linalg.norm(np.stack(posed) - points, axis=2) * face.mm_per_unit
+            worst = int(off.max(axis=1).argmax())
+            heatmap = HeatMap(values=off[worst], label=name, range=scale)
+            image = picture(parts, posed[worst], PictureOptions(heatmap=heatmap))
+            images.append((f"{name}: {misses[name]:.3g} mm", image))
+        save_png(images[0][1] if len(images) == 1 else contact_sheet(images, min(4, len(images))), path)
 
 
-def _residual_shapes(fitted: Sequence[FittedTarget], mesh: int) -> tuple[Blendshape, ...]:
-    """The residual shapes of one mesh."""
-    shapes = (meshes[mesh] for target in fitted for meshes in target.shapes)
-    return tuple(shape for shape in shapes if shape is not None)
+def _read(path: Path, face: Face) -> FaceParts:
+    """An OBJ in the units and axes of the face, or a glTF in its own."""
+    from facepipe.importers import load, obj
 
-
-def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence[str]) -> FloatArray:
-    """(n,) how much each point counts in a fit.
-
-    :param regions: region or point subset -> factor, 0 or more; where a mask is soft, or in none, the rest counts as 1
-    :param mask: regions or point subsets outside which nothing counts; empty: all counts
-    :raises InputError: unknown names, factors that are negative or not finite, or no point that counts
-    """
-    known = _masks(parts)
-    weights = np.ones(parts.point_count)
-    for name, factor in sorted(regions.items()):  # sums depend on the order, which a recipe does not keep
-        where = f"region {name}"
-        if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= _LARGEST_WEIGHT):
-            raise InputError(where, f"weight {factor}, expected a number from 0 to {_LARGEST_WEIGHT:g}")
-        weights += _mask(known, name, where) * (factor - 1.0)
-    weights = np.maximum(weights, 0.0)
-    if mask:
-        weights *= np.clip(sum(_mask(known, name, f"mask {name}") for name in mask), 0.0, 1.0)
-    weights[weights < 1e-6 * weights.max(initial=0.0)] = 0.0  # what rounding of masks leaves of 0
-    if not weights.any():
-        raise InputError("weights", "all points weigh 0, expected some that count")
-    return weights
-
-
-def _masks(parts: FaceParts) -> dict[str, FloatArray]:
-    """Region or point subset -> (n,) mask 0..1; of a name that both have the region."""
-    starts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
-    masks: dict[str, FloatArray] = {}
-    for mesh, start in zip(parts.meshes, starts, strict=False):
-        for name, indices in mesh.point_subsets.items():
-            masks.setdefault(name, np.zeros(starts[-1]))[np.asarray(indices, dtype=np.int64) + start] = 1.0
-    regions = all_regions(parts.meshes)
-    return masks | {name: np.clip(np.asarray(mask, np.float64), 0.0, 1.0) for name, mask in regions.items()}
-
-
-def _mask(known: Mapping[str, FloatArray], name: str, where: str) -> FloatArray:
-    if name not in known:
-        raise InputError(where, f"no such region or point subset{suggestion(name, sorted(known), _NO_REGIONS)}")
-    return known[name]
-
-
-def initial_coefficients(face: Face, word: str) -> FloatArray:
-    """(m, 9) coefficients of the first sample of an animation (those of transforms without shear), or of a .fpb file.
-
-    :raises InputError: no such animation, or a file that can't be read or is for another face
-    """
-    joints = face.skeleton.joints
-    if Path(word).suffix.lower() == SUFFIX:
-        content = decode(payload_bytes(Path(word)), joints, word)
-        check_fits(face, content)
-        return np.asarray(content.frames[0])
-    animation = next((animation for animation in face.animations if animation.name == word), None)
-    if animation is None:
-        known = [animation.name for animation in face.animations]
-        raise InputError(f"initial {word}", f"no such animation{suggestion(word, known)}")
-    if animation.coefficients is None:
-        local, _ = face.sample(word)
-        # local = rest C: the coefficients are of C
-        return matrix_coefficients(np.linalg.solve(face.rig().rest, local))
-    coefficients = rest_coefficients(len(joints))
-    for joint, row in zip(animation.joints, animation.coefficients[0], strict=True):
-        if joint in joints:
-            coefficients[joints.index(joint)] = row
-    return coefficients
+    if path.suffix.lower() == ".obj":
+        up_axis: Literal["Y", "Z"] = "Z" if face.up_axis == "Z" else "Y"
+        return load("obj", path, obj.Options(meters_per_unit=face.meters_per_unit, up_axis=up_axis)).parts
+    return load("gltf", path).parts

@@ -225,7 +225,10 @@ class LimitRules:
 
         :raises InputError: a pattern that matches no joint, or a lower limit of `base` above its upper one
         """
-        lower, upper = _base_limits(joints, base)
+        lower, upper = _none_below(len(joints)), np.full((len(joints), 9), np.inf)
+        if base is not None:
+            check_limits(joints, base)
+            lower, upper = np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
         meters = _UNITS[self.units]
         scale = 1.0 if meters is None else meters / meters_per_unit
         for pattern, channels in self.joints:
@@ -298,13 +301,6 @@ def _matching(where: str, pattern: str, joints: Sequence[str]) -> list[int]:
     if not numbers:
         raise InputError(where, unmatched(pattern, [joint.rpartition("/")[2] for joint in joints], "joints"))
     return numbers
-
-
-def _base_limits(joints: Sequence[str], base: BoneLimits | None) -> tuple[FloatArray, FloatArray]:
-    if base is None:
-        return _none_below(len(joints)), np.full((len(joints), 9), np.inf)
-    check_limits(joints, base)
-    return np.array(base.lower, dtype=np.float64), np.array(base.upper, dtype=np.float64)
 
 
 def _none_below(count: int) -> FloatArray:

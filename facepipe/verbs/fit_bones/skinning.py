@@ -131,7 +131,21 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     count = len(rig.joints)
     leaders, signs, still = np.arange(9 * count), np.ones(9 * count), np.zeros(9 * count, dtype=np.bool_)
     axes = rig.joint_worlds(rig.rest)[:, :3, :3]
-    partners, single = _partners(rig), []
+    # the joint on the other side, itself for one in the middle; None for one of a side that has no partner. Of several
+    # joints of a name it is the one below the partner of the joint above.
+    named: dict[str, list[int]] = {}
+    names = [joint.rpartition("/")[2] for joint in rig.joints]
+    for number, name in enumerate(names):
+        named.setdefault(name, []).append(number)
+    found: list[int | None] = []
+    for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
+        others = mirrored_names(name)
+        wanted = found[above] if above >= 0 else -1
+        options = next((named[other] for other in others if other in named), [])
+        below = [option for option in options if rig.parents[option] == wanted] or options
+        found.append(number if not others else below[0] if len(below) == 1 else None)
+    partners = [other if other is not None and found[other] == own else None for own, other in enumerate(found)]
+    single = []
     for joint in np.flatnonzero(tied):
         partner = partners[joint]
         if partner is None or not tied[partner]:
@@ -149,25 +163,6 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     if (leaders == np.arange(9 * count)).all():
         raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
     return Symmetry(rig.joints, leaders, signs, still, tuple(single))
-
-
-def _partners(rig: Rig) -> list[int | None]:
-    """The joint on the other side, itself for one in the middle; None for one of a side that has no partner.
-
-    Of several joints of a name it is the one below the partner of the joint above.
-    """
-    named: dict[str, list[int]] = {}
-    names = [joint.rpartition("/")[2] for joint in rig.joints]
-    for number, name in enumerate(names):
-        named.setdefault(name, []).append(number)
-    partners: list[int | None] = []
-    for number, (name, above) in enumerate(zip(names, rig.parents, strict=True)):
-        others = mirrored_names(name)
-        wanted = partners[above] if above >= 0 else -1
-        options = next((named[other] for other in others if other in named), [])
-        below = [option for option in options if rig.parents[option] == wanted] or options
-        partners.append(number if not others else below[0] if len(below) == 1 else None)
-    return [other if other is not None and partners[other] == own else None for own, other in enumerate(partners)]
 
 
 def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:

@@ -40,6 +40,9 @@ _TINY = np.finfo(np.float64).tiny
 class Problem:
     """One fit: what may move, how far, and where to."""
 
+    tree: Tree
+    skin: SkinnedPoints
+    moments: Moments  # of the target under the weights
     target: FloatArray  # (n, 3) world points
     weights: FloatArray  # (n,) of points, 0 or more
     variables: Variables  # v of them
@@ -61,14 +64,13 @@ class Fitted:
     slope: float  # largest cosine between what is left and what an unknown still does: 0 at a constrained optimum
 
 
-def fit(tree: Tree, skin: SkinnedPoints, moments: Moments, problem: Problem, start: FloatArray) -> Fitted:
+def fit(problem: Problem, start: FloatArray) -> Fitted:
     """Least squares from `start` (m, 9), what may move of it brought into the limits first.
 
     Models leave the curvature out, which makes them convex, as long as the objective falls fast without (Fletcher and
     Xu, "Hybrid methods for nonlinear least squares", IMA J. Numer. Anal. 1987).
     """
-    setting = _Setting(tree, skin, moments, problem)
-    state = _State(setting, problem.variables.reduced(start), start)
+    state = _State(problem, problem.variables.reduced(start), start)
     damping, before, taken, exact = _START, np.inf, 0, False
     model: _Model | None = None
     while taken < problem.steps and state.largest > problem.threshold and state.slope > problem.settled:
@@ -93,9 +95,9 @@ class _Model:
     """The damped quadratic around a pose. It serves the poses after it too, while steps to its minimum go well."""
 
     def __init__(self, state: _State, damping: float, exact: bool) -> None:
-        problem, tree, pose = state.setting.problem, state.setting.tree, state.pose
+        problem, tree, pose = state.problem, state.problem.tree, state.pose
         generators, joints = tree.generators(pose), problem.variables.joints
-        hessian = tree.normal_matrix(generators, pose, state.setting.moments.pairs, joints)
+        hessian = tree.normal_matrix(generators, pose, problem.moments.pairs, joints)
         if problem.pull is not None:
             hessian[np.diag_indices_from(hessian)] += problem.pull[joints].ravel()
         self.hessian = problem.variables.matrix(hessian)
@@ -125,7 +127,7 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
 
     A model of an earlier pose is tried once.
     """
-    variables, growth = state.setting.problem.variables, 2.0
+    variables, growth = state.problem.variables, 2.0
     low, high = variables.lower - state.x, variables.upper - state.x
     while model.damping < _MOST:
         step = model.minimiser(state.gradient, low, high)
@@ -144,23 +146,13 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
     return None, model.damping
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """What all states of one fit share."""
-
-    tree: Tree
-    skin: SkinnedPoints
-    moments: Moments
-    problem: Problem
-
-
 class _State:
     """A pose and how far it is from the target."""
 
-    def __init__(self, setting: _Setting, x: FloatArray, others: FloatArray) -> None:
-        tree, problem, self.setting, self.x = setting.tree, setting.problem, setting, x
-        self.pose = tree.pose(problem.variables.expanded(x, others))
-        self.points = setting.skin.evaluate(self.pose.skinning, tree.parent_world)
+    def __init__(self, problem: Problem, x: FloatArray, others: FloatArray) -> None:
+        self.problem, self.x = problem, x
+        self.pose = problem.tree.pose(problem.variables.expanded(x, others))
+        self.points = problem.skin.evaluate(self.pose.skinning, problem.tree.parent_world)
         squares = ((self.points - problem.target) ** 2).sum(axis=1)
         self.objective = 0.5 * float(problem.weights @ squares)
         if problem.pull is not None:
@@ -170,20 +162,20 @@ class _State:
     @cached_property
     def by_matrix(self) -> FloatArray:
         """(m, 4, 3) derivatives by the skinning matrices' rows."""
-        return self.setting.moments.gradient(self.pose.skinning)
+        return self.problem.moments.gradient(self.pose.skinning)
 
     @cached_property
     def gradient(self) -> FloatArray:
         """(v,) derivatives by the unknowns."""
-        by_coefficient = self.setting.tree.gradient(self.pose, self.by_matrix)
-        if self.setting.problem.pull is not None:
-            by_coefficient += self.setting.problem.pull * self._strain()
-        return self.setting.problem.variables.gradient(by_coefficient)
+        by_coefficient = self.problem.tree.gradient(self.pose, self.by_matrix)
+        if self.problem.pull is not None:
+            by_coefficient += self.problem.pull * self._strain()
+        return self.problem.variables.gradient(by_coefficient)
 
     @cached_property
     def slope(self) -> float:
         """The largest cosine between what is left and what an unknown does, of those a limit does not hold."""
-        variables, metric = self.setting.problem.variables, self.setting.problem.metric
+        variables, metric = self.problem.variables, self.problem.metric
         held = (self.x <= variables.lower) & (self.gradient > 0)
         held |= (self.x >= variables.upper) & (self.gradient < 0)
         largest = float(np.abs(self.gradient / metric)[~held].max(initial=0.0))
@@ -201,8 +193,8 @@ class _State:
 
     def moved(self, change: FloatArray) -> _State:
         """The state after a change (v,) of the unknowns."""
-        variables = self.setting.problem.variables
-        return _State(self.setting, np.clip(self.x + change, variables.lower, variables.upper), self.pose.coefficients)
+        variables = self.problem.variables
+        return _State(self.problem, np.clip(self.x + change, variables.lower, variables.upper), self.pose.coefficients)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,15 +250,12 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
         going = better | memory.forget(~better)
         memory.keep(going)
         states = ahead.only(going)
-    found = zip(targets, shared.variables.expanded(ends, start), taken, slopes, strict=True)
-    return [_fitted(shared, target, own, int(steps), float(slope)) for target, own, steps, slope in found]
-
-
-def _fitted(shared: Shared, target: FloatArray, coefficients: FloatArray, steps: int, slope: float) -> Fitted:
-    tree = shared.tree
-    points = shared.skin.evaluate(tree.pose(coefficients).skinning, tree.parent_world)
-    largest = float(np.linalg.norm(points - target, axis=1)[shared.weights > 0].max(initial=0.0))
-    return Fitted(coefficients, points, largest, steps, slope)
+    found, tree = [], shared.tree
+    for number, own in enumerate(shared.variables.expanded(ends, start)):
+        points = shared.skin.evaluate(tree.pose(own).skinning, tree.parent_world)
+        largest = float(np.linalg.norm(points - targets[number], axis=1)[shared.weights > 0].max(initial=0.0))
+        found.append(Fitted(own, points, largest, int(taken[number]), float(slopes[number])))
+    return found
 
 
 @dataclass(frozen=True)
@@ -376,27 +365,22 @@ class _Memory:
         """(k, v) where to go, over the unknowns `inside` the limits."""
         left, shares = -gradient * inside, []
         pairs = [(x * inside, change * inside) for x, change in self._pairs]
-        scales = [_reciprocal(x, change) for x, change in pairs]
+        scales = []
+        for x, change in pairs:
+            # one over the product of a pair; 0 where it shows no curvature
+            product = (x * change).sum(axis=1)
+            curved = product > _CURVED * np.linalg.norm(x, axis=1) * np.linalg.norm(change, axis=1)
+            scales.append(np.where(curved, 1.0 / np.where(curved, product, 1.0), 0.0))
         for (x, change), scale in zip(reversed(pairs), reversed(scales), strict=True):
             shares.append(scale * (x * left).sum(axis=1))
             left -= shares[-1][:, None] * change
-        ahead = self._solved(left, inside)
-        for (x, change), scale, share in zip(pairs, scales, reversed(shares), strict=True):
-            ahead += (share - scale * (change * ahead).sum(axis=1))[:, None] * x
-        return ahead
-
-    def _solved(self, left: FloatArray, inside: BoolArray) -> FloatArray:
-        """(k, v) the shared inverse times (k, v), where held unknowns take the force that keeps them."""
+        # (k, v) the shared inverse times (k, v), where held unknowns take the force that keeps them
         ahead = left @ self._inverse
         for row, held in zip(ahead, ~inside, strict=True):
             stopped = np.flatnonzero(held)
             if len(stopped):
                 row -= np.linalg.solve(self._inverse[np.ix_(stopped, stopped)], row[stopped]) @ self._inverse[stopped]
-        return np.asarray(ahead * inside)
-
-
-def _reciprocal(x: FloatArray, change: FloatArray) -> FloatArray:
-    """(k,) one over the products of pairs; 0 where they show no curvature."""
-    product = (x * change).sum(axis=1)
-    least = _CURVED * np.linalg.norm(x, axis=1) * np.linalg.norm(change, axis=1)
-    return np.asarray(np.where(product > least, 1.0 / np.where(product > least, product, 1.0), 0.0))
+        ahead = np.asarray(ahead * inside)
+        for (x, change), scale, share in zip(pairs, scales, reversed(shares), strict=True):
+            ahead += (share - scale * (change * ahead).sum(axis=1))[:, None] * x
+        return ahead

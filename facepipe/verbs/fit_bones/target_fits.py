@@ -1,39 +1,176 @@
-"""Fits of one face to its targets: poses many at a time, clips frame by frame, and what is authored of each."""
+"""Fits the bones of a face to its targets: poses many at a time, clips frame by frame, and what bones can't reach.
+
+In order: the report; the residual as a blendshape, and scales as SkelAnimation holds them; the fits of one face
+(`TargetFits`); all of it authored (`FitBones`), with how much points count and where a fit starts.
+"""
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import FitError, InputError
-from facepipe.core.names import first_names, unique_identifiers
+from facepipe.core.names import first_names, suggestion, unique_identifiers
+from facepipe.core.reports import Report, not_in_json, table
 from facepipe.core.threads import one_thread
-from facepipe.parts import Animation, Blendshape, FaceParts, all_regions
-from facepipe.rig import Rig, mesh_spaces, rest_coefficients
+from facepipe.parts import Animation, Blendshape, FaceParts, Recipe, all_regions
+from facepipe.payload import decode
+from facepipe.rig import CHANNELS, Rig, matrix_coefficients, mesh_spaces, rest_coefficients
 from facepipe.rig.trs import decompose
 from facepipe.stage import Face
+from facepipe.stage.animation_source import play
+from facepipe.stage.author_changes import author_changes
+from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, local_shear, rest_shear, size_warning
 from facepipe.verbs.fit_bones.options import STRICTER, FitBonesOptions
-from facepipe.verbs.fit_bones.report import (
-    FitBonesReport,
-    ResidualReport,
-    TargetReport,
-    at_limits,
-    by_region,
-    distances,
-)
 from facepipe.verbs.fit_bones.targets import Target
 
+_SHOWN = 4  # names of a list
+_REGIONS = 3  # of a single target, the worst
 _FLAT = 1e-9  # determinant of a blended matrix, of its size: no way back from there
 _SAME = 2e-7  # relative: a scale that is as near to one in half precision is it
 _TOGETHER = 32  # poses at a time: more gain little, and the next report of progress waits for them
-_SHOWN = 4  # names of a list
 
 ShapeOfMeshes = tuple[Blendshape | None, ...]  # one shape: a blendshape or None per mesh
+_LARGEST_WEIGHT = 1e12  # of a point
+_NO_REGIONS = "none, the face has neither regions nor point subsets"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distances:
+    """Distances of points from their targets, over all frames."""
+
+    points: int
+    mean_mm: float
+    rms_mm: float
+    p95_mm: float
+    max_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualReport:
+    """A corrective blendshape per frame that needs one."""
+
+    shapes: int
+    points: int  # offsets of all shapes together
+    distances: Distances  # with bones and residual
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetReport:
+    """One target."""
+
+    animation: str  # the SkelAnimation that holds the coefficients
+    frames: int
+    before: Distances  # at the pose that the fit started from, points that count
+    distances: Distances  # with bones alone, points that count
+    regions: Mapping[str, Distances] = field(default_factory=dict)  # points by the region that most of them is in
+    reached: bool  # within the threshold, with the residual where there is one
+    steps: int  # of the solves that were kept, over all frames
+    at_limits: tuple[str, ...] = ()  # "joint:channel" where some frame is stopped by a limit
+    residual: ResidualReport | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitBonesReport(Report):
+    """What a bone fit did."""
+
+    threshold_mm: float
+    points: int
+    joints: int
+    free: int  # joints that could move
+    weightless: tuple[str, ...]  # joints without influence on a point that counts: they keep their place
+    targets: Mapping[str, TargetReport]
+    authored: tuple[str, ...] = ()
+    seconds: float = 0.0
+    fitted: Any = not_in_json()  # the targets, of which pictures are drawn
+
+    @property
+    def missed(self) -> tuple[str, ...]:
+        """Targets that are not reached."""
+        return tuple(name for name, target in self.targets.items() if not target.reached)
+
+    def as_text(self, out: Path) -> str:
+        """How near each target is reached."""
+        count = len(self.targets)
+        # enough that distances differ from the threshold
+        decimals = max(4, 1 - math.floor(math.log10(self.threshold_mm)))
+        residual = any(target.residual for target in self.targets.values())
+        head = ["distance, mm", "frames", "steps", "before", "mean", "RMS", "p95", "max"]
+        rows: list[list[object]] = [[*head, *(["residual points", "max"] if residual else [])]]
+        for name, target in self.targets.items():
+            off, corrected = target.distances, target.residual
+            numbers = (
+                f"{value:.{decimals}f}"
+                for value in (target.before.max_mm, off.mean_mm, off.rms_mm, off.p95_mm, off.max_mm)
+            )
+            rest = [f"{corrected.points:,}", f"{corrected.distances.max_mm:.{decimals}f}"] if corrected else []
+            rows.append([name, target.frames, target.steps, *numbers, *rest, *([] if target.reached else ["missed"])])
+        regions = [(off.max_mm, name) for target in self.targets.values() for name, off in target.regions.items()]
+        regions = sorted(regions, key=lambda one: -one[0])[:_REGIONS] if count == 1 else []
+        worst = [", ".join(f"{name} {off_mm:.{decimals}f} mm" for off_mm, name in regions)]
+        lines = [
+            f"{out}: {count} target{'s' * (count != 1)}, {self.free} of {self.joints} joints, "
+            f"{self.points:,} points in {self.seconds:.2f} s",
+            table(rows),
+            *(f"worst regions: {some}" for some in worst if some),
+            *(
+                f"{name}: stopped by limits: {_names(target.at_limits)}"
+                for name, target in self.targets.items()
+                if target.at_limits
+            ),
+        ]
+        if self.weightless:
+            lines.append(f"joints that move nothing, left as they are: {_names(self.weightless)}")
+        return "\n".join(filter(None, lines))
+
+
+def distances(values: FloatArray) -> Distances:
+    """Of distances (..., points) in millimetres, frames before points."""
+    values = np.atleast_2d(values)
+    if not values.size:
+        return Distances(points=0, mean_mm=0.0, rms_mm=0.0, p95_mm=0.0, max_mm=0.0)
+    return Distances(
+        points=values.shape[-1],
+        mean_mm=float(values.mean()),
+        rms_mm=float(np.sqrt((values**2).mean())),
+        p95_mm=float(np.percentile(values, 95)),
+        max_mm=float(values.max()),
+    )
+
+
+def by_region(off: FloatArray, masks: Mapping[str, FloatArray], known: BoolArray | None) -> dict[str, Distances]:
+    """Of distances (T, n) of known points, all without `known` (n,), in the region that most of each is in."""
+    if not masks:
+        return {}
+    shares = np.stack(list(masks.values()))
+    largest = np.where(shares.max(axis=0) > 0, shares.argmax(axis=0), -1)
+    if known is not None:
+        largest[~known] = -1
+    numbers = dict(enumerate(masks))
+    return {name: distances(off[:, largest == number]) for number, name in numbers.items() if (largest == number).any()}
+
+
+def at_limits(
+    coefficients: FloatArray, lower: FloatArray, upper: FloatArray, joints: tuple[str, ...], free: IntArray
+) -> tuple[str, ...]:
+    """``joint:channel`` of the free joints' channels that a frame of (T, m, 9) has at a limit, where not locked."""
+    held = ((coefficients <= lower) | (coefficients >= upper)).any(axis=0) & (lower < upper)
+    allowed = np.isin(np.arange(len(joints)), free)
+    return tuple(f"{joints[joint]}:{CHANNELS[channel]}" for joint, channel in np.argwhere(held & allowed[:, None]))
+
+
+def _names(names: Sequence[str]) -> str:
+    some = ", ".join(name.rpartition("/")[2] for name in names[:_SHOWN])
+    return f"{len(names)} ({some}{', ...' if len(names) > _SHOWN else ''})"
 
 
 @dataclass(frozen=True)
@@ -118,27 +255,17 @@ def with_half_scales(rig: Rig, coefficients: FloatArray, lower: FloatArray, uppe
     local = decompose(rig.local_transforms(rounded))
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = local.scale / rounded[:, 6:]
-    rounded[:, 6:] = _nearest(
-        rounded[:, 6:],
-        np.where(local.sheared[:, None] | (factors == 0) | ~np.isfinite(factors), np.nan, factors),
-        lower[:, 6:],
-        upper[:, 6:],
-    )
-    return rounded
-
-
-def _nearest(values: FloatArray, factors: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Values, one by one the nearest inside the limits whose products with `factors` are half precision."""
-    products = values * factors
+    factors = np.where(local.sheared[:, None] | (factors == 0) | ~np.isfinite(factors), np.nan, factors)
+    # one by one the nearest scale inside the limits whose product with its factor is half precision
+    products = rounded[:, 6:] * factors
     with np.errstate(over="ignore"):
         half = products.astype(np.float16)
         candidates = (half, np.nextafter(half, np.float16(np.inf)), np.nextafter(half, np.float16(-np.inf)))
     done = ~np.isfinite(half) | (np.abs(half.astype(np.float64) - products) <= _SAME * np.abs(products))
-    rounded = np.array(values, dtype=np.float64)
     for candidate in candidates:
         tried = (candidate.astype(np.float64) / factors).astype(np.float32).astype(np.float64)
-        fits = ~done & (lower <= tried) & (tried <= upper)
-        rounded = np.where(fits, tried, rounded)
+        fits = ~done & (lower[:, 6:] <= tried) & (tried <= upper[:, 6:])
+        rounded[:, 6:] = np.where(fits, tried, rounded[:, 6:])
         done = done | fits
     return rounded
 
@@ -175,7 +302,11 @@ class TargetFits:
         self._rig, self._mm = face.rig(), face.mm_per_unit
         check_rig(face.where, self.parts, self._rig)
         self._limits = limits.resolve(self._rig.joints, face.meters_per_unit, self.parts.bone_limits)
-        self._start = np.clip(_checked_start(initial, self._rig), *self._limits)
+        rest = rest_coefficients(len(self._rig.joints))
+        start = rest if initial is None else np.asarray(initial, dtype=np.float64)
+        if start.shape != rest.shape or not np.isfinite(start).all():
+            raise InputError("initial", f"coefficients {start.shape}, expected {rest.shape} finite numbers")
+        self._start = np.clip(start, *self._limits)
         self._rest_points = self._rig.evaluate()
         check_targets(targets, self._rest_points, weights)
         self._targets, self._options, self._weights = targets, options, weights
@@ -195,8 +326,13 @@ class TargetFits:
 
     def report(self, fitted: Sequence[FittedTarget]) -> FitBonesReport:
         """The report of all targets."""
-        joints, fit = self._rig.joints, self._fit_of_all
-        of_rig = (*rest_shear(self._rig), *_unpaired(fit.symmetry.single if fit.symmetry else ()))
+        joints, fit, of_rig = self._rig.joints, self._fit_of_all, rest_shear(self._rig)
+        single = fit.symmetry.single if fit.symmetry else ()
+        if single:
+            names = first_names([joint.rpartition("/")[2] for joint in single], _SHOWN)
+            one, many = "1 joint of one side has no partner and moves as it likes", "joints of one side have no partner"
+            what = one if len(single) == 1 else f"{len(single)} {many} and move as they like"
+            of_rig = [*of_rig, f"{what}: {names}"]
         return FitBonesReport(
             threshold_mm=self._options.threshold_mm,
             points=len(self._rig.points),
@@ -235,7 +371,14 @@ class TargetFits:
         ahead: dict[int, tuple[FloatArray, int]] = {}
         for number, target in enumerate(self._targets):
             if len(target.points) > 1:
-                yield self._clip(number, done)
+                # a clip: each frame is fitted from the one before
+                frames, steps, start = [], 0, self._start
+                for frame in range(len(target.points)):
+                    start, taken = self._frame(number, frame, start)
+                    frames.append(start)
+                    steps += taken
+                    done()
+                yield np.stack(frames), steps
                 continue
             if number not in ahead:
                 ahead |= self._together(number)
@@ -257,16 +400,6 @@ class TargetFits:
         except np.linalg.LinAlgError:  # one by one, to name the target
             return {number: self._frame(number, 0, self._start) for number in numbers}
         return {number: (pose.coefficients, pose.steps) for number, pose in zip(numbers, poses, strict=True)}
-
-    def _clip(self, number: int, done: Callable[[], object]) -> tuple[FloatArray, int]:
-        """Coefficients (T, m, 9) and steps of a clip, each frame fitted from the one before."""
-        frames, steps, start = [], 0, self._start
-        for frame in range(len(self._targets[number].points)):
-            start, taken = self._frame(number, frame, start)
-            frames.append(start)
-            steps += taken
-            done()
-        return np.stack(frames), steps
 
     def _frame(self, number: int, frame: int, start: FloatArray) -> tuple[FloatArray, int]:
         target = self._targets[number]
@@ -293,10 +426,15 @@ class TargetFits:
         made = {frame: one.shapes for frame, one in residuals.items() if any(shape is not None for shape in one.shapes)}
         weights = np.zeros((frames, len(made)))
         weights[list(made), np.arange(len(made))] = 1.0
-        shapes, weights = tuple(made.values()), weights
-        for frame, residual in residuals.items():
-            posed[frame] = residual.points
+        shapes = tuple(made.values())
+        for frame, one in residuals.items():
+            posed[frame] = one.points
         miss_at_end = self._distances(posed, target)
+        residual: ResidualReport | None = None
+        if self._options.residual:
+            offsets = sum(len(part.offsets) for shape in shapes for part in shape if part is not None)
+            off = distances(miss_at_end[:, counts])
+            residual = ResidualReport(shapes=len(shapes), points=offsets, distances=off)
         start = np.clip(self._start, fit.lower, fit.upper)
         report = TargetReport(
             animation=name,
@@ -307,7 +445,7 @@ class TargetFits:
             reached=bool((miss_at_end[:, counts] <= threshold).all()),
             steps=steps,
             at_limits=at_limits(solved, fit.lower, fit.upper, self._rig.joints, fit.free),
-            residual=_residual_report(shapes, miss_at_end[:, counts]) if self._options.residual else None,
+            residual=residual,
         )
         animation = Animation(
             name=name,
@@ -370,26 +508,129 @@ class TargetFits:
         return lines
 
 
-def _residual_report(shapes: Sequence[ShapeOfMeshes], miss_at_end: FloatArray) -> ResidualReport:
-    points = sum(len(part.offsets) for shape in shapes for part in shape if part is not None)
-    return ResidualReport(shapes=len(shapes), points=points, distances=distances(miss_at_end))
+@dataclass(frozen=True, kw_only=True)
+class FitBones(FitBonesOptions):
+    """Coefficients, within limits, that bring a skinned face to targets; a SkelAnimation for each.
+
+    The face's skeleton plays that of a single target: what opens the stage shows the fit. Where that target is another
+    face, the fit is the person from then on.
+
+    Source: the bone driving coefficients document, claims 1-5.
+
+    >>> face = facepipe.open("rig.usda")
+    >>> targets = read_targets(face, ["smile.usda", "jawOpen"])
+    >>> with face.deriving("fitted.usda") as result:
+    ...     report = FitBones(residual=True)(result, targets)
+
+    :param limits: over those of the rig
+    :param regions: region or point subset -> how much its points count, 0 or more
+    :param mask: regions or point subsets outside which no point counts; empty: all do
+    :param initial: (m, 9) coefficients to start from, brought into the limits; default rest
+    :raises InputError: options out of range
+    """
+
+    limits: LimitRules = field(default_factory=LimitRules)
+    regions: Mapping[str, float] = field(default_factory=dict)
+    mask: Sequence[str] = ()
+    initial: FloatArray | None = None
+
+    @one_thread()
+    def __call__(
+        self,
+        face: Face,
+        targets: Sequence[Target],
+        *,
+        recipe: Recipe | None = None,
+        done: Callable[[], object] = lambda: None,
+    ) -> FitBonesReport:
+        """Fit, and author the result on `face`.
+
+        :param recipe: authored with the result; None leaves what the face has
+        :param done: called after every frame
+        :raises InputError, TopologyError: a face without bones, singular binds, or targets, limits and regions that
+            don't fit it, or joints that a symmetric fit can't pair; nothing is authored then
+        :raises FitError: limits that let a joint shrink to nothing, and a fit that did
+        """
+        start = time.perf_counter()
+        weights = point_weights(face.parts(), self.regions, self.mask)
+        fits = TargetFits(face, targets, self, limits=self.limits, weights=weights, initial=self.initial)
+        fitted = fits.fit_all(done)
+        parts = fits.parts
+        meshes = []
+        for number, mesh in enumerate(parts.meshes):
+            residuals = [shape[number] for target in fitted for shape in target.shapes]
+            shapes = (*mesh.blendshapes, *(shape for shape in residuals if shape is not None))
+            meshes.append(replace(mesh, blendshapes=shapes))
+        # of several targets none plays, and none is who the face is
+        is_person = len(fitted) == 1 and targets[0].person
+        result = replace(
+            parts,
+            meshes=tuple(meshes),
+            animations=(*parts.animations, *(target.animation for target in fitted)),
+            person=fitted[0].animation.name if is_person else parts.person,
+            recipe=recipe or parts.recipe,
+        )
+        authored = author_changes(face, result)
+        if len(fitted) == 1:
+            play(face, fitted[0].animation.name)
+        return replace(fits.report(fitted), authored=authored, seconds=time.perf_counter() - start)
 
 
-def _unpaired(joints: Sequence[str]) -> list[str]:
-    """A warning of joints that have no partner in a symmetric fit."""
-    if not joints:
-        return []
-    names = first_names([joint.rpartition("/")[2] for joint in joints], _SHOWN)
-    if len(joints) == 1:
-        return [f"1 joint of one side has no partner and moves as it likes: {names}"]
-    return [f"{len(joints)} joints of one side have no partner and move as they like: {names}"]
+def point_weights(parts: FaceParts, regions: Mapping[str, float], mask: Sequence[str]) -> FloatArray:
+    """(n,) how much each point counts in a fit.
+
+    :param regions: region or point subset -> factor, 0 or more; where a mask is soft, or in none, the rest counts as 1
+    :param mask: regions or point subsets outside which nothing counts; empty: all counts
+    :raises InputError: unknown names, factors that are negative or not finite, or no point that counts
+    """
+    starts = np.cumsum([0, *(len(mesh.points) for mesh in parts.meshes)])
+    known: dict[str, FloatArray] = {}  # region or point subset -> (n,) mask 0..1; of a name that both have the region
+    for mesh, start in zip(parts.meshes, starts, strict=False):
+        for name, indices in mesh.point_subsets.items():
+            known.setdefault(name, np.zeros(starts[-1]))[np.asarray(indices, dtype=np.int64) + start] = 1.0
+    for name, region in all_regions(parts.meshes).items():
+        known[name] = np.clip(np.asarray(region, np.float64), 0.0, 1.0)
+    weights = np.ones(parts.point_count)
+    for name, factor in sorted(regions.items()):  # sums depend on the order, which a recipe does not keep
+        where = f"region {name}"
+        if not (isinstance(factor, int | float) and math.isfinite(factor) and 0 <= factor <= _LARGEST_WEIGHT):
+            raise InputError(where, f"weight {factor}, expected a number from 0 to {_LARGEST_WEIGHT:g}")
+        weights += _mask(known, name, where) * (factor - 1.0)
+    weights = np.maximum(weights, 0.0)
+    if mask:
+        weights *= np.clip(sum(_mask(known, name, f"mask {name}") for name in mask), 0.0, 1.0)
+    weights[weights < 1e-6 * weights.max(initial=0.0)] = 0.0  # what rounding of masks leaves of 0
+    if not weights.any():
+        raise InputError("weights", "all points weigh 0, expected some that count")
+    return weights
 
 
-def _checked_start(given: FloatArray | None, rig: Rig) -> FloatArray:
-    rest = rest_coefficients(len(rig.joints))
-    if given is None:
-        return rest
-    start = np.asarray(given, dtype=np.float64)
-    if start.shape != rest.shape or not np.isfinite(start).all():
-        raise InputError("initial", f"coefficients {start.shape}, expected {rest.shape} finite numbers")
-    return start
+def _mask(known: Mapping[str, FloatArray], name: str, where: str) -> FloatArray:
+    if name not in known:
+        raise InputError(where, f"no such region or point subset{suggestion(name, sorted(known), _NO_REGIONS)}")
+    return known[name]
+
+
+def initial_coefficients(face: Face, word: str) -> FloatArray:
+    """(m, 9) coefficients of the first sample of an animation (those of transforms without shear), or of a .fpb file.
+
+    :raises InputError: no such animation, or a file that can't be read or is for another face
+    """
+    joints = face.skeleton.joints
+    if Path(word).suffix.lower() == SUFFIX:
+        content = decode(payload_bytes(Path(word)), joints, word)
+        check_fits(face, content)
+        return np.asarray(content.frames[0])
+    animation = next((animation for animation in face.animations if animation.name == word), None)
+    if animation is None:
+        known = [animation.name for animation in face.animations]
+        raise InputError(f"initial {word}", f"no such animation{suggestion(word, known)}")
+    if animation.coefficients is None:
+        local, _ = face.sample(word)
+        # local = rest C: the coefficients are of C
+        return matrix_coefficients(np.linalg.solve(face.rig().rest, local))
+    coefficients = rest_coefficients(len(joints))
+    for joint, row in zip(animation.joints, animation.coefficients[0], strict=True):
+        if joint in joints:
+            coefficients[joints.index(joint)] = row
+    return coefficients

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -89,30 +88,24 @@ def _read(face: Face, parts: FaceParts, word: str, load: Loader | None) -> list[
     file, name = split_file(word)
     if file is not None:
         read = _read_file(parts, file, name, load)
-        called = identifier(name or Path(file).stem, "target")
-        person = not name and read.times is None and Path(file).suffix.lower() != ".obj"  # that is a sculpt
-        return [Target(name=called, person=person, **read._asdict())]
+        # a sculpt (OBJ) is the same person in another shape, a face of its own is another
+        return [replace(read, person=not name and read.times is None and Path(file).suffix.lower() != ".obj")]
     if word == ALL_SHAPES:
         if not face.shapes:
             raise InputError(f"target {word}", f"{face.where} has no blendshapes, expected some")
         return [_shape(face, shape, 1.0) for shape in face.shapes]
-    return [_face_target(face, word)]
-
-
-def _face_target(face: Face, word: str) -> Target:
-    """A blendshape or an animation of the face itself."""
     name, equals, text = word.rpartition("=")
     if equals and name in face.shapes:
-        return _shape(face, name, _weight(word, text), word)
+        return [_shape(face, name, _weight(word, text), word)]
     clip = any(animation.name == word for animation in face.animations)
     if word in face.shapes and clip:
         fault = f"is a blendshape and an animation, expected {word}=1 for the shape or FILE:{word} for the animation"
         raise InputError(f"target {word}", fault)
     if word in face.shapes:
-        return _shape(face, word, 1.0)
+        return [_shape(face, word, 1.0)]
     if clip:
         points, times = _sampled(face, word)
-        return Target(name=identifier(word), points=points, times=times)
+        return [Target(name=identifier(word), points=points, times=times)]
     known = [*face.shapes, *(animation.name for animation in face.animations)]
     fault = "no such blendshape, animation or file type"
     raise InputError(f"target {word}", fault + suggestion(word, known, "a file (.usda .obj .glb ...)"))
@@ -132,15 +125,6 @@ def _weight(word: str, text: str) -> float:
     return value
 
 
-class _FilePoints(NamedTuple):
-    """World points (T, n, 3) of the rig that a file gives, at `times` (T,), and which of them it knows (n,)."""
-
-    points: FloatArray
-    times: FloatArray | None
-    known: BoolArray | None
-    notes: tuple[str, ...] = ()
-
-
 def split_file(word: str) -> tuple[str | None, str]:
     """File and name of ``FILE`` or ``FILE:NAME``; no file where neither has a suffix that targets can have."""
     if Path(word).suffix.lower() in (*USD_SUFFIXES, *LOADED):
@@ -149,29 +133,29 @@ def split_file(word: str) -> tuple[str | None, str]:
     return (file, name) if Path(file).suffix.lower() in (*USD_SUFFIXES, *LOADED) else (None, "")
 
 
-def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> _FilePoints:
-    """The points that a file gives.
+def _read_file(parts: FaceParts, file: str, name: str, load: Loader | None) -> Target:
+    """The target that a file gives.
 
     :param parts: the face to be fitted
     :param name: of an animation of a USD stage, or of the face's mesh that the single mesh of another file is
     :raises InputError: a file that can't be read or has no such animation
     :raises TopologyError: a mesh that is not on the face's topology
     """
-    path = Path(file)
+    path, called = Path(file), identifier(name or Path(file).stem, "target")
     if path.suffix.lower() in LOADED:
         if load is None:
             raise InputError(path, f"suffix '{path.suffix}' needs an importer, expected a USD stage")
-        return _neutral(parts, load(path), str(path), name, triangles=path.suffix.lower() != ".obj")
+        return _neutral(parts, called, load(path), str(path), name, triangles=path.suffix.lower() != ".obj")
     cache = read_point_cache(path)
     if name:
-        return _animation(parts, path, name, cache.has_face)
+        return _animation(parts, called, path, name, cache.has_face)
     if cache.times is None and cache.has_face:
-        return _neutral(parts, open_face(path).parts(), str(path))
+        return _neutral(parts, called, open_face(path).parts(), str(path))
     # points over time; those of a face as its skeleton at rest places them
     cached = cached_points(cache, path)
     points = np.stack([cached.sample(number) for number in range(cached.count)])
     moved = _to_world(parts, points, cache.meters_per_unit, cache.up_axis)
-    return _matched(parts, cached.meshes, moved, cache.times, str(path))
+    return _matched(parts, called, cached.meshes, moved, cache.times, str(path))
 
 
 def _sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
@@ -184,15 +168,17 @@ def _sampled(face: Face, name: str) -> tuple[FloatArray, FloatArray | None]:
     return np.stack([face.evaluate(weights, joint_transforms=local) for local, weights in frames]), times
 
 
-def _neutral(parts: FaceParts, other: FaceParts, where: str, only: str = "", *, triangles: bool = False) -> _FilePoints:
+def _neutral(
+    parts: FaceParts, called: str, other: FaceParts, where: str, only: str = "", *, triangles: bool = False
+) -> Target:
     """The neutral of another face, as it is set."""
     person = person_of(other)
     points = build(other).evaluate(person.weights, coefficients=person.coefficients)
     moved = _to_world(parts, points[None], other.meters_per_unit, other.up_axis)
-    return _matched(parts, other.meshes, moved, None, where, only, triangles=triangles)
+    return _matched(parts, called, other.meshes, moved, None, where, only, triangles=triangles)
 
 
-def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _FilePoints:
+def _animation(parts: FaceParts, called: str, path: Path, name: str, has_face: bool) -> Target:
     """An animation of the face of a stage; of a stage without a face, one that moves the face itself."""
     animations = read_loose_animations(path)
     # reversed: of two with one name the first stays
@@ -203,7 +189,7 @@ def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _File
         other = open_face(path)
         points, times = _sampled(other, name)
         moved = _to_world(parts, points, other.meters_per_unit, other.up_axis)
-        return _matched(parts, other.meshes, moved, times, str(path))
+        return _matched(parts, called, other.meshes, moved, times, str(path))
     animation, rig = named[name], build(parts)
     frames = range(animation.samples)
     try:
@@ -215,7 +201,7 @@ def _animation(parts: FaceParts, path: Path, name: str, has_face: bool) -> _File
         ]
     except InputError as error:
         raise error.under(path) from None
-    return _FilePoints(np.stack(posed), animation.times, None)
+    return Target(name=called, points=np.stack(posed), times=animation.times)
 
 
 def _to_world(parts: FaceParts, points: FloatArray, meters_per_unit: float, up_axis: str) -> FloatArray:
@@ -226,6 +212,7 @@ def _to_world(parts: FaceParts, points: FloatArray, meters_per_unit: float, up_a
 
 def _matched(
     parts: FaceParts,
+    called: str,
     meshes: Sequence[Mesh],
     points: FloatArray,
     times: FloatArray | None,
@@ -233,7 +220,7 @@ def _matched(
     only: str = "",
     *,
     triangles: bool = False,
-) -> _FilePoints:
+) -> Target:
     """Points (T, m, 3) of other meshes at the places of the face's."""
     match = match_meshes(parts, meshes, where, only, triangles=triangles)
     rest = build(parts).evaluate()
@@ -241,4 +228,4 @@ def _matched(
     placed[:, match.rows] = points[:, match.others]
     known = np.zeros(len(rest), dtype=bool)
     known[match.rows] = True
-    return _FilePoints(placed, times, None if known.all() else known, match.notes)
+    return Target(name=called, points=placed, times=times, known=None if known.all() else known, notes=match.notes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.geometry.polygons import components, edges, point_areas, triangulate, welded_points
-from facepipe.parts import Blendshape, FaceParts, MaterialFaces, Mesh, UvSet
+from facepipe.parts import Blendshape, FaceParts, MaterialFaces, Mesh
 from facepipe.rig import Rig, mesh_spaces
 
 _NORMAL_STEPS = 64  # of -1 to 1: corners whose normals differ less are no crease
@@ -83,13 +83,23 @@ def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
     place[kept] = np.arange(len(kept))
     # corners of a wedge share UVs, and normals but for less than a crease: one of them speaks for all
     corners = wedges.corners[triangles].ravel()
+    uv_sets = []
+    for uv in mesh.uv_sets:
+        if uv.indices is None:
+            uv_sets.append(replace(uv, values=uv.values[kept]))
+        else:
+            used, indices = np.unique(uv.indices[corners], return_inverse=True)
+            uv_sets.append(replace(uv, values=uv.values[used], indices=indices.ravel().astype(np.int32)))
+    subsets = {name: place[points] for name, points in mesh.point_subsets.items()}
+    materials = wedges.materials[triangles[:, 0]]
+    faces = [(one.material, np.flatnonzero(materials == number)) for number, one in enumerate(mesh.material_faces)]
     return replace(
         mesh,
         points=mesh.points[kept],
         face_vertex_counts=np.full(len(triangles), 3, np.int32),
         face_vertex_indices=place[wedges.points[triangles]].astype(np.int32).ravel(),
         normals=None if mesh.normals is None else mesh.normals[corners if _by_corner(mesh) else kept],
-        uv_sets=tuple(_uv_set(uv_set, kept, corners) for uv_set in mesh.uv_sets),
+        uv_sets=tuple(uv_sets),
         colors=None if mesh.colors is None else mesh.colors[kept],
         skin=None
         if mesh.skin is None
@@ -98,20 +108,15 @@ def mesh_of(wedges: Wedges, triangles: IntArray) -> Mesh:
         ),
         blendshapes=tuple(_shape(blendshape, place) for blendshape in mesh.blendshapes),
         regions={name: mask[kept] for name, mask in mesh.regions.items()},
-        point_subsets=_subsets(mesh.point_subsets, place),
+        point_subsets={name: points[points >= 0].astype(np.int32) for name, points in subsets.items()},
         landmarks={
             name: replace(one, indices=place[one.indices].astype(np.int32)) for name, one in mesh.landmarks.items()
         },
         anchor=None if mesh.anchor is None else int(place[mesh.anchor]),
-        material_faces=_material_faces(mesh, wedges.materials[triangles[:, 0]]),
+        material_faces=tuple(
+            MaterialFaces(material=name, faces=own.astype(np.int32)) for name, own in faces if len(own)
+        ),
     )
-
-
-def _uv_set(uv: UvSet, kept: IntArray, corners: IntArray) -> UvSet:
-    if uv.indices is None:
-        return replace(uv, values=uv.values[kept])
-    used, indices = np.unique(uv.indices[corners], return_inverse=True)
-    return replace(uv, values=uv.values[used], indices=indices.ravel().astype(np.int32))
 
 
 def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
@@ -119,16 +124,6 @@ def _shape(shape: Blendshape, place: IntArray) -> Blendshape:
     kept = points >= 0
     shape = shape.changed(lambda offsets: offsets[kept], lambda offsets: offsets[kept])
     return replace(shape, point_indices=points[kept].astype(np.int32))
-
-
-def _subsets(subsets: Mapping[str, IntArray], place: IntArray) -> dict[str, IntArray]:
-    places = {name: place[points] for name, points in subsets.items()}
-    return {name: points[points >= 0].astype(np.int32) for name, points in places.items()}
-
-
-def _material_faces(mesh: Mesh, materials: IntArray) -> tuple[MaterialFaces, ...]:
-    found = ((one.material, np.flatnonzero(materials == number)) for number, one in enumerate(mesh.material_faces))
-    return tuple(MaterialFaces(material=name, faces=faces.astype(np.int32)) for name, faces in found if len(faces))
 
 
 def cards_of(points: FloatArray, triangles: IntArray, mesh: IntArray) -> IntArray:
@@ -168,13 +163,6 @@ def apart(points: FloatArray, triangles: IntArray, card: IntArray) -> IntArray:
         away[chosen] = -1.0
         chosen.append(int(away.argmax()))
     return np.asarray(number[chosen])
-
-
-def within(card: IntArray, order: IntArray, most: int) -> BoolArray:
-    """(t,) triangles of the first cards of an order, so many that they have at most `most` triangles, but one card."""
-    counts = np.bincount(card, minlength=int(order.max()) + 1)[order]
-    kept = order[: max(1, int(np.searchsorted(np.cumsum(counts), most, side="right")))]
-    return np.isin(card, kept)
 
 
 def widened(points: FloatArray, triangles: IntArray, card: IntArray, share: float) -> FloatArray:
@@ -301,7 +289,11 @@ class Surface:
         firsts = rig.mesh_offsets
         self._point = _joined(one.points + first for one, first in zip(self._wedges, firsts, strict=False))
         self._triangles = _joined(one.triangles + start for one, start in zip(self._wedges, self._starts, strict=False))
-        self._marks = _joined(_marks_of(mesh) + first for mesh, first in zip(meshes, firsts, strict=False))
+        marks = [np.zeros(0, np.int64)]  # landmarks and anchors
+        for mesh, first in zip(meshes, firsts, strict=False):
+            anchor = [] if mesh.anchor is None else [np.array([mesh.anchor])]
+            marks += [indices + first for indices in (*(one.indices for one in mesh.landmarks.values()), *anchor)]
+        self._marks = np.concatenate(marks).astype(np.int64)
         self._rig = rig
         self._simplify = Simplifier()
         self._motion = _motion_of(rig, MOST_ATTRIBUTES)[self._point]
@@ -369,7 +361,11 @@ class Surface:
         order = apart(self._rig.points, self.triangles[chosen], self.cards[chosen])
         kept = order[: max(1, min(round(share**_WHOLE * len(order)), most // 2))]
         found = self._simplified(np.isin(self.cards, kept), most)
-        return np.asarray(found[within(self._card_of(found), order, most)])
+        # the first cards of the order, so many that they have at most `most` triangles, but one card
+        card = self._card_of(found)
+        counts = np.bincount(card, minlength=int(order.max()) + 1)[order]
+        first = order[: max(1, int(np.searchsorted(np.cumsum(counts), most, side="right")))]
+        return np.asarray(found[np.isin(card, first)])
 
     def _card_of(self, level: IntArray) -> IntArray:
         """(t,) the card of triangles of a level, -1 for none."""
@@ -446,12 +442,6 @@ def _joined(arrays: Iterable[IntArray]) -> IntArray:
     return np.concatenate(list(arrays))
 
 
-def _marks_of(mesh: Mesh) -> IntArray:
-    """Landmarks and anchor of a mesh."""
-    anchor = [] if mesh.anchor is None else [mesh.anchor]
-    return np.concatenate([*(one.indices for one in mesh.landmarks.values()), anchor]).astype(np.int64)
-
-
 def _strongest(rig: Rig) -> IntArray:
     """The point that each sculpt moves most: no level lacks a shape."""
     moving = [target for target in rig.targets if len(target.offsets)]
@@ -467,17 +457,16 @@ def _even_points(points: FloatArray, triangles: IntArray, rims: IntArray) -> Int
     """
     pairs = edges(np.full(len(triangles), 3), triangles.ravel())[0]
     line = components(len(points), pairs[np.isin(pairs, rims).all(axis=1)])[rims]
-    found = [rims[line == number][_apart(points[rims[line == number]])] for number in np.unique(line)]
-    return np.concatenate([*found, np.zeros(0, np.int64)])
-
-
-def _apart(points: FloatArray) -> list[int]:
-    """Numbers of points (n, 3) that are some way apart, with none of all farther from every one of them."""
-    chosen, away = list[int](), np.full(len(points), np.inf)
-    while away.max() > _SPACING * np.ptp(points, axis=0).max():
-        chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return chosen
+    found = [np.zeros(0, np.int64)]
+    for number in np.unique(line):
+        own = rims[line == number]
+        # some way apart, with none of all farther from every one of them
+        chosen, away = list[int](), np.full(len(own), np.inf)
+        while away.max() > _SPACING * np.ptp(points[own], axis=0).max():
+            chosen.append(int(away.argmax()))
+            away = np.minimum(away, np.linalg.norm(points[own] - points[own[chosen[-1]]], axis=1))
+        found.append(own[chosen])
+    return np.concatenate(found)
 
 
 def _motion_of(rig: Rig, most: int) -> FloatArray:
@@ -490,6 +479,7 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
     weights = sparse.csr_array(rig.influences[:, : len(rig.joints)])
     distances = np.zeros(len(rig.joints))
     for joint, inverse in enumerate(rig.inverse_bind):
+        # a turn moves points by its angle times their distance from the joint: here the mean, by their weights
         share = weights[:, [joint]].toarray().ravel()
         place = np.linalg.inv(inverse)[:3, 3]
         total = share.sum()
@@ -500,5 +490,5 @@ def _motion_of(rig: Rig, most: int) -> FloatArray:
     )
     with one_thread():
         values, vectors = np.linalg.eigh((columns.T @ columns).toarray())
-    _strongest = np.argsort(-values, kind="stable")[:most]
-    return np.asarray(_WEIGHT * (columns @ vectors[:, _strongest]))
+    first = np.argsort(-values, kind="stable")[:most]
+    return np.asarray(_WEIGHT * (columns @ vectors[:, first]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,8 +16,7 @@ from facepipe.core.reports import Report, table
 from facepipe.geometry.closest_points import closest_among, closest_places, place_shares
 from facepipe.geometry.geodesics import nearest_sources, surface_graph
 from facepipe.kinds import Watch
-from facepipe.parts import Mesh
-from facepipe.rig import Rig
+from facepipe.rig import Rig, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_levels
 from facepipe.verbs.lod.decimate import Surface
@@ -98,7 +97,9 @@ class FullFace:
                 shapes[number][name] = _distances(off[moved[placed.rows]])
                 skin[number][name] = _distances(off[(moved & self._skin)[placed.rows]])
             step()
-        for name, coefficients in self._turns():
+        for joint, name in enumerate(self._rig.joints):
+            coefficients = rest_coefficients(len(self._rig.joints))
+            coefficients[joint, 3] = _TURN
             posed = self._rig.evaluate(coefficients=coefficients)
             moved = self._moves(posed)
             for number, (placed, rig) in enumerate(zip(places, rigs, strict=True)):
@@ -107,6 +108,8 @@ class FullFace:
             step()
         measured = []
         for number, (placed, at) in enumerate(zip(places, rest, strict=True)):
+            # pieces that are gone, cards apart: those are far from what is left by intent
+            away = self._by_mesh(np.setdiff1d(self._used[~self._card[self._used]], placed.rows))
             measured.append(
                 LevelErrors(
                     rest=_distances(self._off(placed, self._rest, at)),
@@ -114,16 +117,10 @@ class FullFace:
                     skin_shapes=skin[number],
                     joints=joints[number],
                     cards=self._cards(placed, at, levels[number][0]),
-                    lost=self._lost(placed),
+                    lost={self._rig.mesh_names[mesh]: len(points) for mesh, points in away.items()},
                 )
             )
         return measured
-
-    def _turns(self) -> Iterator[tuple[str, FloatArray]]:
-        for number, joint in enumerate(self._rig.joints):
-            coefficients = np.tile([0.0] * 6 + [1.0] * 3, (len(self._rig.joints), 1))
-            coefficients[number, 3] = _TURN
-            yield joint, coefficients
 
     def _moves(self, posed: FloatArray) -> BoolArray:
         return np.asarray(np.linalg.norm(posed - self._rest, axis=1) * self._mm >= _MOVED)
@@ -141,10 +138,6 @@ class FullFace:
             left = closest_places(self._rest[points], at, level[of_level == number])
             distances[self._rig.mesh_names[number]] = _distances(left.distances * self._mm)
         return distances
-
-    def _lost(self, places: _Places) -> dict[str, int]:
-        away = np.setdiff1d(self._used[~self._card[self._used]], places.rows)
-        return {self._rig.mesh_names[number]: len(points) for number, points in self._by_mesh(away).items()}
 
     def _mesh(self, points: IntArray) -> IntArray:
         return np.asarray(np.searchsorted(self._rig.mesh_offsets, points, side="right") - 1)
@@ -234,7 +227,11 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         raise InputError(face.where, "no triangles, expected a surface")
     surface = Surface(face.parts(), face.rig())
     total = len(surface.triangles)
-    counts = _checked(face, counts or [round(share * total) for share in _SHARES], total)
+    counts = list(counts or [round(share * total) for share in _SHARES])
+    for above, count in zip([total, *counts], counts, strict=False):
+        if not 0 < count < above:
+            expected = f"expected fewer than {above:,}, what is above it has" if count > 0 else "expected some"
+            raise InputError(f"{face.where} -> level of {count:,} triangles", expected)
     full = FullFace(face.rig(), surface.triangles, surface.is_skin, surface.cards >= 0, face.mm_per_unit)
     rows = [surface.full]
     with watch("levels", len(counts) + full.poses) as bar:
@@ -245,38 +242,25 @@ def make_levels(face: Face, counts: Sequence[int], skin_share: float, watch: Wat
         errors = full.errors([(surface.points_of(row), surface.places(row)) for row in rows[1:]], bar.update)
     made = [surface.meshes(row) for row in rows[1:]]
     author_levels(face, made)
-    each = zip(made, (surface.skin_triangles(row) for row in rows[1:]), errors, strict=True)
-    levels = tuple(_level(f"lod{number}", *one) for number, one in enumerate(each, 1))
-    return LodReport(triangles=total, levels=levels, warnings=tuple(_warnings(levels, counts)))
-
-
-def _checked(face: Face, counts: Sequence[int], total: int) -> list[int]:
-    for above, count in zip([total, *counts], counts, strict=False):
-        if not 0 < count < above:
-            expected = f"expected fewer than {above:,}, what is above it has" if count > 0 else "expected some"
-            raise InputError(f"{face.where} -> level of {count:,} triangles", expected)
-    return list(counts)
-
-
-def _level(name: str, meshes: Sequence[Mesh], skin_triangles: int, errors: LevelErrors) -> Level:
-    counts = {mesh.name: len(mesh.face_vertex_counts) for mesh in meshes}
-    return Level(
-        name=name,
-        triangles=sum(counts.values()),
-        skin_triangles=skin_triangles,
-        points=sum(len(mesh.points) for mesh in meshes),
-        meshes=counts,
-        errors=errors,
-    )
-
-
-def _warnings(levels: Sequence[Level], counts: Sequence[int]) -> Iterator[str]:
-    for level, count in zip(levels, counts, strict=True):
+    levels, warnings = [], []
+    for number, (count, row, meshes, error) in enumerate(zip(counts, rows[1:], made, errors, strict=True), 1):
+        name, triangles = f"lod{number}", {mesh.name: len(mesh.face_vertex_counts) for mesh in meshes}
+        level = Level(
+            name=name,
+            triangles=sum(triangles.values()),
+            skin_triangles=surface.skin_triangles(row),
+            points=sum(len(mesh.points) for mesh in meshes),
+            meshes=triangles,
+            errors=error,
+        )
+        levels.append(level)
         if level.triangles > _MISSED * count:
-            yield f"{level.name}: {level.triangles:,} triangles, {count:,} can't be reached: seams and borders stay"
-        if level.errors.lost:
-            gone = ", ".join(f"{name} ({points:,})" for name, points in level.errors.lost.items())
-            yield f"{level.name}: some pieces have no triangle left, and no error counts them (points): {gone}"
+            what = f"{level.triangles:,} triangles, {count:,} can't be reached: seams and borders stay"
+            warnings.append(f"{name}: {what}")
+        if error.lost:
+            gone = ", ".join(f"{mesh} ({points:,})" for mesh, points in error.lost.items())
+            warnings.append(f"{name}: some pieces have no triangle left, and no error counts them (points): {gone}")
+    return LodReport(triangles=total, levels=tuple(levels), warnings=tuple(warnings))
 
 
 def _worst(distances: Mapping[str, Distances]) -> str:

@@ -7,7 +7,7 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.verbs.skin.from_joints import JointSet, JointSpec, read_joints
     from facepipe.verbs.skin.options import SkinOptions
-    from facepipe.verbs.skin.skin_action import Skin
+    from facepipe.verbs.skin.skin import Skin
     from facepipe.verbs.skin.skin_face import SkinFace
     from facepipe.verbs.skin.skinning import SkinReport
 else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -59,10 +60,6 @@ def nearest(points: FloatArray, warped: FloatArray, triangles: IntArray) -> Plac
     places = closest_places(points, warped, triangles)
     shares = place_shares(places, warped, triangles)
     return Places(corners=triangles[places.triangles], shares=shares, distances=places.distances)
-
-
-def _empty(count: int) -> Places:
-    return Places(corners=np.zeros((count, 3), np.int64), shares=np.zeros((count, 3)), distances=np.zeros(count))
 
 
 def _sides(
@@ -132,19 +129,31 @@ def matched_parts(
         _note(origin, target, ball.points, source, other.points)
         done[ball.points] = True
     taken = np.concatenate([np.zeros(0, np.int64), *(other.points for _, other in eyeballs)])
-    parts = _parts(source, taken)
+    # component -> its triangles, of those that are no eyeball
+    component = source.component[source.triangles[:, 0]]
+    order = np.argsort(component, kind="stable")
+    pieces = np.split(source.triangles[order], np.flatnonzero(np.diff(component[order])) + 1)
+    eyes = set(source.component[taken].tolist())
+    found = {int(source.component[piece[0, 0]]): piece for piece in pieces}
+    parts = {number: piece for number, piece in found.items() if number not in eyes}
     rigid = {
         number
         for number in parts
         if number != source.main and bool(weights[source.component == number].mean(axis=0).max(initial=0.0) >= _RIGID)
     }
     rest = []
-    loose = _pieces(target, target.loose[~np.isin(target.component[target.loose], target.component[done])])
+    left = target.loose[~np.isin(target.component[target.loose], target.component[done])]
+    numbers = target.component[left]
+    left = left[np.argsort(numbers, kind="stable")]
+    cuts = np.flatnonzero(np.diff(target.component[left])) + 1
+    loose = np.split(left, cuts) if len(left) else []
     means = _mean_distances([target.points[points] for points in loose], warped, parts)
     for points, mean in zip(loose, means, strict=True):
         # by piece before by point: a tooth whose points each take what is nearest would bend
-        chosen = _rigid_part(target.points[points], mean, rigid)
-        if chosen is None:
+        among = [number for number in mean if number in rigid]
+        chosen = min(among, key=lambda number: (mean[number], number), default=-1)
+        small = np.ptp(target.points[points], axis=0).max() <= _SMALL
+        if not among or mean[chosen] > min((_PREFERRED if small else 1.0) * min(mean.values()), _NEAR):
             rest.append(points)
             continue
         place = nearest(target.points[points], warped, parts[chosen])
@@ -155,41 +164,10 @@ def matched_parts(
     return result, {name: tuple(sorted(names)) for name, names in sorted(origin.items())}
 
 
-def _pieces(surface: Surface, points: IntArray) -> list[IntArray]:
-    """The points, component by component."""
-    numbers = surface.component[points]
-    order = np.argsort(numbers, kind="stable")
-    return np.split(points[order], np.flatnonzero(np.diff(numbers[order])) + 1) if len(points) else []
-
-
-def _parts(source: Surface, taken: IntArray) -> dict[int, IntArray]:
-    """Component -> its triangles, of those that are no eyeball."""
-    component = source.component[source.triangles[:, 0]]
-    order = np.argsort(component, kind="stable")
-    pieces = np.split(source.triangles[order], np.flatnonzero(np.diff(component[order])) + 1)
-    eyes = set(source.component[taken].tolist())
-    found = {int(source.component[piece[0, 0]]): piece for piece in pieces}
-    return {number: piece for number, piece in found.items() if number not in eyes}
-
-
 def _whole(weights: FloatArray) -> FloatArray:
     """(j,) weights of a part that moves as one: their mean, or the one joint that has nearly all."""
     mean = normalised(weights.mean(axis=0)[None])[0]
     return np.where(mean == mean.max(), 1.0, 0.0) if mean.max() >= _RIGID else mean
-
-
-def _rigid_part(at: FloatArray, mean: Mapping[int, float], rigid: set[int]) -> int | None:
-    """The rigid part of the source that a part of the target with points at (k, 3) goes with.
-
-    :param mean: part of the source -> mean distance from it
-    """
-    small = np.ptp(at, axis=0).max() <= _SMALL
-    among = [number for number in mean if number in rigid]
-    if not among:
-        return None
-    best = min(among, key=lambda number: (mean[number], number))
-    reach = (_PREFERRED if small else 1.0) * min(mean.values())
-    return best if mean[best] <= min(reach, _NEAR) else None
 
 
 def _mean_distances(
@@ -255,7 +233,9 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     """
     if not source.skeleton.joints or not any(mesh.skin for mesh in source.meshes):
         raise InputError(where, "no joints with skin weights, expected a skinned face")
-    twin = _twin(parts, source)
+    twin: FaceParts | None = None  # the source with the meshes of the face, where it is on one topology with it
+    with contextlib.suppress(TopologyError):
+        twin = in_order(parts, parts.name, source, source.name)
     other = surface_of(source if twin is None else twin, where)
     for one in (surface, other):
         if one.landmarks is None:
@@ -269,20 +249,22 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
         # by number, without a search: after the warp the nearest place need not be a point's own
         result, warnings = _weights(twin, surface.group, where)
         origin = {name: (name,) for name in sorted(surface.mesh_names)}
-        away = np.linalg.norm(
-            warp.apply(other.points[other.group[np.unique(surface.group, return_index=True)[1]]]) - surface.points,
-            axis=1,
-        )[surface.inside]
+        first = np.unique(surface.group, return_index=True)[1]
+        away = np.linalg.norm(warp.apply(other.points[other.group[first]]) - surface.points, axis=1)[surface.inside]
     landmarks = np.linalg.norm(warp.apply(other.points[other.landmarks]) - surface.points[surface.landmarks], axis=1)
+    p95 = float(np.percentile(away, 95))
+    surface_mm = {"mean": float(away.mean()), "rms": float(np.sqrt((away**2).mean())), "p95": p95}
     report = TransferReport(
         source=where,
         same_topology=twin is not None,
         landmarks_mm=float(landmarks.max()),
-        surface_mm=_summary(away),
+        surface_mm={**surface_mm, "max": float(away.max())},
         eyeballs=len(pairs),
         parts=origin,
     )
-    warnings = (*warnings, *_shape_warnings(surface, other, warp))
+    if (unlike := _unlikeness(surface, other, warp)) > _STRANGE:
+        what = f"landmarks lie {unlike:.0%} of their spread from those of {where}, scaled and turned onto them"
+        warnings = (*warnings, f"{what}: look at the weights")
     # the source's joints warped: places as the warp moves them, axes turned by the rotation nearest to it there
     to_world = np.asarray(source.skeleton.transform, np.float64)
     worlds = to_world @ np.asarray(source.skeleton.bind_transforms, np.float64)
@@ -290,8 +272,7 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
     bind = np.tile(np.eye(4), (len(worlds), 1, 1))
     bind[:, :3, :3] = nearest_rotations(warp.jacobians(places)) @ nearest_rotations(worlds[:, :3, :3])
     bind[:, :3, 3] = warp.apply(places) / (parts.meters_per_unit * 1000.0)
-    to_skeleton = np.linalg.inv(np.asarray(parts.skeleton.transform, np.float64))
-    bind = to_skeleton @ bind
+    bind = np.linalg.inv(np.asarray(parts.skeleton.transform, np.float64)) @ bind
     bind[:, :3, :3] = nearest_rotations(bind[:, :3, :3])
     made = with_binds(parts.skeleton, source.skeleton.joints, bind)
     return Skinning(
@@ -300,14 +281,6 @@ def from_face(parts: FaceParts, surface: Surface, source: FaceParts, where: str,
         transfer=report,
         warnings=warnings,
     )
-
-
-def _twin(parts: FaceParts, source: FaceParts) -> FaceParts | None:
-    """The source with the meshes of the face, where it is on one topology with it."""
-    try:
-        return in_order(parts, parts.name, source, source.name)
-    except TopologyError:
-        return None
 
 
 def _by_place(
@@ -325,23 +298,20 @@ def _by_place(
     points = surface.inside
     triangles = other.triangles[(other.component[other.triangles] == other.main).all(axis=1)]
     normals = point_normals(warped, triangles)
-    places = _empty(len(points))
+    count = len(points)
+    places = Places(corners=np.zeros((count, 3), np.int64), shares=np.zeros((count, 3)), distances=np.zeros(count))
     for chosen, allowed in _sides(target_slits, source_slits, points, triangles):
         part = nearest(surface.points[points[chosen]], warped, triangles[allowed])
         part = _turned(part, surface, points[chosen], warped, normals, np.unique(triangles[allowed]))
         places.corners[chosen], places.shares[chosen] = part.corners, part.shares
         places.distances[chosen] = part.distances
     result, origin = matched_parts(surface, other, warped, weights, pairs)
+    # the farther off a place is, the less its weights are sure, and the wider they are smoothed
     lengths = np.clip(places.distances / _SURE, _SHARP, _LONGEST) * max(smoothing, _SHARP)
     inside = surface.inside
     local = surface.part_triangles(inside, even=True)
     result[inside] = heat_weights(surface.points[inside], local, normalised(places.interpolated(weights)), lengths)
     return result, origin, places.distances
-
-
-def _summary(away: FloatArray) -> dict[str, float]:
-    rms, p95 = np.sqrt((away**2).mean()), np.percentile(away, 95)
-    return {"mean": float(away.mean()), "rms": float(rms), "p95": float(p95), "max": float(away.max())}
 
 
 def _weights(source: FaceParts, group: IntArray, where: str) -> tuple[FloatArray, tuple[str, ...]]:
@@ -365,21 +335,18 @@ def _weights(source: FaceParts, group: IntArray, where: str) -> tuple[FloatArray
 def _paired(target: Surface, source: Surface) -> list[tuple[Eyeball, Eyeball]]:
     """Eyeballs of both faces by the eye that their landmarks draw around them."""
     pairs = []
-    balls = [eyeballs_of(one) for one in (target, source)]
+    faces = [(one, eyeballs_of(one)) for one in (target, source)]
     for eye in (slice(36, 42), slice(42, 48)):
-        own, other = (_of_eye(one, found, eye) for one, found in zip((target, source), balls, strict=True))
-        if own is not None and other is not None:
-            pairs.append((own, other))
+        found: list[Eyeball] = []
+        for surface, balls in faces:
+            assert surface.landmarks is not None
+            lids = surface.points[surface.landmarks[eye]]
+            away = [float(np.linalg.norm(ball.centre - lids.mean(axis=0))) for ball in balls]
+            if away and min(away) <= float(np.linalg.norm(lids[0] - lids[3])):
+                found.append(balls[away.index(min(away))])
+        if len(found) == 2:
+            pairs.append((found[0], found[1]))
     return pairs
-
-
-def _of_eye(surface: Surface, balls: Sequence[Eyeball], eye: slice) -> Eyeball | None:
-    assert surface.landmarks is not None
-    lids = surface.points[surface.landmarks[eye]]
-    width = float(np.linalg.norm(lids[0] - lids[3]))
-    near = [(float(np.linalg.norm(ball.centre - lids.mean(axis=0))), i) for i, ball in enumerate(balls)]
-    near = [one for one in near if one[0] <= width]
-    return balls[min(near)[1]] if near else None
 
 
 def _warp(target: Surface, source: Surface, pairs: list[tuple[Eyeball, Eyeball]]) -> Warp:
@@ -407,11 +374,3 @@ def _unlikeness(target: Surface, source: Surface, warp: Warp) -> float:
     own = target.points[target.landmarks]
     away = warp.similarity.apply(source.points[source.landmarks]) - own
     return float(np.sqrt((away**2).sum() / ((own - own.mean(axis=0)) ** 2).sum()))
-
-
-def _shape_warnings(target: Surface, source: Surface, warp: Warp) -> tuple[str, ...]:
-    unlike = _unlikeness(target, source, warp)
-    if unlike <= _STRANGE:
-        return ()
-    what = f"landmarks lie {unlike:.0%} of their spread from those of {source.where}, scaled and turned onto them"
-    return (f"{what}: look at the weights",)

@@ -254,7 +254,12 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     scale = joints.scale(parts.meters_per_unit)
     positions = np.array([joint.position for joint in joints.joints]) * scale
     millimetres = positions * parts.meters_per_unit * 1000.0
-    _check_near(surface, joints, millimetres)
+    face = surface.points[surface.inside]
+    for placed, position in zip(joints.joints, millimetres, strict=True):
+        away, most = float(np.linalg.norm(position - face.mean(axis=0))), _FARTHEST * size_of(face)
+        if away > most:
+            what = f"{away:.4g} mm from the face, expected at most {most:.4g} (positions are in the unit"
+            raise InputError(f"{joints.where} -> {placed.path[:80]}", f"{what} '{joints.unit}')")
     slits = slits_of(surface)
     eyeballs = eyeballs_of(surface)
     apart = [joint.surface is True or bool(joint.regions) for joint in joints.joints]  # of the face for sure
@@ -283,7 +288,18 @@ def from_joints(parts: FaceParts, surface: Surface, joints: JointSet, options: S
     hold_parts(surface, weights, joints.parts, paths, mouth)
     rotations = np.array([joint.rotation for joint in joints.joints])
     warning = "no multipie68 landmarks: joints beside lips and lids may move the other one round the corner"
-    warnings = (*_joint_warnings(surface, joints, millimetres), *(() if slits else (warning,)))
+    # most joints outside the face, or all in a heap: perhaps another unit
+    size, spread, count = size_of(face), size_of(millimetres), len(millimetres)
+    off = np.maximum(face.min(axis=0) - millimetres, millimetres - face.max(axis=0)).clip(0.0)
+    beyond = np.linalg.norm(off, axis=1)
+    outside, unit = int((beyond > _AROUND * size).sum()), f"mm (positions are in the unit '{joints.unit}')"
+    warnings = () if slits else (warning,)
+    if 2 * outside > count:
+        lying = f"{outside} of {count} joints lie outside the face, up to {beyond.max():.4g} {unit}"
+        warnings = (f"{joints.where}: {lying}", *warnings)
+    elif count >= _HEAP and spread < _TOGETHER * size:
+        lying = f"all {count} joints lie within {spread:.4g} {unit}, the face in {size:.4g} mm"
+        warnings = (f"{joints.where}: {lying}", *warnings)
     return Skinning(
         skeleton=skeleton_of(parts.skeleton, paths, positions, rotations),
         weights=weights,
@@ -414,30 +430,3 @@ def _sides(surface: Surface, positions: FloatArray, slits: Sequence[Slit]) -> Fl
             of_one = beside & (sign * side > _BLUR)
             shares[:, of_one] *= slit.share(sign, _BLUR)[:, None]
     return shares
-
-
-def _check_near(surface: Surface, joints: JointSet, positions: FloatArray) -> None:
-    """:raises InputError: a joint (of positions (j, 3), mm) that is nowhere near the face"""
-    points = surface.points[surface.inside]
-    middle, size = points.mean(axis=0), size_of(points)
-    for joint, position in zip(joints.joints, positions, strict=True):
-        away = float(np.linalg.norm(position - middle))
-        if away > _FARTHEST * size:
-            what = f"{away:.4g} mm from the face, expected at most {_FARTHEST * size:.4g} (positions are in the unit"
-            raise InputError(f"{joints.where} -> {joint.path[:80]}", f"{what} '{joints.unit}')")
-
-
-def _joint_warnings(surface: Surface, joints: JointSet, positions: FloatArray) -> tuple[str, ...]:
-    """Most joints (of positions (j, 3), mm) outside the face, or all in a heap."""
-    points = surface.points[surface.inside]
-    size, count = size_of(points), len(positions)
-    unit = f"mm (positions are in the unit '{joints.unit}')"
-    off = np.maximum(points.min(axis=0) - positions, positions - points.max(axis=0)).clip(0.0)
-    away = np.linalg.norm(off, axis=1)
-    outside = int((away > _AROUND * size).sum())
-    if 2 * outside > count:
-        return (f"{joints.where}: {outside} of {count} joints lie outside the face, up to {away.max():.4g} {unit}",)
-    spread = size_of(positions)
-    if count >= _HEAP and spread < _TOGETHER * size:
-        return (f"{joints.where}: all {count} joints lie within {spread:.4g} {unit}, the face in {size:.4g} mm",)
-    return ()

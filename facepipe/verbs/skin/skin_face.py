@@ -41,7 +41,11 @@ def _optimised(
     :param step: called after every round
     :raises InputError: no blendshape that moves anything
     """
-    shapes = _shapes(parts, surface)
+    rig, first = build(parts), np.unique(surface.group, return_index=True)[1]
+    linear = np.asarray(parts.skeleton.transform, np.float64)[:3, :3] * parts.meters_per_unit * 1000.0
+    shapes = np.empty((len(rig.shapes), len(first), 3))  # each alone at 1, in millimetres of the world
+    for number, alone in enumerate(np.eye(len(rig.shapes))):
+        shapes[number] = surface.points + (rig.morph(alone) - rig.points)[first] @ linear.T
     moved = np.linalg.norm(shapes - surface.points, axis=2).max(axis=0, initial=0.0) > 0
     if not moved.any():
         raise InputError(surface.where, "no blendshapes to optimise for, expected some that move points")
@@ -72,17 +76,6 @@ def _optimised(
         max_before_mm=float(before.max()),
         max_after_mm=float(after.max()),
     )
-
-
-def _shapes(parts: FaceParts, surface: Surface) -> FloatArray:
-    """(s, m, 3) the sewn points with every shape alone at 1, in millimetres of the world."""
-    rig = build(parts)
-    first = np.unique(surface.group, return_index=True)[1]
-    linear = np.asarray(parts.skeleton.transform, np.float64)[:3, :3] * parts.meters_per_unit * 1000.0
-    posed = np.empty((len(rig.shapes), len(first), 3))
-    for number, weights in enumerate(np.eye(len(rig.shapes))):
-        posed[number] = surface.points + (rig.morph(weights) - rig.points)[first] @ linear.T
-    return posed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,8 +114,14 @@ class SkinFace:
         """
         parts = face.parts()
         surface = surface_of(parts, face.where)
-        check_joints(surface, parts, self._joints())
-        made = arranged(self._made(parts, surface), parts.skeleton.joints)
+        if self.joints is not None:
+            check_joints(surface, parts, tuple(joint.path for joint in self.joints.joints))
+            made = from_joints(parts, surface, self.joints, self.options)
+        else:
+            assert self.source is not None
+            check_joints(surface, parts, self.source.skeleton.joints)
+            made = from_face(parts, surface, self.source.parts(), self.source.where, self.options.smoothing)
+        made = arranged(made, parts.skeleton.joints)
         fit: FitReport | None = None
         if self.optimise:
             weights, fit = _optimised(parts, surface, made.weights, self.options, step)
@@ -133,17 +132,6 @@ class SkinFace:
         author_changes(face, replace(result, recipe=recipe or parts.recipe))
         report = _report(surface, made, weights)
         return replace(report, fit=fit, warnings=(*size_warnings(surface), *report.warnings))
-
-    def _joints(self) -> tuple[str, ...]:
-        if self.joints is not None:
-            return tuple(joint.path for joint in self.joints.joints)
-        return () if self.source is None else self.source.skeleton.joints
-
-    def _made(self, parts: FaceParts, surface: Surface) -> Skinning:
-        if self.joints is not None:
-            return from_joints(parts, surface, self.joints, self.options)
-        assert self.source is not None
-        return from_face(parts, surface, self.source.parts(), self.source.where, self.options.smoothing)
 
 
 def _report(surface: Surface, made: Skinning, weights: FloatArray) -> SkinReport:

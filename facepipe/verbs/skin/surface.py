@@ -143,7 +143,12 @@ def _sewn(
     proper = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     component = components(len(first), pairs)
-    landmarks = _landmarks(parts, group)
+    landmarks, start = None, 0
+    for one in parts.meshes:
+        given = one.landmarks.get(LANDMARKS)
+        if landmarks is None and given is not None and len(given.indices) == 68:
+            landmarks = np.asarray(group[np.asarray(given.indices, np.int64) + start])
+        start += len(one.points)
     counted = component[np.unique(triangles[proper]) if landmarks is None else landmarks]
     made = Surface(
         where=where,
@@ -161,16 +166,6 @@ def _sewn(
     if not point_areas(made.points, made.triangles)[made.inside].any():
         raise InputError(where, "no triangle with an area on its main part, expected a surface to put weights on")
     return made
-
-
-def _landmarks(parts: FaceParts, group: IntArray) -> IntArray | None:
-    start = 0
-    for mesh in parts.meshes:
-        found = mesh.landmarks.get(LANDMARKS)
-        if found is not None and len(found.indices) == 68:
-            return np.asarray(group[np.asarray(found.indices, np.int64) + start])
-        start += len(mesh.points)
-    return None
 
 
 def size_warnings(surface: Surface) -> tuple[str, ...]:
@@ -214,18 +209,16 @@ def slits_of(surface: Surface) -> tuple[Slit, ...]:
     """Mouth and eyes of a face; none without landmarks."""
     if surface.landmarks is None:
         return ()
-    return tuple(_slit(surface, surface.landmarks, name) for name in _RIMS)
-
-
-def _slit(surface: Surface, landmarks: IntArray, name: str) -> Slit:
-    upper, lower, corners = _RIMS[name]
-    rows = [points_between(surface, landmarks[list(rim)]) for rim in (upper, lower)]
-    above, below = graph_distances(surface.graph, rows)
-    width = float(np.linalg.norm(np.subtract(*surface.points[landmarks[list(corners)]])))
-    reached = np.isfinite(above) & np.isfinite(below)
-    side = np.zeros(len(surface.points))
-    side[reached] = np.clip((below[reached] - above[reached]) / max(width, np.finfo(np.float64).tiny), -1.0, 1.0)
-    return Slit(name=name, width=width, side=side, distance=np.minimum(above, below))
+    slits, landmarks = [], surface.landmarks
+    for name, (upper, lower, corners) in _RIMS.items():
+        rows = [points_between(surface, landmarks[list(rim)]) for rim in (upper, lower)]
+        above, below = graph_distances(surface.graph, rows)
+        width = float(np.linalg.norm(np.subtract(*surface.points[landmarks[list(corners)]])))
+        reached = np.isfinite(above) & np.isfinite(below)
+        side = np.zeros(len(surface.points))
+        side[reached] = np.clip((below[reached] - above[reached]) / max(width, np.finfo(np.float64).tiny), -1.0, 1.0)
+        slits.append(Slit(name=name, width=width, side=side, distance=np.minimum(above, below)))
+    return tuple(slits)
 
 
 def points_between(surface: Surface, stations: IntArray) -> IntArray:
@@ -254,28 +247,20 @@ def eyeballs_of(surface: Surface) -> tuple[Eyeball, ...]:
     eyeballs: list[Eyeball] = []
     for number in np.unique(surface.component[surface.loose]):
         points = np.flatnonzero(surface.component == number)
-        ball = _ball(surface.points[points], areas[points])
-        if ball is not None and not any(np.isin(points[0], eyeball.points) for eyeball in eyeballs):
-            eyeballs.append(Eyeball(centre=ball[0], radius=ball[1], points=_with_contents(surface, points, *ball)))
+        if len(points) < _FEWEST or not areas[points].any():
+            continue
+        try:
+            ball = fit_ball(surface.points[points], areas[points])
+        except FitError:
+            continue
+        whole = np.ptp(surface.points[points], axis=0).min() >= _WHOLE * 2.0 * ball.radius
+        is_ball = whole and _SMALLEST <= ball.radius <= _LARGEST and ball.rms <= _ROUND * ball.radius
+        if not is_ball or any(np.isin(points[0], eyeball.points) for eyeball in eyeballs):
+            continue
+        # with it go the parts of its mesh that lie whole in it: iris, pupil, lens
+        near = np.linalg.norm(surface.points - ball.centre, axis=1) <= _INSIDE * ball.radius
+        same = (surface.mesh == surface.mesh[points[0]]) & (surface.component != surface.main)
+        contents = same & near & ~np.isin(surface.component, np.unique(surface.component[same & ~near]))
+        held = np.flatnonzero(contents | (surface.component == number))
+        eyeballs.append(Eyeball(centre=ball.centre, radius=ball.radius, points=held))
     return tuple(eyeballs)
-
-
-def _ball(points: FloatArray, areas: FloatArray) -> tuple[FloatArray, float] | None:
-    if len(points) < _FEWEST or not areas.any():
-        return None
-    try:
-        ball = fit_ball(points, areas)
-    except FitError:
-        return None
-    whole = np.ptp(points, axis=0).min() >= _WHOLE * 2.0 * ball.radius
-    if whole and _SMALLEST <= ball.radius <= _LARGEST and ball.rms <= _ROUND * ball.radius:
-        return ball.centre, ball.radius
-    return None
-
-
-def _with_contents(surface: Surface, points: IntArray, centre: FloatArray, radius: float) -> IntArray:
-    near = np.linalg.norm(surface.points - centre, axis=1) <= _INSIDE * radius
-    same = (surface.mesh == surface.mesh[points[0]]) & (surface.component != surface.main)
-    outside = np.unique(surface.component[same & ~near])
-    contents = same & near & ~np.isin(surface.component, outside)
-    return np.flatnonzero(contents | (surface.component == surface.component[points[0]]))

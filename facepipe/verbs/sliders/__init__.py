@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from facepipe.verbs.sliders.distil import DistilReport, DistilSliders
     from facepipe.verbs.sliders.from_shapes import MadeSlider, ShapeSlidersReport, SlidersFromShapes
     from facepipe.verbs.sliders.options import ShapeSliderOptions
-    from facepipe.verbs.sliders.sliders_action import SlidersOfFace
+    from facepipe.verbs.sliders.sliders import SlidersOfFace
     from facepipe.verbs.sliders.tables import Drive, SliderRule, SliderTable, read_table
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -81,7 +81,14 @@ class SetSliders:
         if identifier(self.name) != self.name:
             raise InputError(face.where, f"'{self.name[:40]}' is no name of a prim, expected one like sliders")
         parts = face.parts()
-        values = self._all_values(face.where, parts.sliders)
+        values = dict(self.values)
+        if self.mirror:
+            twins = {slider.name: slider.mirror for slider in parts.sliders if slider.mirror is not None}
+            mirrored = {twins[name]: value for name, value in values.items() if name in twins}
+            if not mirrored:
+                what = f"none of {', '.join(values)} has a mirror, expected one of a symmetric pair"
+                raise InputError(face.where, what)
+            values = {**mirrored, **values}
         known = {slider.name: slider for slider in parts.sliders}
         for name, value in values.items():
             if name not in known:
@@ -89,15 +96,27 @@ class SetSliders:
             low, high = known[name].minimum, known[name].maximum
             if not low <= value <= high:  # NaN too
                 raise InputError(f"{face.where} -> slider {name}", f"value {value:g}, expected {low:g} to {high:g}")
-        sliders = tuple(self._set(slider, values) for slider in parts.sliders)
+        sliders = tuple(
+            replace(one, value=values.get(one.name, one.default if self.reset else one.value)) for one in parts.sliders
+        )
         try:
             animation = pose(parts, sliders, self.name)
             # for its check alone: sliders may drive shapes that the face lacks
             face.rig().weight_vector(dict(zip(animation.shapes, _weights(animation), strict=True)))
         except InputError as error:
             raise error.under(face.where) from None
-        animations = _with(face.where, parts.animations, animation)
-        beyond = _beyond(face, sliders)
+        before = {one.name: one for one in parts.animations}.get(self.name)
+        if before is not None and before.times is not None:
+            raise InputError(face.where, f"has a clip '{self.name}' already, expected another name")
+        if before is None:
+            animations = (*parts.animations, animation)
+        else:
+            animations = tuple(animation if one is before else one for one in parts.animations)
+        beyond, joints = tuple[str, ...](), parts.skeleton.joints
+        if joints:
+            coefficients, _ = slide(sliders, joints, network=parts.slider_network)
+            content = PayloadContent(joints=joints, coefficients=coefficients, meters_per_unit=face.meters_per_unit)
+            beyond = beyond_limits(face, content)
         rest = np.array([0.0] * 6 + [1.0] * 3)
         report = SetSlidersReport(
             values=values,
@@ -108,19 +127,6 @@ class SetSliders:
             warnings=limit_warnings(beyond, clamped=False),
         )
         return replace(parts, sliders=sliders, animations=animations, person=None), report
-
-    def _all_values(self, where: str, sliders: Sequence[Slider]) -> dict[str, float]:
-        if not self.mirror:
-            return dict(self.values)
-        twins = {slider.name: slider.mirror for slider in sliders if slider.mirror is not None}
-        mirrored = {twins[name]: value for name, value in self.values.items() if name in twins}
-        if not mirrored:
-            raise InputError(where, f"none of {', '.join(self.values)} has a mirror, expected one of a symmetric pair")
-        return {**mirrored, **self.values}
-
-    def _set(self, slider: Slider, values: Mapping[str, float]) -> Slider:
-        value = values.get(slider.name, slider.default if self.reset else slider.value)
-        return replace(slider, value=value)
 
 
 def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
@@ -146,24 +152,6 @@ def pose(parts: FaceParts, sliders: Sequence[Slider], name: str) -> Animation:
 
 def _weights(animation: Animation) -> list[float]:
     return [] if animation.shape_weights is None else [float(one) for one in animation.shape_weights[0]]
-
-
-def _with(where: str, animations: Sequence[Animation], new: Animation) -> tuple[Animation, ...]:
-    before = next((animation for animation in animations if animation.name == new.name), None)
-    if before is None:
-        return (*animations, new)
-    if before.times is not None:
-        raise InputError(where, f"has a clip '{new.name}' already, expected another name")
-    return tuple(new if animation is before else animation for animation in animations)
-
-
-def _beyond(face: Face, sliders: Sequence[Slider]) -> tuple[str, ...]:
-    joints = face.skeleton.joints
-    if not joints:
-        return ()
-    coefficients, _ = slide(sliders, joints, network=face.slider_network)
-    content = PayloadContent(joints=joints, coefficients=coefficients, meters_per_unit=face.meters_per_unit)
-    return beyond_limits(face, content)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +211,8 @@ class AuthorSliders:
             raise InputError(where.get(fault[0], f"{self.table.where} -> slider {fault[0]} of the face"), fault[1])
         beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
         network, lost = fitting_network(parts.slider_network, merged)
+        idle = [slider.name for slider in new if not slider.channels and not slider.shapes]
+        none = (f"{len(idle)} sliders drive nothing: {first_names(idle, _SHOWN)}",) if idle else ()
         changed = replace(parts, sliders=merged, slider_network=network, recipe=recipe or parts.recipe)
         authored = author_changes(face, changed)
         return AuthorSlidersReport(
@@ -233,7 +223,7 @@ class AuthorSliders:
             shapes=len({entry[0] for slider in new for entry in slider.shapes}),
             beyond_limits=beyond,
             authored=authored,
-            warnings=(*unset, *lost, *_idle(new), *beyond_lines(beyond)),
+            warnings=(*unset, *lost, *none, *beyond_lines(beyond)),
         )
 
 
@@ -269,11 +259,6 @@ def with_values(new: Sequence[Slider], known: Sequence[Slider]) -> tuple[tuple[S
             value = None
         valued.append(replace(slider, value=value))
     return tuple(valued), tuple(lines)
-
-
-def _idle(sliders: Sequence[Slider]) -> tuple[str, ...]:
-    idle = [slider.name for slider in sliders if not slider.channels and not slider.shapes]
-    return (f"{len(idle)} sliders drive nothing: {first_names(idle, _SHOWN)}",) if idle else ()
 
 
 def beyond_lines(beyond: Sequence[str]) -> tuple[str, ...]:

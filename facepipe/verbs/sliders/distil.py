@@ -81,19 +81,36 @@ class DistilSliders(DistilOptions):
         sliders, network, steps = distil(
             *face, width=self.width, activation=self.activation, seed=self.seed, steps=self.steps
         )
-        # of posed points: the loss of training weighs coefficients by what each moves alone
-        errors = measure(rig, parts, sliders, network, self.seed)
-        report = self._report(steps, network, errors, self._warnings(errors))
+        # errors of posed points, as the loss of training weighs coefficients by what each moves alone; on vectors of
+        # another stream than the training's, which are learnt ones
+        random = np.random.default_rng((self.seed, 1))
+        columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
+        off_by: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
+        for _ in range(VECTORS):
+            values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
+            exact, exact_weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
+            learnt, weights = slide(sliders, rig.joints, values, network)
+            off: FloatArray = np.abs(learnt - exact)
+            for joint, channel in columns:
+                off_by[CHANNELS[channel][0]].append(off[joint, channel])
+            off_by["shape"] += [abs(weights.get(name, 0.0) - exact_weights.get(name, 0.0)) for name in network.shapes]
+            if len(rig.points):
+                moved = rig.evaluate(weights, coefficients=learnt) - rig.evaluate(exact_weights, coefficients=exact)
+                off_by["point"].append(np.linalg.norm(moved, axis=1) * parts.meters_per_unit * 1000.0)
+        kinds = {"translation": "t", "rotation": "r", "scale": "s"}
+        errors = Errors(
+            points_mm=_spread(off_by["point"]),
+            coefficients={name: one for name, key in kinds.items() if (one := _spread(off_by[key])) is not None},
+            shape_weights=_spread(off_by["shape"]),
+        )
+        warnings: tuple[str, ...] = ()
+        if errors.points_mm is not None and errors.points_mm.max > self.threshold_mm:
+            off_mm = f"up to {errors.points_mm.max:.3f} mm off, expected at most {self.threshold_mm:g}"
+            advice = "a larger width learns more; without distilling the graph is exact"
+            warnings = (f"the learned sliders are {off_mm} ({advice})",)
+        report = self._report(steps, network, errors, warnings)
         figures = {key: value for key, value in asdict(report).items() if key not in ("sliders", "warnings")}
         return replace(parts, sliders=sliders, slider_network=replace(network, info={"distilled": figures})), report
-
-    def _warnings(self, errors: Errors) -> tuple[str, ...]:
-        if errors.points_mm is None or errors.points_mm.max <= self.threshold_mm:
-            return ()
-        return (
-            f"the learned sliders are up to {errors.points_mm.max:.3f} mm off, expected at most {self.threshold_mm:g} "
-            "(a larger width learns more; without distilling the graph is exact)",
-        )
 
     def _report(
         self, steps: int, network: SliderNetwork | None, errors: Errors, warnings: tuple[str, ...]
@@ -120,31 +137,6 @@ class Errors:
     points_mm: Spread | None = None
     coefficients: Mapping[str, Spread] = field(default_factory=dict)
     shape_weights: Spread | None = None
-
-
-def measure(rig: Rig, parts: FaceParts, sliders: tuple[Slider, ...], network: SliderNetwork, seed: int) -> Errors:
-    """Errors of learned `sliders` with their `network` against those of a face, on vectors held out from training."""
-    # not the training's stream: vectors of that are learnt ones
-    random = np.random.default_rng((seed, 1))
-    columns = [(rig.joints.index(joint), CHANNELS.index(channel)) for joint, channel in network.channels]
-    errors: dict[str, list[Any]] = {"t": [], "r": [], "s": [], "shape": [], "point": []}
-    for _ in range(VECTORS):
-        values = {slider.name: float(random.uniform(slider.minimum, slider.maximum)) for slider in parts.sliders}
-        exact, exact_weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
-        learnt, weights = slide(sliders, rig.joints, values, network)
-        off: FloatArray = np.abs(learnt - exact)
-        for joint, channel in columns:
-            errors[CHANNELS[channel][0]].append(off[joint, channel])
-        errors["shape"] += [abs(weights.get(name, 0.0) - exact_weights.get(name, 0.0)) for name in network.shapes]
-        if len(rig.points):
-            moved = rig.evaluate(weights, coefficients=learnt) - rig.evaluate(exact_weights, coefficients=exact)
-            errors["point"].append(np.linalg.norm(moved, axis=1) * parts.meters_per_unit * 1000.0)
-    kinds = {"translation": "t", "rotation": "r", "scale": "s"}
-    return Errors(
-        points_mm=_spread(errors["point"]),
-        coefficients={name: one for name, key in kinds.items() if (one := _spread(errors[key])) is not None},
-        shape_weights=_spread(errors["shape"]),
-    )
 
 
 def _spread(sizes: list[Any]) -> Spread | None:

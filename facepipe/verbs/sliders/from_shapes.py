@@ -96,25 +96,21 @@ class ShapeSlidersReport(Report):
         for group, reach in self.groups.items():
             numbers = (f"{reach.reach:.2f}", f"{reach.rms_mm:.2f}", "", f"{reach.left_rms_mm:.2f}")
             rows.append((group or "(no group)", "", "", "", *numbers))
-            rows += [_row(name, slider) for name, slider in sliders.items() if slider.group == group]
-        return f"{out}: {self._count()} in {self.seconds:.1f} s\n{table(rows)}"
-
-    def _count(self) -> str:
-        shapes = sum(len(slider.ends) for slider in (*self.sliders.values(), *self.left_out.values()))
-        parts = [f"{len(self.sliders)} sliders of {shapes} shapes"]
+            for name, slider in sliders.items():
+                if slider.group == group:
+                    ends, count = slider.ends, len(slider.ends)
+                    rms, left = (
+                        math.sqrt(sum(mm**2 for mm in values) / count)
+                        for values in ([end.rms_mm for end in ends], [end.left_rms_mm for end in ends])
+                    )
+                    largest, last = max(end.max_mm for end in ends), max(end.left_max_mm for end in ends)
+                    numbers = (f"{rms:.2f}", f"{largest:.1f}", f"{left:.2f}", f"{last:.1f}")
+                    by = slider.by or "left out"
+                    rows.append((f"  {name}", by, slider.joints, slider.channels, f"{slider.reach:.2f}", *numbers))
+        parts = [f"{len(self.sliders)} sliders of {sum(len(slider.ends) for slider in sliders.values())} shapes"]
         for what, names in (("left out", self.left_out), ("replaced", self.replaced), ("dropped", self.dropped)):
             parts += [f"{len(names)} {what}"] if names else []
-        return ", ".join(parts)
-
-
-def _row(name: str, slider: MadeSlider) -> tuple[object, ...]:
-    rms, left = (
-        math.sqrt(sum(value**2 for value in values) / len(slider.ends))
-        for values in ([end.rms_mm for end in slider.ends], [end.left_rms_mm for end in slider.ends])
-    )
-    largest, last = max(end.max_mm for end in slider.ends), max(end.left_max_mm for end in slider.ends)
-    numbers = (f"{slider.reach:.2f}", f"{rms:.2f}", f"{largest:.1f}", f"{left:.2f}", f"{last:.1f}")
-    return (f"  {name}", slider.by or "left out", slider.joints, slider.channels, *numbers)
+        return f"{out}: {', '.join(parts)} in {self.seconds:.1f} s\n{table(rows)}"
 
 
 def reach_of(motions: Sequence[float], left: Sequence[float]) -> float:
@@ -281,10 +277,15 @@ class SlidersFromShapes(ShapeSliderOptions):
         fits = ShapeFits(rig, lower, upper, self, face.mm_per_unit)
         targets = {shape: rig.evaluate({shape: 1.0}) for shape in chosen}
         # reach is a share of the motion: a shape without any has none
-        still = tuple(
-            shape for shape in chosen if np.abs(targets[shape] - fits.points).max() <= _LEAST / face.mm_per_unit
-        )
-        made = self._made(parts, fits, {shape: targets[shape] for shape in chosen if shape not in still}, done)
+        least = _LEAST / face.mm_per_unit
+        still = tuple(shape for shape in chosen if np.abs(targets[shape] - fits.points).max() <= least)
+        moving = {shape: targets[shape] for shape in chosen if shape not in still}
+        wanted = shape_sliders(tuple(moving), parse_pairs(self.pairs))
+        poses = fit_poses(fits, wanted, moving, done)
+        mm = parts.meters_per_unit * 1000.0
+        maker = SliderMaker(parts=parts, fits=fits, options=self, poses=poses, targets=moving, mm=mm)
+        by_name = {slider.name: slider for slider in wanted}
+        made = [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
         for _ in still:
             done()
         new = [one.slider for one in made if one.slider is not None]
@@ -297,10 +298,15 @@ class SlidersFromShapes(ShapeSliderOptions):
             replace(mesh, blendshapes=(*(shape for shape in mesh.blendshapes if shape.name not in names), *shapes))
             for mesh, shapes in zip(parts.meshes, added, strict=True)
         )
-        result = _merged(replace(parts, meshes=meshes), new, drop=self.drop)
-        network, lost = fitting_network(parts.slider_network, result.sliders)
-        authored = author_changes(face, replace(result, slider_network=network, recipe=recipe or parts.recipe))
-        report = _report(parts, made, new, result.sliders)
+        # new sliders keep the values of those that they replace, beside the others
+        valued, _ = with_values(new, parts.sliders)
+        new_names = {slider.name for slider in new}
+        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in new_names)
+        sliders = with_mutual_mirrors((*others, *valued))
+        network, lost = fitting_network(parts.slider_network, sliders)
+        changed = replace(parts, meshes=meshes, sliders=sliders, slider_network=network, recipe=recipe or parts.recipe)
+        authored = author_changes(face, changed)
+        report = _report(parts, made, new, sliders)
         return replace(
             report,
             unmoved=still,
@@ -313,25 +319,6 @@ class SlidersFromShapes(ShapeSliderOptions):
                 *((f"{len(still)} shapes move nothing: {first_names(still, _SHOWN)}",) if still else ()),
             ),
         )
-
-    def _made(
-        self, parts: FaceParts, fits: ShapeFits, targets: Mapping[str, FloatArray], done: Callable[[], object]
-    ) -> list[Made]:
-        """The sliders of shapes that move points."""
-        wanted = shape_sliders(tuple(targets), parse_pairs(self.pairs))
-        poses = fit_poses(fits, wanted, targets, done)
-        mm = parts.meters_per_unit * 1000.0
-        maker = SliderMaker(parts=parts, fits=fits, options=self, poses=poses, targets=targets, mm=mm)
-        by_name = {slider.name: slider for slider in wanted}
-        return [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
-
-
-def _merged(parts: FaceParts, new: Sequence[Slider], *, drop: bool) -> FaceParts:
-    """The face with new sliders, which keep the values of those that they replace, beside the others."""
-    valued, _ = with_values(new, parts.sliders)
-    names = {slider.name for slider in new}
-    others = () if drop else tuple(slider for slider in parts.sliders if slider.name not in names)
-    return replace(parts, sliders=with_mutual_mirrors((*others, *valued)))
 
 
 def _report(
@@ -355,6 +342,7 @@ def _report(
     reaches = {}
     for name, members in groups.items():
         ends = [end for slider in members for end in slider.ends]
+        # of all ends together, by their squares: a mean of their reaches would let small motions count as large ones
         motions, left = np.array([end.rms_mm for end in ends]), np.array([end.left_rms_mm for end in ends])
         reaches[name] = GroupReach(
             sliders=len(members),

@@ -98,9 +98,17 @@ class ShapeFits:
             joint, channel = np.argwhere(out)[0]
             where = f"limits -> {self.rig.joints[joint]} -> {CHANNELS[channel]}"
             raise InputError(where, f"without {self.rest[joint, channel]:g}, expected rest inside: sliders start there")
-        self.mirror, self.warnings = self._mirror()
+        # how joints mirror; None, and a warning, where they don't
+        self.mirror: MirroredJoints | None = None
+        self.warnings: tuple[str, ...] = ()
         self._symmetric = self._side = None
-        if self.mirror is not None:
+        try:
+            symmetry = self._session(lower, upper, symmetric=True).symmetry
+        except InputError as error:
+            self.warnings = (f"each side is fitted alone: {error}",)
+        else:
+            assert symmetry is not None
+            self.mirror = MirroredJoints(symmetry)
             within = self.mirror.limits(lower, upper)
             self._symmetric, self._side = self._session(*within, symmetric=True), self._session(*within)
         self._effects = channel_effects(rig)
@@ -109,7 +117,13 @@ class ShapeFits:
         """Poses for (n, 3) points each: symmetric where that comes as near."""
         free = self._together(self._free, targets)
         both = [] if self._symmetric is None else self._together(self._symmetric, targets)
-        chosen = [self._as_near(*pair) for pair in zip(targets, free, both, strict=True)] if both else free
+        chosen = free
+        if both:
+            losses = [
+                self.reach(own.points, target) - self.reach(tied.points, target)
+                for target, own, tied in zip(targets, free, both, strict=True)
+            ]
+            chosen = [tied if loss <= _SAME else own for loss, own, tied in zip(losses, free, both, strict=True)]
         return [self._finished(*pair, done) for pair in zip(targets, chosen, strict=True)]
 
     def side(self, targets: Sequence[FloatArray], done: Callable[[], object]) -> list[ShapePose]:
@@ -127,10 +141,6 @@ class ShapeFits:
         """How much of the motion from rest to (n, 3) points another (n, 3) makes: 0 (none) to 1."""
         motion = float(np.linalg.norm(target - self.points))
         return max(0.0, 1.0 - float(np.linalg.norm(points - target)) / motion) if motion else 0.0
-
-    def _as_near(self, target: FloatArray, free: _Found, symmetric: _Found) -> _Found:
-        loss = self.reach(free.points, target) - self.reach(symmetric.points, target)
-        return symmetric if loss <= _SAME else free
 
     def _finished(self, target: FloatArray, pose: _Found, done: Callable[[], object]) -> ShapePose:
         """The pose with the channels alone that do something, as float32."""
@@ -184,15 +194,6 @@ class ShapeFits:
             symmetric=symmetric,
         )
 
-    def _mirror(self) -> tuple[MirroredJoints | None, tuple[str, ...]]:
-        """How joints mirror; None, and a warning, where they don't."""
-        try:
-            symmetry = self._session(self.lower, self.upper, symmetric=True).symmetry
-        except InputError as error:
-            return None, (f"each side is fitted alone: {error}",)
-        assert symmetry is not None
-        return MirroredJoints(symmetry), ()
-
 
 def fit_poses(
     fits: ShapeFits,
@@ -205,7 +206,12 @@ def fit_poses(
     :param targets: shape -> (n, 3) points
     :param done: called after every shape
     """
-    twins = _twins(sliders) if fits.mirror is not None else {}
+    by_name = {slider.name: slider for slider in sliders}
+    twins: dict[str, str] = {}  # shape of the first slider of a pair -> that of its mirror
+    for slider in sliders if fits.mirror is not None else ():
+        if slider.mirror is not None and slider.ends[0][1] not in twins.values():
+            pairs = zip(slider.ends, by_name[slider.mirror].ends, strict=True)
+            twins |= {shape: other for (_, shape), (_, other) in pairs}
     sides = [shape for shape in targets if shape in twins]
     middle = [shape for shape in targets if shape not in twins and shape not in twins.values()]
     poses = dict(zip(middle, fits.middle([targets[shape] for shape in middle], done), strict=True))
@@ -215,18 +221,6 @@ def fit_poses(
         poses[twins[shape]] = fits.mirrored(poses[shape])
         done()
     return poses
-
-
-def _twins(sliders: Sequence[ShapeSlider]) -> dict[str, str]:
-    """Shape of the first slider of a pair -> that of its mirror."""
-    by_name = {slider.name: slider for slider in sliders}
-    twins: dict[str, str] = {}
-    for slider in sliders:
-        if slider.mirror is not None and slider.ends[0][1] not in twins.values():
-            twins |= {
-                shape: other for (_, shape), (_, other) in zip(slider.ends, by_name[slider.mirror].ends, strict=True)
-            }
-    return twins
 
 
 def channel_effects(rig: Rig) -> FloatArray:

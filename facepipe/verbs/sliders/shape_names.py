@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -73,35 +73,39 @@ def shape_sliders(shapes: Sequence[str], pairs: Sequence[tuple[str, str]]) -> tu
     >>> [one.name for one in shape_sliders(("nose_hump_decr", "nose_hump_incr", "l_lid_up"), parse_pairs(PAIRS))]
     ['noseHump', 'lidUpLeft']
     """
-    ends = _ends(shapes, pairs)
+    split = {shape: _words(shape, pairs) for shape in shapes}
+    named = {(one.side, one.stem, one.end): shape for shape, one in reversed(split.items()) if one.end}
+    lows = {high: low for low, high in pairs}
+    upper: dict[str, str] = {}  # shape of the lower end -> that of the upper one
+    for (side, stem, end), shape in named.items():
+        lower = named.get((side, stem, lows.get(end, "")))
+        if lower is not None:
+            upper[lower] = shape
+    highs, by_first = {high: low for low, high in upper.items()}, {}
+    for shape in shapes:
+        low = highs.get(shape, shape)
+        by_first[low] = ((-1.0, low), (1.0, upper[low])) if low in upper else ((1.0, low),)
+    ends = list(by_first.values())
     words = [_words(own[-1][1], pairs if len(own) == 2 else ()) for own in ends]
     stems = Counter(_joined(word.stem, word.side).lower() for word in words)
     names = [
         _joined((*word.stem, word.end) if stems[_joined(word.stem, word.side).lower()] > 1 else word.stem, word.side)
         for word in words
     ]
-    made = [
-        ShapeSlider(name=name, group=_group(one), ends=own)
-        for name, one, own in zip(unique_identifiers(names), words, ends, strict=True)
-    ]
-    return _with_mirrors(made)
-
-
-def _ends(shapes: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[tuple[tuple[float, str], ...]]:
-    """The ends of each slider."""
-    words = {shape: _words(shape, pairs) for shape in shapes}
-    named = {(one.side, one.stem, one.end): shape for shape, one in reversed(words.items()) if one.end}
-    lows = {high: low for low, high in pairs}
-    upper: dict[str, str] = {}  # shape of the lower end -> that of the upper one
-    for (side, stem, end), shape in named.items():
-        low = named.get((side, stem, lows.get(end, "")))
-        if low is not None:
-            upper[low] = shape
-    highs, ends = {high: low for low, high in upper.items()}, {}
-    for shape in shapes:
-        low = highs.get(shape, shape)
-        ends[low] = ((-1.0, low), (1.0, upper[low])) if low in upper else ((1.0, low),)
-    return list(ends.values())
+    made = []
+    for name, one, own in zip(unique_identifiers(names), words, ends, strict=True):
+        first = _FIRST.match(one.stem[0]) if one.stem else None
+        made.append(ShapeSlider(name=name, group=first[0].lower() if first else "", ends=own))
+    # mirrors are the sliders whose shapes are called as those of the other side, end by end, each the other's
+    known, places = {shape for own in ends for _, shape in own}, {one.ends: one.name for one in made}
+    others = {
+        one.name: places.get(
+            tuple((value, other if (other := mirrored_name(shape)) in known else shape) for value, shape in one.ends)
+        )
+        for one in made
+    }
+    mutual = {name: other for name, other in others.items() if other not in (None, name) and others[other] == name}
+    return tuple(replace(one, mirror=mutual.get(one.name)) for one in made)
 
 
 def _words(shape: str, pairs: Sequence[tuple[str, str]]) -> _Words:
@@ -120,30 +124,3 @@ def _joined(words: Sequence[str], side: str) -> str:
     text = "".join(word[0].upper() + word[1:] for word in words if word)
     keep = len(words[0]) > 1 and words[0][:2].isupper() if words else False  # AU12
     return (text if keep else text[:1].lower() + text[1:]) + side
-
-
-def _group(words: _Words) -> str:
-    found = _FIRST.match(words.stem[0]) if words.stem else None
-    return found[0].lower() if found else ""
-
-
-def _with_mirrors(sliders: Sequence[ShapeSlider]) -> tuple[ShapeSlider, ...]:
-    """Mirrors are the sliders whose shapes are called as those of the other side, end by end."""
-    shapes = {shape for slider in sliders for _, shape in slider.ends}
-    places = {slider.ends: slider.name for slider in sliders}
-    others = {
-        slider.name: places.get(tuple((value, _other(shape, shapes)) for value, shape in slider.ends))
-        for slider in sliders
-    }
-    return tuple(replace(slider, mirror=_mutual(slider.name, others)) for slider in sliders)
-
-
-def _mutual(name: str, others: Mapping[str, str | None]) -> str | None:
-    other = others[name]
-    return other if other is not None and other != name and others[other] == name else None
-
-
-def _other(shape: str, shapes: set[str]) -> str:
-    """The shape of the other side; itself where there is none."""
-    other = mirrored_name(shape)
-    return other if other in shapes else shape

@@ -199,6 +199,7 @@ def with_bias(
     driven: list[Shapes] = [
         {shape: (gain, curve) for (shape, gain), curve in shape_entries(slider)} for slider in sliders
     ]
+    # b is no slider of its own, which a user could set: it rides on one that moves the same
     for constant in bias:
         if constant.is_channel:
             for target in channel_targets(constant.where, constant.target, joints):
@@ -261,10 +262,35 @@ class SliderTable:
 
 def read(path: Path) -> SliderTable:
     """:raises InputError: not readable, no CSV, or neither form"""
-    header, rows = _rows(path)
+    delimiter, lines = read_csv(path, MOST_BYTES)
+    if delimiter == ";":
+        lines = [
+            (number, [(cell.replace(",", ".") if set(cell) <= _NUMERIC else cell) for cell in cells])
+            for number, cells in lines
+        ]
+    if len(lines) < 2:
+        raise InputError(path, f"{len(lines)} rows, expected a header and sliders")
+    header = lines[0][1]
+    twice = [name for name, times in Counter(header).items() if name and times > 1]
+    if twice or not all(header[1:]):
+        found = f"column '{twice[0][:40]}' twice" if twice else "a column without name"
+        raise InputError(f"{path} -> line 1", f"{found}, expected each column named, once")
+    rows: list[Row] = []
+    for number, cells in lines[1:]:
+        if len(cells) > len(header):
+            raise InputError(f"{path} -> line {number}", f"{len(cells)} cells, expected {len(header)}")
+        rows.append(
+            (f"{path} -> line {number}", {name: cell for name, cell in zip(header, cells, strict=False) if cell})
+        )
     others = [name for name in header if name not in (*_LIST, *_SETTINGS, "curve")]
     if any(":" in name for name in others) or not set(_LIST[1:]) & set(header):
         return _matrix(path, header, rows)
+    return _list(path, header, rows)
+
+
+def _list(path: Path, header: Sequence[str], rows: Sequence[Row]) -> SliderTable:
+    """A row for each thing that a slider drives."""
+    others = [name for name in header if name not in (*_LIST, *_SETTINGS, "curve")]
     missing = [name for name in _LIST if name not in header]
     if missing or others:
         found = f"no column '{missing[0]}'" if missing else f"column '{others[0][:40]}'"
@@ -275,13 +301,20 @@ def read(path: Path) -> SliderTable:
     places: dict[str, str] = {}
     for where, row in rows:
         name, target = _needed(where, row, "slider"), _needed(where, row, "target")
-        curve = _curve(where, row["curve"]) if "curve" in row else None
+        curve: Curve | None = None
+        if "curve" in row:
+            knots = [knot.partition(":") for knot in row["curve"].split()]
+            curve = tuple((_number(where, "knot", at), _number(where, "knot", amount)) for at, _, amount in knots)
         gain = _number(where, "gain", _needed(where, row, "gain"))
         driven = drives.setdefault(name, [])
         if target in {one.target for one in driven}:
             raise InputError(where, f"target '{target[:60]}' of slider '{name[:60]}' twice, expected each once")
         driven.append(Drive(target=target, gain=gain, curve=curve, where=f"{where} -> {name[:60]}"))
-        _merge(where, settings.setdefault(name, {}), row)
+        above = settings.setdefault(name, {})
+        for key in _SETTINGS:
+            if key in row and above.setdefault(key, row[key]) != row[key]:
+                both = f"{key} '{row[key][:40]}', and '{above[key][:40]}' in a row above"
+                raise InputError(where, f"{both}, expected the same (or nothing)")
         places.setdefault(name, where)
     rules = [_csv_rule(f"{places[name]} -> {name[:60]}", name, settings[name], drives[name]) for name in drives]
     return SliderTable(rules=tuple(rules), where=str(path))
@@ -328,36 +361,6 @@ def _csv_rule(where: str, name: str, settings: Mapping[str, str], drives: Sequen
     )
 
 
-def _merge(where: str, settings: dict[str, str], row: Mapping[str, str]) -> None:
-    for key in _SETTINGS:
-        if key in row and settings.setdefault(key, row[key]) != row[key]:
-            what = f"{key} '{row[key][:40]}', and '{settings[key][:40]}' in a row above, expected the same (or nothing)"
-            raise InputError(where, what)
-
-
-def _rows(path: Path) -> tuple[list[str], list[Row]]:
-    delimiter, lines = read_csv(path, MOST_BYTES)
-    if delimiter == ";":
-        lines = [
-            (number, [(cell.replace(",", ".") if set(cell) <= _NUMERIC else cell) for cell in cells])
-            for number, cells in lines
-        ]
-    if len(lines) < 2:
-        raise InputError(path, f"{len(lines)} rows, expected a header and sliders")
-    header = lines[0][1]
-    twice = [name for name, times in Counter(header).items() if name and times > 1]
-    if twice or not all(header[1:]):
-        found = f"column '{twice[0][:40]}' twice" if twice else "a column without name"
-        raise InputError(f"{path} -> line 1", f"{found}, expected each column named, once")
-    rows: list[Row] = []
-    for number, cells in lines[1:]:
-        if len(cells) > len(header):
-            raise InputError(f"{path} -> line {number}", f"{len(cells)} cells, expected {len(header)}")
-        row = {name: cell for name, cell in zip(header, cells, strict=False) if cell}
-        rows.append((f"{path} -> line {number}", row))
-    return header, rows
-
-
 def _needed(where: str, row: Mapping[str, str], column: str) -> str:
     if column not in row:
         raise InputError(where, f"nothing in column '{column[:40]}', expected something")
@@ -371,11 +374,6 @@ def _number(where: str, what: str, text: str) -> float:
         raise InputError(where, f"{what[:60]} '{text[:40]}', expected a number") from None
     check_number(where, what[:60], value)
     return value
-
-
-def _curve(where: str, text: str) -> Curve:
-    pairs = [knot.partition(":") for knot in text.split()]
-    return tuple((_number(where, "knot", at), _number(where, "knot", amount)) for at, _, amount in pairs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -412,34 +410,30 @@ def read_table(path: Path) -> SliderTable:
 
     :raises InputError: another suffix, not readable, or damaged
     """
-    readers = {".toml": _read_toml, ".csv": read}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise InputError(path, f"suffix '{path.suffix[:20]}', expected one of {', '.join(readers)}")
-    return reader(path)
-
-
-def _read_toml(path: Path) -> SliderTable:
-    """:raises InputError: not readable, no TOML, or not such a table"""
+    if path.suffix.lower() == ".csv":
+        return read(path)
+    if path.suffix.lower() != ".toml":
+        raise InputError(path, f"suffix '{path.suffix[:20]}', expected one of .toml, .csv")
     table, where = from_json(_Table, read_toml(path, MOST_BYTES), str(path)), str(path)
     if not table.slider:
         raise InputError(where, "no sliders, expected tables like [slider.noseWidth]")
-    rules = tuple(_rule(f"{where} -> slider {name[:60]}", name, slider) for name, slider in table.slider.items())
-    return SliderTable(rules=rules, units=table.units, where=where)
-
-
-def _rule(where: str, name: str, slider: _Slider) -> SliderRule:
-    return SliderRule(
-        name=name,
-        group=slider.group,
-        minimum=float(slider.range[0]),
-        maximum=float(slider.range[1]),
-        default=None if slider.default is None else float(slider.default),
-        mirror=slider.mirror or None,
-        channels=_drives(f"{where} -> channels", slider.channels),
-        shapes=_drives(f"{where} -> shapes", slider.shapes),
-        where=where,
-    )
+    rules = []
+    for name, slider in table.slider.items():
+        trail = f"{where} -> slider {name[:60]}"
+        rules.append(
+            SliderRule(
+                name=name,
+                group=slider.group,
+                minimum=float(slider.range[0]),
+                maximum=float(slider.range[1]),
+                default=None if slider.default is None else float(slider.default),
+                mirror=slider.mirror or None,
+                channels=_drives(f"{trail} -> channels", slider.channels),
+                shapes=_drives(f"{trail} -> shapes", slider.shapes),
+                where=trail,
+            )
+        )
+    return SliderTable(rules=tuple(rules), units=table.units, where=where)
 
 
 def _drives(where: str, targets: _Targets) -> tuple[Drive, ...]:

@@ -17,7 +17,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import BoneLimits, FaceParts
 from facepipe.rig import CHANNELS
 from facepipe.verbs.fit_bones import LimitRules, read_limits
-from facepipe.verbs.fit_bones.fit_bones import point_weights
+from facepipe.verbs.fit_bones.target_fits import point_weights
 
 JOINTS = ("root", "root/jaw", "root/jaw/lip", "root/eyeLeft", "root/eyeRight")
 LEAST = float(np.nextafter(np.float32(0.01), np.float32(1)))  # the float32 above 0.01

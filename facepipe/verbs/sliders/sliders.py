@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from facepipe.core.reports import Report
     from facepipe.stage import Face
     from facepipe.verbs.fit_bones.limits import LimitRules
-    from facepipe.verbs.sliders.author_sliders import SetSlidersReport
 else:
     LimitRules = Any
 
@@ -127,20 +126,15 @@ class SlidersOfFace(ShapeSliderOptions, StageAction["Report"]):
             from facepipe.importers.slider_network import read_network
             from facepipe.verbs.sliders.author_sliders import AuthorNetwork
 
-            assert self.network is not None
             if self.network.suffix.lower() != ".npz":
                 raise InputError(self.network, f"suffix '{self.network.suffix[:20]}', expected .npz")
             network = read_network(self.network, face.skeleton.joints, face.shapes)
             return AuthorNetwork(network=network)(face, recipe=job.recipe())
-        return self._set(face, job) if self.table is None else self._author(self.table, face, job)
+        if self.table is not None:
+            from facepipe.verbs.sliders.author_sliders import AuthorSliders
+            from facepipe.verbs.sliders.tables import read_table
 
-    def _author(self, table: Path, face: Face, job: Job) -> Report:
-        from facepipe.verbs.sliders.author_sliders import AuthorSliders
-        from facepipe.verbs.sliders.tables import read_table
-
-        return AuthorSliders(table=read_table(table), drop=self.drop)(face, recipe=job.recipe())
-
-    def _set(self, face: Face, job: Job) -> SetSlidersReport:
+            return AuthorSliders(table=read_table(self.table), drop=self.drop)(face, recipe=job.recipe())
         from facepipe.core.names import named
         from facepipe.verbs.sliders.author_sliders import SetSliders
 
