@@ -48,10 +48,11 @@ from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_b
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
-from facepipe.stage.textures import NewTextures, save_standalone
 
 if TYPE_CHECKING:
     import trimesh
+
+    from facepipe.stage.textures import NewTextures
 
 Read = TypeVar("Read")
 
@@ -420,6 +421,8 @@ class Face:
 
         :raises InputError: `path` can't be written, is the source itself, or the source was never saved
         """
+        from facepipe.stage.textures import NewTextures, save_standalone
+
         target, base = Path(path).absolute(), self.stage.GetRootLayer()
         flatten = flatten or target.suffix.lower() == ".usdz"
         if not (flatten or base.realPath):
@@ -472,6 +475,8 @@ class Face:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Save the face as one standalone file, atomically; textures go beside it, or into a .usdz."""
+        from facepipe.stage.textures import save_standalone
+
         save_standalone(self.stage, path)
 
     def mesh_prim(self, name: str) -> Usd.Prim:
