@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
 from facepipe.core.reading import read_json_object
 from facepipe.declare import option
-from facepipe.records import Json
 from facepipe_gltf.options import Options as GltfOptions
+
+if TYPE_CHECKING:
+    from facepipe.records import Json  # which loads numpy
 
 EXTENSION = "VRMC_vrm"
 LICENSE_URL = "https://vrm.dev/licenses/1.0/"  # the only one that VRM 1.0 has (meta.md) and its runtimes load
