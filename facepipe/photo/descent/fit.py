@@ -339,8 +339,10 @@ def _fit(
         guessed = in_better_light(loss, lit(loss, start))
         with torch.no_grad():
             nearer = float(loss(guessed)["total"]) < reached
-        begin = guessed if nearer else begin
-        loss.shadows[:] = loss.shadows if nearer else shadows
+        if nearer:
+            begin = guessed
+        else:
+            loss.shadows[:] = shadows
     descent = descend(loss, begin, options, done, renew=partial(renew_shadows, loss))
     return fit_result(loss, descent)
 
