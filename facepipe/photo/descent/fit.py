@@ -102,7 +102,7 @@ def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> 
         if values.size and not 0 <= values.min() <= values.max() <= 1:
             raise InputError(f"start -> {name}", f"values {values.min():g} to {values.max():g}, expected 0 to 1")
     for number, (space, pose) in enumerate(zip(spaces, checked.poses, strict=True)):
-        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))
+        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))  # in which it is drawn: exp may overflow
         if not (camera.translation.isfinite().all() and camera.focal.isfinite() and camera.focal > 0):
             raise InputError(f"start -> poses -> photo {number}", "beyond every camera, expected a pose of a head")
     return checked

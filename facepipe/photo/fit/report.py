@@ -140,6 +140,7 @@ def report_sheet(parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo]) -> Ph
     from facepipe.photo.descent.working_photo import project, view_image
     from facepipe.photo.renderer.face_model import FaceModel
 
+    # the tint goes into the materials, so that the neutral's pictures have it too
     materials = []
     for material in parts.materials:
         color, tint = material.diffuse_color, fit.tint.get(material.name)
