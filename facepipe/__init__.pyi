@@ -35,7 +35,7 @@ from facepipe.neural.train_neural_rig import NeuralRigReport
 from facepipe.photo.fit.report import PhotoFitReport
 from facepipe.photo.fit.train_photo_action import TrainPhotoReport
 from facepipe.photo.frames.search import ChosenFramesReport
-from facepipe.photo.texture.report import BakePhotoReport
+from facepipe.photo.texture.author import BakePhotoReport
 from facepipe.scanning.database.database_report import DatabaseReport
 from facepipe.scanning.database.info_action import DatabaseInfoReport
 from facepipe.scanning.landmarks.find import ScanLandmarksReport

@@ -71,6 +71,15 @@ class LikenessOptions(Ranged):
         if self.similarity_threshold is not None and model is None:
             raise InputError("--similarity-threshold", "given without --identity-model, expected a network that judges")
 
+    def unlike(self, similarities: Mapping[str, float | None]) -> list[str]:
+        """A line for each photo that the face is less like than the threshold."""
+        least = self.similarity_threshold
+        return [
+            f"{name}: similarity of {'no number' if value is None else f'{value:.3f}'}, expected at least {least:g}"
+            for name, value in similarities.items()
+            if least is not None and (value is None or value < least)
+        ]
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhotoFitOptions(PhotoTermOptions):

@@ -102,7 +102,7 @@ def check_start(start: State, subject: Subject, spaces: Sequence[PoseSpace]) -> 
         if values.size and not 0 <= values.min() <= values.max() <= 1:
             raise InputError(f"start -> {name}", f"values {values.min():g} to {values.max():g}, expected 0 to 1")
     for number, (space, pose) in enumerate(zip(spaces, checked.poses, strict=True)):
-        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))
+        camera = space.camera(torch.as_tensor(pose, dtype=torch.float32))  # in which it is drawn: exp may overflow
         if not (camera.translation.isfinite().all() and camera.focal.isfinite() and camera.focal > 0):
             raise InputError(f"start -> poses -> photo {number}", "beyond every camera, expected a pose of a head")
     return checked
@@ -339,8 +339,10 @@ def _fit(
         guessed = in_better_light(loss, lit(loss, start))
         with torch.no_grad():
             nearer = float(loss(guessed)["total"]) < reached
-        begin = guessed if nearer else begin
-        loss.shadows[:] = loss.shadows if nearer else shadows
+        if nearer:
+            begin = guessed
+        else:
+            loss.shadows[:] = shadows
     descent = descend(loss, begin, options, done, renew=partial(renew_shadows, loss))
     return fit_result(loss, descent)
 

@@ -139,6 +139,7 @@ def _light_of(
         target, trust = seen[:, channel], torch.ones_like(seen[:, channel])
         ridge = torch.diag(rows.new_tensor(_RIDGE[: rows.shape[1]])) * (rows * rows).sum() / 3
         for _ in range(3):
+            # reweighted by Cauchy's function; the ridge follows the rows' size, so that exposure does not matter
             solution = torch.linalg.solve(rows.T @ (rows * trust[:, None]) + ridge, rows.T @ (trust * target))
             trust = 1 / (1 + ((rows @ solution - target) / outlier) ** 2)
         columns.append(solution)
@@ -171,7 +172,7 @@ def _find_key(
     with torch.no_grad():
         search = _Search(surface, seen, harmonics, colors)
         without = search.cost_without()
-        if without >= _COVERED:
+        if without >= _COVERED:  # a lamp would take the colours of what covers the face for shading
             return None
         towards = sphere(len(sky)).to(points.dtype)
         lamp = search.best((one, arriving) for one, arriving in zip(towards, sky, strict=True) if one[2] > _BEHIND)

@@ -73,16 +73,13 @@ class Heads(nn.Module):  # type: ignore[misc]
         """By kind, the tensors `parts` of all kinds one after the other."""
         given: dict[Kind, Features] = {}
         for kind, count in self._counts.items():
-            given[kind], parts = self._finished(kind, tuple(parts[:count])), parts[count:]
+            (*shallow, last), parts = parts[:count], parts[count:]
+            if kind in self._scores:
+                last = last.softmax(dim=1) if kind == "content" else last.sigmoid()
+            if kind == "content" and self.classes is not None:
+                last = torch.einsum("kc,bchw->bkhw", self.classes, last)
+            given[kind] = (*shallow, last) if kind in ("content", "landmarks") else last
         return given
-
-    def _finished(self, kind: Kind, parts: tuple[Tensor, ...]) -> Features:
-        last = parts[-1]
-        if kind in self._scores:
-            last = last.softmax(dim=1) if kind == "content" else last.sigmoid()
-        if kind == "content" and self.classes is not None:
-            last = torch.einsum("kc,bchw->bkhw", self.classes, last)
-        return (*parts[:-1], last) if kind in ("content", "landmarks") else last
 
 
 def check_input(path: Path, shape: Sequence[int | None], asked: int | None, usual: int) -> int:
@@ -344,9 +341,19 @@ def load_extractor(path: str | os.PathLike[str], kind: Kind | None = None, *, bo
     chosen = {one: _outputs(source, program, one, description, normal) for one in description.kinds}
     network = _ByPicture(program, tuple(name for names in chosen.values() for name in names))
     outputs = network(normal)
+    # dropout or statistics of a batch, exported in training mode, show as other values for the same picture
     if source.suffix.lower() == ".pt2" and not all(map(torch.equal, outputs, network(normal))):
         raise InputError(source, "other values for the same picture, expected a program exported in eval mode")
-    heads = _heads(source, description, outputs, chosen)
+    raw: dict[Kind, tuple[Tensor, ...]] = {}
+    rest = outputs
+    for one, names in chosen.items():
+        raw[one], rest = rest[: len(names)], rest[len(names) :]
+    check_features(source, raw, chosen)
+    try:
+        heads = Heads(description, raw)
+        check_ranges(heads(outputs), description.names)
+    except InputError as error:
+        raise error.under(source) from None
     return Extractor(network, heads, description, first, size)
 
 
@@ -363,24 +370,6 @@ def _outputs(path: Path, program: Program, kind: Kind, description: Description,
         what = f"{len(chosen)} outputs for {kind} ({', '.join(map(str, chosen))[:80]}), expected {expected}"
         raise InputError(path, f"{what}: name them as kinds in {path.name}.json")
     return chosen
-
-
-def _heads(path: Path, description: Description, outputs: tuple[Tensor, ...], chosen: Mapping[Kind, Chosen]) -> Heads:
-    """Those of a network that gave `outputs` for the grey picture.
-
-    :raises InputError: outputs that are not what the kinds ask for
-    """
-    raw: dict[Kind, tuple[Tensor, ...]] = {}
-    rest = outputs
-    for kind, names in chosen.items():
-        raw[kind], rest = rest[: len(names)], rest[len(names) :]
-    check_features(path, raw, chosen)
-    try:
-        heads = Heads(description, raw)
-        check_ranges(heads(outputs), description.names)
-    except InputError as error:
-        raise error.under(path) from None
-    return heads
 
 
 class _ByPicture(nn.Module):  # type: ignore[misc]

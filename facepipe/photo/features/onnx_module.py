@@ -96,7 +96,12 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         weights = {one.name: one for one in graph.initializer}
         self.inputs: tuple[str, ...] = tuple(one.name for one in graph.input if one.name not in weights)
         self.outputs: tuple[str, ...] = tuple(outputs or (one.name for one in graph.output))
-        nodes = list(_needed(list(graph.node), self.outputs))
+        wanted, nodes = set(self.outputs), []  # what the outputs depend on
+        for proto in reversed(graph.node):
+            if wanted.intersection(proto.output):
+                wanted.update(name for name in proto.input if name)
+                nodes.append(proto)
+        nodes.reverse()
         self._buffer_of: dict[str, str] = {}
         used = {name for node in nodes for name in node.input} | set(self.outputs)
         try:
@@ -104,7 +109,18 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
                 self._keep(name, torch.from_numpy(array(weights[name])))
             version = opset(model)
             self._steps = [step for node in nodes for step in self._step(node, version)]
-            _check_order(self._steps, {*self.inputs, *self._buffer_of}, self.outputs)
+            known = {*self.inputs, *self._buffer_of}
+            for node, _ in self._steps:
+                for place, name in enumerate(node.inputs):
+                    if name not in known and (name or place == 0):
+                        raise node.refuse(f"input {name!r}, which nothing before it makes")
+                for name in filter(None, node.outputs):
+                    if name in known:
+                        raise node.refuse(f"output {name!r}, which there is already")
+                    known.add(name)
+            for name in self.outputs:
+                if name not in known:
+                    raise InputError(f"output {name!r}", "no value of the graph, expected the name of one")
         except InputError as error:
             raise error.under(where) from None
         # by step, the values that nothing after it reads, so that a forward without gradients frees them
@@ -170,42 +186,12 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
         if proto.domain not in ("", "ai.onnx"):
             raise node.refuse(f"of domain {proto.domain!r}, expected the operators of ONNX itself")
         if node.op_type == "Constant":
-            self._keep(node.outputs[0], _constant(node))
+            kinds = ("value", "value_float", "value_int", "value_floats", "value_ints")
+            given = next((kind for kind in kinds if kind in attributes), None)
+            if given is None:
+                raise node.refuse("no dense value of numbers, expected one")
+            self._keep(node.outputs[0], torch.as_tensor(attributes[given]))
         elif node.op_type not in OPERATORS:
             raise node.refuse(f"is not read, expected one of {', '.join(sorted({'Constant', *OPERATORS}))}")
         else:
             yield node, OPERATORS[node.op_type]
-
-
-def _constant(node: Node) -> Tensor:
-    """The only attribute of a node without inputs."""
-    for name in ("value", "value_float", "value_int", "value_floats", "value_ints"):
-        if name in node.attributes:
-            return torch.as_tensor(node.attributes[name])
-    raise node.refuse("no dense value of numbers, expected one")
-
-
-def _needed(nodes: Sequence[Any], outputs: Sequence[str]) -> Iterator[Any]:
-    """The nodes that `outputs` depend on, in their order."""
-    wanted, kept = set(outputs), []
-    for node in reversed(nodes):
-        if wanted.intersection(node.output):
-            wanted.update(name for name in node.input if name)
-            kept.append(node)
-    yield from reversed(kept)
-
-
-def _check_order(steps: Sequence[tuple[Node, Operator]], given: set[str], outputs: Sequence[str]) -> None:
-    known = set(given)
-    for node, _ in steps:
-        for place, name in enumerate(node.inputs):
-            if name not in known and (name or place == 0):
-                raise node.refuse(f"input {name!r}, which nothing before it makes")
-        for name in node.outputs:
-            if name in known:
-                raise node.refuse(f"output {name!r}, which there is already")
-            if name:
-                known.add(name)
-    for name in outputs:
-        if name not in known:
-            raise InputError(f"output {name!r}", "no value of the graph, expected the name of one")

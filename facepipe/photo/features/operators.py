@@ -287,6 +287,7 @@ def _resize(node: Node, x: Tensor, *inputs: Tensor | None) -> Tensor:
     else:
         raise node.refuse("neither scales nor sizes, expected one")
     node.room(*new)
+    # axis by axis: the weights of linear interpolation are products of those of each axis
     for axis, (size, factor) in enumerate(zip(new, factors, strict=True)):
         if size != x.shape[axis] or factor != 1:
             node.room(size, x.shape[axis])
@@ -346,25 +347,21 @@ def _windows(node: Node, x: Tensor, size: _Ints, fill: float = 0.0) -> tuple[Ten
         raise node.refuse(f"a value of shape {tuple(x.shape)}, windows {tuple(size)}, expected (b, c, h, w) and (h, w)")
     stride, dilation = node.get("strides", (1, 1)), node.get("dilations", (1, 1))
     reach = [gap * (cells - 1) + 1 for gap, cells in zip(dilation, size, strict=True)]
-    begin, end = _padding(node, x, stride, reach)
+    # cells before and behind each axis
+    mode = node.choice("auto_pad", "NOTSET", ("NOTSET", "VALID", "SAME_UPPER"))
+    if mode == "SAME_UPPER":
+        sides = zip(x.shape[2:], stride, reach, strict=True)
+        total = [max((math.ceil(length / step) - 1) * step + cells - length, 0) for length, step, cells in sides]
+        begin: _Ints = [one // 2 for one in total]
+        end: _Ints = [one - one // 2 for one in total]
+    else:
+        pads = node.get("pads", (0,) * 4) if mode == "NOTSET" else (0,) * 4
+        begin, end = pads[:2], pads[2:]
     if begin == end and all(2 * pad <= cells for pad, cells in zip(begin, reach, strict=True)):
         return x, stride, begin, dilation
     if node.get("ceil_mode", 0):
         raise node.refuse(f"ceil_mode with pads {(*begin, *end)}, expected both ends alike, half a window at most")
     return functional.pad(x, [begin[1], end[1], begin[0], end[0]], value=fill), stride, (0, 0), dilation
-
-
-def _padding(node: Node, x: Tensor, stride: _Ints, reach: _Ints) -> tuple[_Ints, _Ints]:
-    """Cells before and behind each axis."""
-    mode = node.choice("auto_pad", "NOTSET", ("NOTSET", "VALID", "SAME_UPPER"))
-    if mode != "SAME_UPPER":
-        pads = node.get("pads", (0,) * 4) if mode == "NOTSET" else (0,) * 4
-        return pads[:2], pads[2:]
-    total = [
-        max((math.ceil(length / step) - 1) * step + cells - length, 0)
-        for length, step, cells in zip(x.shape[2:], stride, reach, strict=True)
-    ]
-    return [one // 2 for one in total], [one - one // 2 for one in total]
 
 
 def _batch(node: Node, x: Tensor, scale: Tensor, shift: Tensor, mean: Tensor, variance: Tensor) -> Tensor:

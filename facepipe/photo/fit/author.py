@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from facepipe.core.errors import FitError, InputError
 from facepipe.core.names import suggestion, unique_identifiers
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe, Slider
-from facepipe.photo.fit.report import PhotoFitReport, PhotoReport, loss_ends
+from facepipe.photo.fit.report import Loss, PhotoFitReport, PhotoReport
 from facepipe.stage import Face
 from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.sliders import SetSliders, SetSlidersReport
+from facepipe.verbs.sliders import SetSliders
 from facepipe.verbs.sliders.author_sliders import pose
 
 if TYPE_CHECKING:
@@ -30,16 +30,9 @@ SCHEME = "pupils"
 _LOOKS = "eyeLook"  # of ARKit's shapes of lids that follow eyes
 _STEP, _ROUNDS = 0.02, 3  # of a slider's range, and of Gauss and Newton
 _USUAL = 0.5  # standard deviation of a slider
-_SHOWN = 4  # names of a list
+_MOST_NAMES = 4  # of a warning
 _MARGIN = 10.0  # the clipping range is this many times wider than the face, each way
 _LEAST_NEAR = 1e-4  # of the farthest depth, where the face reaches behind the camera
-
-
-def look_sliders(sliders: tuple[Slider, ...]) -> tuple[Slider, ...]:
-    """Sliders that turn the eyes, and of shapes drive those of lids that follow them alone."""
-    return tuple(
-        one for one in sliders if one.channels and one.shapes and all(name.startswith(_LOOKS) for name, _ in one.shapes)
-    )
 
 
 def pupil_points(parts: FaceParts) -> IntArray:
@@ -59,8 +52,15 @@ def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str,
 
     :param values: of the person's sliders
     """
-    sliders, points = look_sliders(face.sliders), pupil_points(face.parts())
-    seen = view.pupils
+    from scipy.spatial.transform import Rotation
+
+    # sliders that turn the eyes, and of shapes drive those of lids that follow them alone
+    sliders = [
+        one
+        for one in face.sliders
+        if one.channels and one.shapes and all(name.startswith(_LOOKS) for name, _ in one.shapes)
+    ]
+    points, seen, camera = pupil_points(face.parts()), view.pupils, view.camera
     if seen is None or not sliders or len(points) != 2:
         return {}
     rest = np.array([slider.default for slider in sliders])
@@ -69,7 +69,9 @@ def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str,
 
     def residuals(at: FloatArray) -> FloatArray:
         looking = dict(values) | dict(zip(names, at.tolist(), strict=True))
-        marks = _projected(view, face.evaluate(dict(view.expressions), sliders=looking)[points])
+        pupils = face.evaluate(dict(view.expressions), sliders=looking)[points]
+        local = Rotation.from_rotvec(camera.rotation).apply(pupils) + camera.translation
+        marks = np.asarray(camera.focal * local[:, :2] * (1, -1) / -local[:, 2:] + camera.center)
         return np.append((marks - seen[:, :2]) / seen[:, 2:], (at - rest) / _USUAL)
 
     found = rest
@@ -80,15 +82,6 @@ def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str,
         # a step inside the range: beyond its end the central difference would halve the slope
         found = np.clip(found + change, lower + _STEP, upper - _STEP)
     return dict(zip(names, found.tolist(), strict=True))
-
-
-def _projected(view: FittedView, points: FloatArray) -> FloatArray:
-    """(n, 2) pixels of world points."""
-    from scipy.spatial.transform import Rotation
-
-    camera = view.camera
-    local = Rotation.from_rotvec(camera.rotation).apply(points) + camera.translation
-    return np.asarray(camera.focal * local[:, :2] * (1, -1) / -local[:, 2:] + camera.center)
 
 
 def check_fit(face: Face, fit: PhotoFit, photos: Sequence[Photo]) -> None:
@@ -103,71 +96,40 @@ def check_fit(face: Face, fit: PhotoFit, photos: Sequence[Photo]) -> None:
     for photo, view in zip(photos, fit.views, strict=True):
         where = f"{face.where} -> photo {photo.name}"
         require_finite(view, where)
-        for name, found, expected in _shapes(view):
-            if found != expected:
-                raise InputError(f"{where} -> {name}", f"shape {found}, expected {expected}")
+        arrays: dict[str, tuple[Any, tuple[int, ...]]] = {
+            "camera -> rotation": (view.camera.rotation, (3,)),
+            "camera -> translation": (view.camera.translation, (3,)),
+            "camera -> center": (view.camera.center, (2,)),
+            "light": (view.light, (9, 3)),
+            "key": (view.key, (8,)),
+            "landmarks": (view.landmarks, (68, 2)),
+            "targets": (view.targets, (68, 2)),
+            "pupils": (np.zeros((2, 3)) if view.pupils is None else view.pupils, (2, 3)),
+        }
+        for name, (array, expected) in arrays.items():
+            if np.shape(array) != expected:
+                raise InputError(f"{where} -> {name}", f"shape {np.shape(array)}, expected {expected}")
         if not view.camera.focal > 0:
             raise InputError(f"{where} -> camera", f"focal length {view.camera.focal:g}, expected more than 0")
         if view.landmark_error < 0:
             raise InputError(f"{where} -> landmark_error", f"{view.landmark_error:g}, expected 0 or more")
-        _check_key(f"{where} -> key", view.key)
-        _check_expressions(face, where, view.expressions)
-    _check_tint(face, fit)
-
-
-def _shapes(view: FittedView) -> Iterator[tuple[str, tuple[int, ...], tuple[int, ...]]]:
-    yield "camera -> rotation", np.shape(view.camera.rotation), (3,)
-    yield "camera -> translation", np.shape(view.camera.translation), (3,)
-    yield "camera -> center", np.shape(view.camera.center), (2,)
-    yield "light", np.shape(view.light), (9, 3)
-    yield "key", np.shape(view.key), (8,)
-    yield "landmarks", np.shape(view.landmarks), (68, 2)
-    yield "targets", np.shape(view.targets), (68, 2)
-    if view.pupils is not None:
-        yield "pupils", np.shape(view.pupils), (2, 3)
-
-
-def _check_key(where: str, key: FloatArray) -> None:
-    if not np.any(key[:3]):
-        raise InputError(where, "direction 0, expected that to the lamp")
-    if np.min(key[3:6]) < 0:
-        raise InputError(where, f"colour {tuple(map(float, key[3:6]))}, expected 0 or more")
-    if key[6] < 0:
-        raise InputError(where, f"shine {key[6]:g}, expected 0 or more")
-
-
-def _check_expressions(face: Face, where: str, expressions: Mapping[str, float]) -> None:
-    for name, weight in expressions.items():
-        if name not in face.shapes:
-            raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, face.shapes)}")
-        if not 0 <= weight <= 1:
-            raise InputError(f"{where} -> {name}", f"weight {weight:g}, expected 0 to 1")
-
-
-def _check_tint(face: Face, fit: PhotoFit) -> None:
+        if not np.any(view.key[:3]):
+            raise InputError(f"{where} -> key", "direction 0, expected that to the lamp")
+        if np.min(view.key[3:6]) < 0:
+            raise InputError(f"{where} -> key", f"colour {tuple(map(float, view.key[3:6]))}, expected 0 or more")
+        if view.key[6] < 0:
+            raise InputError(f"{where} -> key", f"shine {view.key[6]:g}, expected 0 or more")
+        for name, weight in view.expressions.items():
+            if name not in face.shapes:
+                raise InputError(f"{where} -> {name}", f"no such shape{suggestion(name, face.shapes)}")
+            if not 0 <= weight <= 1:
+                raise InputError(f"{where} -> {name}", f"weight {weight:g}, expected 0 to 1")
     known = [material.name for material in face.materials]
     for name, tint in fit.tint.items():
         if name and name not in known:  # "" are surfaces without a material
             raise InputError(f"{face.where} -> tint {name}", f"no such material{suggestion(name, known)}")
         if np.shape(tint) != (3,) or not min(tint) >= 0:
             raise InputError(f"{face.where} -> tint {name}", f"{tint}, expected 3 factors of 0 or more")
-
-
-def mixed_sliders(sliders: Sequence[Slider], views: Sequence[FittedView]) -> tuple[str, ...]:
-    """A line where sliders off their defaults drive shapes that are expressions of a photo too."""
-    expressions = {name for view in views for name in view.expressions}
-    mixed = [
-        slider.name
-        for slider in sliders
-        if slider.value not in (None, slider.default) and any(shape in expressions for shape, _ in slider.shapes)
-    ]
-    if not mixed:
-        return ()
-    return (f"the neutral is not free of expression: {_some(mixed)} drive shapes that are fitted as expressions too",)
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:_SHOWN]) + (f" ... ({len(names)} in all)" if len(names) > _SHOWN else "") or "none"
 
 
 def clipping_range(where: str, to_world: FloatArray, points: FloatArray) -> tuple[float, float]:
@@ -214,55 +176,77 @@ class AuthorPhotoFit:
         values = {name: float(fit.sliders[name]) for name in sorted(fit.sliders)}
         changed, posed = SetSliders(values=values, name=self.name).changed(face)
         gone = {photo.animation for photo in changed.photos} - {self.name}
-        changed = replace(
-            changed,
-            animations=tuple(animation for animation in changed.animations if animation.name not in gone),
-            photos=(),
-        )
-        names = _names(face, changed, photos)
+        kept = tuple(animation for animation in changed.animations if animation.name not in gone)
+        changed = replace(changed, animations=kept, photos=())
+        # names for poses and cameras of the photos that nothing else on the stage has
+        taken = {animation.name for animation in changed.animations}
+        removed = {animation.name for animation in face.animations} | {photo.name for photo in face.photos}
+        for scope in (tokens.ANIMATIONS_SCOPE, tokens.PHOTOS_SCOPE):
+            folder = face.prim.GetChild(scope)
+            taken |= {str(one.GetName()) for one in folder.GetChildren()} - removed if folder else set()
+        wanted = [*sorted(taken), *(Path(photo.name).stem for photo in photos)]
+        names = unique_identifiers(wanted, "photo")[len(taken) :]
         neutral = next(animation for animation in changed.animations if animation.name == self.name)
         points = face.evaluate(sliders=values)
         views = tuple(_view(face, *one, fit, points) for one in zip(names, photos, fit.views, strict=True))
-        looks = [_looking(changed, gaze(face, values, view), neutral) for view in fit.views]
-        poses = (_pose(*each) for each in zip(looks, names, fit.views, strict=True))
-        result = replace(
-            changed,
-            animations=(*changed.animations, *poses),
-            photos=views,
-            recipe=recipe or changed.recipe,
-        )
+        poses = [
+            _pose(changed, gaze(face, values, view), neutral, name, view)
+            for name, view in zip(names, fit.views, strict=True)
+        ]
+        animations = (*changed.animations, *poses)
+        result = replace(changed, animations=animations, photos=views, recipe=recipe or changed.recipe)
         authored = author_changes(face, result)
         play(face, self.name)
-        return replace(
-            _report(fit, photos, names, posed),
+        reports: dict[str, PhotoReport] = {}
+        for photo, one, view in zip(photos, views, fit.views, strict=True):
+            reports[photo.name if photo.name not in reports else one.name] = PhotoReport(
+                animation=one.name,
+                size=(one.width, one.height),
+                expressions={shape: float(view.expressions[shape]) for shape in sorted(view.expressions)},
+                landmark_error_px=one.landmark_error,
+                eye_distance_px=eye_distance(view.targets),
+            )
+        return PhotoFitReport(
+            animation=posed.animation,
+            sliders=posed.values,
+            photos=reports,
+            steps=fit.steps,
+            stopped=fit.stopped,
+            losses=loss_ends(fit.history),
+            beyond_limits=posed.beyond_limits,
             authored=authored,
-            warnings=(*fit.warnings, *posed.warnings, *mixed_sliders(changed.sliders, fit.views), *_ended(fit)),
+            warnings=(*fit.warnings, *posed.warnings, *_warnings(changed.sliders, fit)),
         )
 
 
-def _names(face: Face, parts: FaceParts, photos: Sequence[Photo]) -> tuple[str, ...]:
-    """A name for pose and camera of each photo."""
-    taken = {animation.name for animation in parts.animations}
-    removed = {animation.name for animation in face.animations} | {photo.name for photo in face.photos}
-    for scope in (tokens.ANIMATIONS_SCOPE, tokens.PHOTOS_SCOPE):
-        folder = face.prim.GetChild(scope)
-        taken |= {str(one.GetName()) for one in folder.GetChildren()} - removed if folder else set()
-    return unique_identifiers([*sorted(taken), *(Path(photo.name).stem for photo in photos)], "photo")[len(taken) :]
-
-
-def _looking(parts: FaceParts, values: Mapping[str, float], neutral: Animation) -> Animation:
-    """The neutral with eyes turned by values of the sliders that do so; lids stay: expressions have them."""
-    if not values:
-        return neutral
-    sliders = [
-        replace(slider, value=values[slider.name], shapes=(), shape_curves=()) if slider.name in values else slider
-        for slider in parts.sliders
+def _warnings(sliders: Sequence[Slider], fit: PhotoFit) -> list[str]:
+    """Lines where sliders off their defaults drive shapes that photos have as expressions too, and of an early end."""
+    expressions, warnings = {name for view in fit.views for name in view.expressions}, []
+    mixed = [
+        slider.name
+        for slider in sliders
+        if slider.value not in (None, slider.default) and any(shape in expressions for shape, _ in slider.shapes)
     ]
-    return pose(parts, sliders, neutral.name)
+    if mixed:
+        some = ", ".join(mixed[:_MOST_NAMES]) + (f" ... ({len(mixed)} in all)" if len(mixed) > _MOST_NAMES else "")
+        what = f"{some} drive shapes that are fitted as expressions too"
+        warnings.append(f"the neutral is not free of expression: {what}")
+    if fit.stopped == "not-finite":
+        warnings.append(f"the loss was not finite after {fit.steps} steps: this is the best until then")
+    return warnings
 
 
-def _pose(neutral: Animation, name: str, view: FittedView) -> Animation:
-    """The neutral with the expression of a photo on it."""
+def _pose(parts: FaceParts, looks: Mapping[str, float], neutral: Animation, name: str, view: FittedView) -> Animation:
+    """The neutral with eyes turned, and with the expression of a photo on it.
+
+    :param looks: values of the sliders that turn eyes; lids stay: expressions have them
+    """
+    if looks:
+        turned = [
+            replace(slider, value=looks[slider.name], shapes=(), shape_curves=()) if slider.name in looks else slider
+            for slider in parts.sliders
+        ]
+        neutral = pose(parts, turned, neutral.name)
     weights = {} if neutral.shape_weights is None else dict(zip(neutral.shapes, neutral.shape_weights[0], strict=True))
     for shape, weight in view.expressions.items():
         weights[shape] = weights.get(shape, 0.0) + float(weight)
@@ -285,6 +269,17 @@ def _view(face: Face, name: str, photo: Photo, view: FittedView, fit: PhotoFit, 
     to_world[:3, 3] = -rotation.T @ np.asarray(view.camera.translation, dtype=np.float64)
     height, width = photo.pixels.shape[:2]
     x, y = view.camera.center
+    key, lamp = np.asarray(view.key, dtype=np.float64), None
+    with np.errstate(over="ignore", under="ignore"):  # the stage refuses infinity
+        black, exponent = not np.float32(key[3:6]).any(), float(np.exp(key[7]))
+    if not black:  # in float32, as the stage holds it
+        *direction, red, green, blue = map(float, key[:6])
+        lamp = KeyLamp(
+            direction=(direction[0], direction[1], direction[2]),
+            color=(red, green, blue),
+            shine=float(key[6]),
+            exponent=exponent,
+        )
     return PhotoView(
         name=name,
         image=photo.name,
@@ -295,47 +290,19 @@ def _view(face: Face, name: str, photo: Photo, view: FittedView, fit: PhotoFit, 
         center=(float(x), float(y)),
         clipping=clipping_range(f"{face.where} -> photo {photo.name}", to_world, points),
         light=np.asarray(view.light, dtype=np.float64),
-        key=_key(np.asarray(view.key, dtype=np.float64)),
+        key=lamp,
         tint={material: (float(r), float(g), float(b)) for material, (r, g, b) in fit.tint.items()},
         landmark_error=float(view.landmark_error),
         animation=name,
     )
 
 
-def _key(numbers: FloatArray) -> KeyLamp | None:
-    """The lamp of (8,) numbers of a view; None where it is black in float32."""
-    with np.errstate(over="ignore", under="ignore"):  # the stage refuses infinity
-        black, exponent = not np.float32(numbers[3:6]).any(), float(np.exp(numbers[7]))
-    if black:
-        return None
-    x, y, z, red, green, blue = map(float, numbers[:6])
-    return KeyLamp(direction=(x, y, z), color=(red, green, blue), shine=float(numbers[6]), exponent=exponent)
-
-
-def _ended(fit: PhotoFit) -> tuple[str, ...]:
-    """A line where the fit ended before its time."""
-    if fit.stopped != "not-finite":
-        return ()
-    return (f"the loss was not finite after {fit.steps} steps: this is the best until then",)
-
-
-def _report(fit: PhotoFit, photos: Sequence[Photo], names: Sequence[str], posed: SetSlidersReport) -> PhotoFitReport:
-    reports = {}
-    for photo, name, view in zip(photos, names, fit.views, strict=True):
-        height, width = photo.pixels.shape[:2]
-        reports[photo.name if photo.name not in reports else name] = PhotoReport(
-            animation=name,
-            size=(width, height),
-            expressions={shape: float(view.expressions[shape]) for shape in sorted(view.expressions)},
-            landmark_error_px=float(view.landmark_error),
-            eye_distance_px=eye_distance(view.targets),
-        )
-    return PhotoFitReport(
-        animation=posed.animation,
-        sliders=posed.values,
-        photos=reports,
-        steps=fit.steps,
-        stopped=fit.stopped,
-        losses=loss_ends(fit.history),
-        beyond_limits=posed.beyond_limits,
-    )
+def loss_ends(history: Sequence[Mapping[str, float]]) -> dict[str, Loss]:
+    """First and last value of each term, by name; steps with a loss that is not finite don't count."""
+    ends: dict[str, Loss] = {}
+    for step in history:
+        if np.isfinite([float(one) for one in step.values()]).all():
+            for name, value in step.items():
+                first = ends[name].first if name in ends else float(value)
+                ends[name] = Loss(first=first, last=float(value))
+    return {name: ends[name] for name in sorted(ends)}

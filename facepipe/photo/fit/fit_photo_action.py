@@ -36,20 +36,29 @@ examples:
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.reports import table
 from facepipe.declare import beside, option, source
-from facepipe.kinds import Job, StageAction, action
-from facepipe.photo.options import LikenessOptions, PhotoFitOptions, PhotoTermOptions
+from facepipe.kinds import Job, StageAction, Watch, action
+from facepipe.photo.options import MODELS, LikenessOptions, PhotoFitOptions, PhotoTermOptions
 
 if TYPE_CHECKING:
-    from facepipe.photo.fit.report import PhotoFitReport
+    from facepipe.networks.onnx_file import Kind
+    from facepipe.parts import FaceParts
+    from facepipe.photo.descent.subject import PhotoFit
+    from facepipe.photo.features.extractor import Extractor
+    from facepipe.photo.fit.report import PhotoFitReport, PhotoInputs
     from facepipe.stage import Face
 
+_SHOWN = 5  # names of a list
+_HIDDEN = 0.5  # share of a region from which on it is named
+_OFF = 0.01  # of a slider's range, or a weight: what counts as set
+_AT_LIMIT = 0.005  # of a slider's range
 _NETWORK = "network for {}, .onnx or .pt2 (default facepipe's own)"
 _REPORT = r"report\.(html|json)|[^/]+\.(landmarks\.json|render\.png|overlay\.png)"
 
@@ -160,43 +169,148 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
 
     def author(self, face: Face, job: Job) -> PhotoFitReport:
         from facepipe.photo.fit.author import AuthorPhotoFit
-        from facepipe.photo.fit.fit_face import Fitted, fit_face, fit_person, read_inputs
-        from facepipe.photo.fit.person_model import person_model
-        from facepipe.photo.fit.report import sliders_at_limit, unseen_regions, with_similarities
+        from facepipe.photo.fit.person_model import REACH, person_model
+        from facepipe.photo.fit.report import Fitted, unseen_regions
+        from facepipe.rig.conventions import ARKIT_SHAPES
         from facepipe.stage import Face
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
-        inputs, parts = read_inputs(self), face.parts()
-        model = None if self.start else person_model(parts, str(self.face), self.database)
+        inputs, parts = self._inputs(), face.parts()
+        model, identity = None if self.start else person_model(parts, str(self.face), self.database), None
         if model is None:
-            fit, identity = fit_face(self, parts, inputs, job.watch), None
+            fit = self._fit(parts, inputs, job.watch)
         else:
-            fit, identity = fit_person(self, model, face, inputs, job.watch)
-            face = Face(face.stage, face.prim)  # with the person
+            import numpy as np
+
+            from facepipe.photo.descent.subject import Subject
+
+            # the modes of identity are fitted; then the person is the neutral, in terms of the face's own sliders
+            sliders = Subject.of(model.parts, self.expressions).free_sliders
+            free = ARKIT_SHAPES if self.expressions is None else frozenset(self.expressions)
+            fit = self._fit(model.fit_parts(free), inputs, job.watch, 1 / (2 * REACH))
+            weights = np.array([fit.sliders[name] for name in model.names])
+            values, identity = model.author(face, weights, sliders)
+            fit, face = replace(fit, sliders=values), Face(face.stage, face.prim)
         report = AuthorPhotoFit()(face, fit, inputs.photos, recipe=recipe)
         fitted = Fitted(parts=parts if model is None else face.parts(), fit=fit, inputs=inputs)
-        report = replace(
-            report,
-            identity=identity,
-            unseen=unseen_regions(fitted),
-            at_limit=sliders_at_limit(parts.sliders, report),
-            fitted=fitted,
-        )
+        unseen = unseen_regions(fitted)
+        at_limit = []  # sliders that the fit moved from their default to an end of their range
+        for slider in parts.sliders:
+            value, reach = report.sliders.get(slider.name, slider.default), slider.maximum - slider.minimum
+            end = min(value - slider.minimum, slider.maximum - value) <= _AT_LIMIT * reach
+            if end and abs(value - slider.default) > _AT_LIMIT * reach:
+                at_limit.append(slider.name)
+        report = replace(report, identity=identity, unseen=unseen, at_limit=tuple(at_limit), fitted=fitted)
         if self.identity_model is not None:
-            report = with_similarities(report, fitted, inputs.extractors["identity"])
-            report = replace(report, similarity_fitted=bool(self.identity and fit.steps))
+            from facepipe.photo.features.extractor import similarity
+
+            network = inputs.extractors["identity"]
+            photos = {
+                name: replace(photo, similarity=similarity(network, shown.photo, shown.render, shown.targets))
+                for (name, photo), shown in zip(report.photos.items(), fitted.sheet.photos, strict=True)
+            }
+            report = replace(report, photos=photos, similarity_fitted=bool(self.identity and fit.steps))
         warnings = (*inputs.warnings, *report.warnings, *self._misses(report))
         return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
+
+    def _inputs(self) -> PhotoInputs:
+        """Photos, where their landmarks are, and the networks that compare them.
+
+        :raises FacepipeError: what can't be read, or landmarks that are not found
+        """
+        from facepipe.photo.fit.landmark_file import read_landmarks
+        from facepipe.photo.fit.photo_file import read_photo
+        from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks
+        from facepipe.photo.fit.report import PhotoInputs
+
+        photos = [read_photo(path) for path in self.photos]
+        faces = self.faces if len(self.faces) != 1 else self.faces * len(photos)
+        landmarks = []
+        for number, photo in enumerate(photos):
+            index = faces[number] if faces else None
+            if self.landmarks:
+                landmarks.append(read_landmarks(self.landmarks[number], photo, index=index))
+            elif self.landmarker is not None:
+                landmarks.append(mediapipe_landmarks(photo, self.landmarker, index=index))
+            else:
+                landmarks.append(own_landmarks(photo, index=index))
+        warnings = [f"{photo.path}: {line}" for photo in photos for line in photo.warnings]
+        warnings += [
+            f"{photo.path}: {line}" for photo, each in zip(photos, landmarks, strict=True) for line in each.warnings
+        ]
+        from facepipe.photo.features.extractor import load_extractor, own_extractors
+
+        paths = {kind: getattr(self, name) for name, kind in MODELS.items()}
+        given: dict[Kind, Extractor] = {
+            kind: load_extractor(path, kind) for kind, path in paths.items() if path is not None
+        }
+        missing = [kind for kind in MODELS.values() if kind not in given and getattr(self, kind)]
+        if missing and self.iterations:  # facepipe's own for the other terms that are on
+            given = {**own_extractors(missing), **given}
+        return PhotoInputs(photos, landmarks, given, tuple(warnings))
+
+    def _fit(self, parts: FaceParts, inputs: PhotoInputs, watch: Watch, slider_sigma: float | None = None) -> PhotoFit:
+        """The face fitted to the photos, with where their pupils are.
+
+        :param slider_sigma: as for `fit_photos`
+        :raises FacepipeError: what can't be fitted
+        """
+        import numpy as np
+
+        from facepipe.networks.masks import face_mask
+        from facepipe.photo.descent.fit import fit_photos, pose_space
+        from facepipe.photo.descent.landmark_rig import dense_points
+        from facepipe.photo.descent.subject import Subject
+
+        pixels, marks, start = [photo.pixels for photo in inputs.photos], inputs.landmarks, None
+        if self.start is not None:
+            from facepipe.photo.amortised.guess import load_start
+
+            try:
+                subject = Subject.of(parts, self.expressions)
+                spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in pixels]
+            except FacepipeError as error:
+                raise error.under(self.face) from None
+            start = load_start(self.start, subject).together(pixels, [each.points for each in marks], spaces)
+        # dense landmarks that were found count where the face has as many
+        count = len(dense_points(parts))
+        known = [(each, slice(0, count if len(each.dense) == count else 0)) for each in marks]
+        try:
+            with watch("fit", self.iterations) as bar:
+                fit = fit_photos(
+                    parts,
+                    pixels,
+                    [np.vstack([each.points, each.dense[some]]) for each, some in known],
+                    self.options,
+                    confidences=[np.append(each.confidence, each.dense_confidence[some]) for each, some in known],
+                    expressions=self.expressions,
+                    extractors=inputs.extractors,
+                    start=start,
+                    slider_sigma=slider_sigma,
+                    mask=lambda photo, points: face_mask(np.asarray(photo, np.float32), points).face,
+                    done=lambda _: bar.update(),
+                )
+            views = zip(fit.views, marks, strict=True)
+            return replace(fit, views=tuple(replace(view, pupils=each.pupils) for view, each in views))
+        except FacepipeError as error:
+            raise error.under(self.face) from None
 
     def missed(self, report: PhotoFitReport) -> bool:
         return report.missed or bool(self._misses(report))
 
     def _misses(self, report: PhotoFitReport) -> list[str]:
-        """A line for each threshold that is missed."""
-        from facepipe.photo.fit.report import implausible, off_landmarks, unlike
-
-        off = off_landmarks(report, self.landmark_threshold)
-        return [*off, *implausible(report), *unlike(report.similarities, self.similarity_threshold)]
+        """A line for each threshold that is missed, and one where the person is like hardly anyone."""
+        lines = [
+            f"{name}: landmarks off by {photo.percent:.1f} % of the distance of the outer eye corners, "
+            f"expected at most {self.landmark_threshold:g} %"
+            for name, photo in report.photos.items()
+            if photo.percent > self.landmark_threshold
+        ]
+        person = report.identity
+        if person is not None and person.deviations > person.usual:
+            found = f"{person.deviations:.2f} standard deviations (root mean square over {person.modes} modes)"
+            lines.append(f"the person is {found} from the average, expected at most {person.usual:.2f}")
+        return lines + self.unlike(report.similarities)
 
     def write_report(self, face: Face, report: PhotoFitReport, path: Path) -> None:
         """The folder of the report."""
@@ -205,6 +319,56 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         write_folder(path, report.fitted, report)
 
     def text(self, report: PhotoFitReport, out: Path) -> str:
-        from facepipe.photo.fit.report import as_text
+        from facepipe.photo.fit.report import ENDS
 
-        return as_text(out, report, report.fitted.parts.sliders)
+        count = len(report.photos)
+        total = report.losses.get("total")
+        loss = f", loss {total.first:.4g} to {total.last:.4g}" if total and report.steps else ""
+        steps = f"{report.steps} steps in {report.seconds:.1f} s"
+        head = f"{out}: {count} photo{'s' * (count != 1)}, {steps}, {ENDS[report.stopped]}{loss}"
+        judged = any(value is not None for value in report.similarities.values())
+        titles = [
+            "landmarks off by",
+            "pixels",
+            "of the outer eye corners' distance",
+            *["similarity"] * judged,
+            "expression",
+        ]
+        rows: list[list[object]] = [[*titles]]
+        for name, photo in report.photos.items():
+            alike = [] if not judged else ["none" if photo.similarity is None else f"{photo.similarity:.3f}"]
+            figures = (f"{photo.landmark_error_px:.2f}", f"{photo.percent:.1f} %", *alike)
+            rows.append([name, *figures, _largest(photo.expressions, {})])
+        ranges = {slider.name: slider for slider in report.fitted.parts.sliders}
+        off = {name: value - ranges[name].default for name, value in report.sliders.items()}
+        spans = {name: ranges[name].maximum - ranges[name].minimum for name in off}
+        moved = sum(abs(value) > _OFF * spans[name] for name, value in off.items())
+        last = f"{moved} of {len(off)} sliders off their defaults: {_largest(off, spans, report.sliders)}"
+        lines = [head, table(rows), last]
+        if report.identity is not None:
+            lines.append(
+                f"sliders leave {report.identity.beyond_sliders_mean_mm:.2f} mm of the person (mean), at most "
+                f"{report.identity.beyond_sliders_max_mm:.2f} mm, which is in the neutral"
+            )
+        if judged and report.similarity_fitted:
+            lines.append("the similarity is to a network that the fit was drawn to: --identity 0 keeps them apart")
+        if report.at_limit:
+            lines.append(f"sliders at a limit: {_some(report.at_limit)}")
+        hidden = [f"{name} {share:.0%}" for name, share in report.unseen.items() if share >= _HIDDEN]
+        if hidden:
+            lines.append(f"no photo shows: {', '.join(hidden)}")
+        if report.beyond_limits:
+            lines.append(f"beyond bone limits: {_some(report.beyond_limits)}")
+        return "\n".join(lines)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
+
+
+def _largest(off: Mapping[str, float], spans: Mapping[str, float], values: Mapping[str, float] | None = None) -> str:
+    """The names that are furthest off, with their values."""
+    shares = {name: abs(value) / max(spans.get(name, 1.0), 1e-9) for name, value in off.items()}
+    order = sorted((name for name, share in shares.items() if share > _OFF), key=lambda name: (-shares[name], name))
+    shown = ", ".join(f"{name} {(values or off)[name]:.2f}" for name in order[:_SHOWN])
+    return (shown + (", ..." if len(order) > _SHOWN else "")) or "none"

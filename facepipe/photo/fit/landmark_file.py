@@ -52,12 +52,27 @@ def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Lan
     if scheme is None:
         raise InputError(path, f"no landmarks, expected one of {', '.join(_COUNTS)}")
     where = f"{path} -> {scheme}"
-    face = one_face(_faces(where, content[scheme]), index, where)
-    points = _points(where, face, _COUNTS[scheme]) * _unit(path, content.get("units", "pixels"), photo)
+    faces = content[scheme]
+    if not isinstance(faces, list):
+        raise InputError(where, f"{_shown(faces)}, expected a list of points [x, y]")
+    # of several faces each element is a list of points
+    if faces and not all(isinstance(one, list) and (not one or isinstance(one[0], list)) for one in faces):
+        faces = [faces]
+    points = _points(where, one_face(faces, index, where), _COUNTS[scheme])
+    units = content.get("units", "pixels")
+    if isinstance(units, str) and units.startswith(("normalized", "normalised")):
+        points = points * np.array(photo.size, dtype=np.float64)
+    elif not isinstance(units, str) or not units.startswith("pixels"):
+        raise InputError(f"{path} -> units", f"{_shown(units)}, expected pixels or normalized")
     found = landmarks_in(photo, points * photo.scale, path.name, where)
     if "confidence" not in content:
         return found
-    return replace(found, confidence=_confidence(f"{path} -> confidence", content["confidence"]))
+    trust = content["confidence"]
+    numbers = trust if isinstance(trust, list) else []
+    # NaN fails the comparison
+    if len(numbers) != 68 or not all(type(one) in (int, float) and 0 <= one <= 1 for one in numbers):
+        raise InputError(f"{path} -> confidence", f"{_shown(trust)}, expected 68 numbers of 0 to 1")
+    return replace(found, confidence=np.array(numbers, dtype=np.float64))
 
 
 def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:
@@ -72,33 +87,6 @@ def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:
         head["confidence"] = np.round(landmarks.confidence, 3).tolist()
     fields = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items())
     write_bytes(path, f'{{{fields},\n"multipie68": [\n  {rows}\n]}}\n'.encode())
-
-
-def _confidence(where: str, value: object) -> FloatArray:
-    """(68,) of a list."""
-    numbers = value if isinstance(value, list) else []
-    good = all(type(one) in (int, float) and 0 <= one <= 1 for one in numbers)  # NaN fails the comparison
-    if len(numbers) != 68 or not good:
-        raise InputError(where, f"{_shown(value)}, expected 68 numbers of 0 to 1")
-    return np.array(value, dtype=np.float64)
-
-
-def _unit(path: Path, units: object, photo: Photo) -> FloatArray:
-    """(2,) pixels of the file's picture that one unit of x and of y is."""
-    text = units if isinstance(units, str) else ""
-    if text.startswith("pixels"):
-        return np.ones(2)
-    if text.startswith(("normalized", "normalised")):
-        return np.array(photo.size, dtype=np.float64)
-    raise InputError(f"{path} -> units", f"{_shown(units)}, expected pixels or normalized")
-
-
-def _faces(where: str, value: object) -> list[object]:
-    """The lists of points: the value itself, or each of its elements where these are lists of points."""
-    if not isinstance(value, list):
-        raise InputError(where, f"{_shown(value)}, expected a list of points [x, y]")
-    several = value and all(isinstance(one, list) and (not one or isinstance(one[0], list)) for one in value)
-    return value if several or not value else [value]
 
 
 def _points(where: str, value: object, counts: tuple[int, ...]) -> FloatArray:

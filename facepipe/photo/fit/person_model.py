@@ -215,7 +215,20 @@ def _on(parts: FaceParts, where: str, base: FaceParts, modes: FloatArray, *, bui
     names = {mesh.name for mesh in first}
     ordered = replace(parts, meshes=(*first, *(mesh for mesh in parts.meshes if mesh.name not in names)))
     points, mean = whole_points(ordered), whole_points(base)
-    skin = _skin(ordered)
+    start = 0
+    for marked in ordered.meshes:
+        if SCHEME in marked.landmarks:
+            break
+        start += len(marked.points)
+    else:
+        where = f"{parts.name} -> landmarks"
+        raise InputError(where, f"no scheme {SCHEME}, expected it (`facepipe landmarks --help`)")
+    skin = slice(start, start + len(marked.points))
+    # the face: points of the skin no farther from the landmarks' middle than these are, and some
+    marks = points[skin][np.asarray(marked.landmarks[SCHEME].indices)]
+    middle = marks.mean(axis=0)
+    reach = _AROUND * np.linalg.norm(marks - middle, axis=1).max()
+    face = start + np.flatnonzero(np.linalg.norm(points[skin] - middle, axis=1) <= reach)
     _, near = cKDTree(points[skin]).query(points[len(mean) :], k=_NEAR)
     apart = np.linalg.norm(points[skin][near] - points[len(mean) :, None], axis=2)
     # 0.1 mm: a point that lies on one of the skin's would divide by 0.
@@ -229,25 +242,7 @@ def _on(parts: FaceParts, where: str, base: FaceParts, modes: FloatArray, *, bui
         parts=ordered,
         mean=np.concatenate([mean, points[len(mean) :] + follow(mean - points[: len(mean)])]),
         modes=np.concatenate([modes, follow(modes)], axis=1),
-        face=_around_landmarks(ordered, points, skin.start),
+        face=face,
         count=len(mean),
         built_in=built_in,
     )
-
-
-def _around_landmarks(parts: FaceParts, points: FloatArray, start: int) -> IntArray:
-    """Whole points of the mesh with the landmarks that lie no farther from their middle than these do, and some."""
-    mesh = next(mesh for mesh in parts.meshes if SCHEME in mesh.landmarks)
-    marks = points[start + np.asarray(mesh.landmarks[SCHEME].indices)]
-    away = np.linalg.norm(points[start : start + len(mesh.points)] - marks.mean(axis=0), axis=1)
-    return start + np.flatnonzero(away <= _AROUND * np.linalg.norm(marks - marks.mean(axis=0), axis=1).max())
-
-
-def _skin(parts: FaceParts) -> slice:
-    """Whole points of the mesh with the landmarks."""
-    start = 0
-    for mesh in parts.meshes:
-        if SCHEME in mesh.landmarks:
-            return slice(start, start + len(mesh.points))
-        start += len(mesh.points)
-    raise InputError(f"{parts.name} -> landmarks", f"no scheme {SCHEME}, expected it (`facepipe landmarks --help`)")

@@ -109,7 +109,13 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     if not data:
         raise InputError(path, f"is empty, expected {_EXPECTED}")
     with decoding(path):
-        image = expanded(_upright(_opened(path, data, notes), notes), str(path))
+        image = open_image(data, path, _FORMATS, expected=_EXPECTED)
+        # the further pictures of an MPO are previews and other views of the same
+        if image.format != "MPO" and _has_second(image):
+            notes.append("holds several pictures: the first is read")
+        image = open_image(data, path, _FORMATS, expected=_EXPECTED)  # at its first picture
+        image.load()
+        image = expanded(_upright(image, notes), str(path))
         size = image.size
         reduced, scale = _reduced(image, largest)
         if min(size) < SMALLEST:
@@ -130,16 +136,6 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     if scale < 1:
         notes.append(f"reduced from {size[0]} x {size[1]} to {reduced.width} x {reduced.height} pixels")
     return Photo(pixels=pixels, path=path, size=size, scale=scale, warnings=tuple(notes))
-
-
-def _opened(path: Path, data: bytes, notes: list[str]) -> Image:
-    image = open_image(data, path, _FORMATS, expected=_EXPECTED)
-    # the further pictures of an MPO are previews and other views of the same
-    if image.format != "MPO" and _has_second(image):
-        notes.append("holds several pictures: the first is read")
-    image = open_image(data, path, _FORMATS, expected=_EXPECTED)  # at its first picture
-    image.load()
-    return image
 
 
 def _has_second(image: Image) -> bool:

@@ -200,8 +200,14 @@ def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = No
             found = landmarker.detect(image).face_landmarks
         except (ValueError, RuntimeError) as error:
             raise InputError(f"{photo.path} -> {task_file}", f"MediaPipe failed: {str(error)[:120]}") from None
-    faces = sorted((_pixels(face, photo, task_file) for face in found), key=lambda points: -_extent(points))
-    chosen = one_face(faces, index, str(photo.path))
+    height, width = photo.pixels.shape[:2]
+    faces = []
+    for face in found:
+        if len(face) not in _MEDIAPIPE_COUNTS:
+            raise InputError(task_file, f"finds {len(face)} landmarks, expected a model of {_MEDIAPIPE_COUNTS[-1]}")
+        # MediaPipe gives shares of width and height
+        faces.append(np.array([(point.x, point.y) for point in face], dtype=np.float64) * (width, height))
+    chosen = one_face(sorted(faces, key=lambda points: -_extent(points)), index, str(photo.path))
     return landmarks_in(photo, chosen, f"MediaPipe {task_file.name}", str(photo.path))
 
 
@@ -243,11 +249,3 @@ def _mediapipe(photo: Photo) -> tuple[Any, Any]:
         raise InputError("MediaPipe", f"mediapipe can't be loaded: {error}") from None
     pixels = np.ascontiguousarray(np.round(photo.pixels * 255).clip(0, 255).astype(np.uint8))
     return vision, mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
-
-
-def _pixels(face: Any, photo: Photo, task_file: Path) -> FloatArray:
-    """(468 | 478, 2) of MediaPipe's shares of width and height."""
-    if len(face) not in _MEDIAPIPE_COUNTS:
-        raise InputError(task_file, f"finds {len(face)} landmarks, expected a model of {_MEDIAPIPE_COUNTS[-1]}")
-    height, width = photo.pixels.shape[:2]
-    return np.array([(point.x, point.y) for point in face], dtype=np.float64) * (width, height)

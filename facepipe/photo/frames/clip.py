@@ -190,6 +190,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
         raise InputError("av", "is not installed, expected `pip install 'facepipe[video]'`") from error
     check_regular(path, _MOST_BYTES)
     most = {"max_pixels": str(_most_pixels(path))}
+    # a playlist or script could name other files or hosts
     settings = {
         "format_whitelist": _FORMATS,
         "codec_whitelist": ",".join(sorted(_CODECS)),

@@ -256,7 +256,11 @@ def _look(group: list[Frame], before: FoundFace | None) -> tuple[FoundFace | Non
     """The face in the middle frame, and the look at it in the sharpest."""
     middle = group[0]
     picture = _pixels(middle)
-    face = _found(picture, before)
+    # the face that was seen before, else the largest
+    face = None if before is None else follow_face(picture, before.landmarks, closer=False)
+    if face is None:
+        faces = find_landmarks(picture)
+        face = max(faces, key=lambda one: float(np.prod(np.ptp(one.landmarks, axis=0))), default=None)
     if face is None:
         return None, None
     best, sharpest = (middle, picture), _sharpness(picture, face)
@@ -272,14 +276,6 @@ def _look(group: list[Frame], before: FoundFace | None) -> tuple[FoundFace | Non
 
 def _pixels(frame: Frame) -> FloatArray:
     return frame.picture(_MOST_PIXELS).astype(np.float32) / np.float32(255)
-
-
-def _found(picture: FloatArray, before: FoundFace | None) -> FoundFace | None:
-    """The face that was seen before, else the largest."""
-    followed = None if before is None else follow_face(picture, before.landmarks, closer=False)
-    if followed is not None:
-        return followed
-    return max(find_landmarks(picture), key=lambda face: float(np.prod(np.ptp(face.landmarks, axis=0))), default=None)
 
 
 def _sharpness(picture: FloatArray, face: FoundFace) -> float:
@@ -305,31 +301,32 @@ def write_frames(
             index = wanted[frame.number]
             look, name = seen.looks[index], f"frame_{frame.number:05d}_{frame.time:.2f}s.png"
             save_png(Image.fromarray(frame.picture()), folder / name)
-            chosen.append(_chosen(look, name, float(sharp[index])))
+            one = ChosenFrame(
+                file=name,
+                number=look.number,
+                time=round(look.time, 3),
+                sharpness=round(float(sharp[index]), 3),
+                yaw=round(look.yaw, 4),
+                pitch=round(look.pitch, 4),
+            )
+            chosen.append(one)
             warnings += _refused(folder / name)
             done()
         if frame.number >= last:
             break
     if len(chosen) != len(wanted):
         raise InputError(clip.path, "was changed while it was read")
+    widest = float(angles([seen.looks[index] for index in kept]).max())
+    if widest < _ONE_SIDE:
+        what = f"the head turns by {widest:.0f} degrees only"
+        warnings.insert(0, f"{what}: frames from several sides give a better person")
     return ChosenFramesReport(
         chosen=tuple(chosen),
         clip_frames=seen.frames,
         clip_seconds=round(seen.seconds, 3),
         looked_at=seen.tried,
         with_face=len(seen.looks),
-        warnings=(*_one_side([seen.looks[index] for index in kept]), *warnings),
-    )
-
-
-def _chosen(look: Look, name: str, sharpness: float) -> ChosenFrame:
-    return ChosenFrame(
-        file=name,
-        number=look.number,
-        time=round(look.time, 3),
-        sharpness=round(sharpness, 3),
-        yaw=round(look.yaw, 4),
-        pitch=round(look.pitch, 4),
+        warnings=tuple(warnings),
     )
 
 
@@ -340,10 +337,3 @@ def _refused(file: Path) -> list[str]:
     except InputError as error:
         return [f"{file.name}: for fit-photo {error.what}"]
     return []
-
-
-def _one_side(looks: Sequence[Look]) -> list[str]:
-    widest = float(angles(looks).max())
-    if widest >= _ONE_SIDE:
-        return []
-    return [f"the head turns by {widest:.0f} degrees only: frames from several sides give a better person"]

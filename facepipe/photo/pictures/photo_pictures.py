@@ -52,16 +52,16 @@ def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> Float
     )
     shader = Shader(scene, camera_of(view, parts.up_axis).scaled(fine * share), lights=PhotoLights(view=view))
     mm = 1000 * parts.meters_per_unit
-    on_black, on_white = (_drawn(shader, size, level, mm)[: fine * height, : fine * width] for level in (0.0, 1.0))
+    drawn = []
+    for level in (0.0, 1.0):
+        background: Float32Array = np.full((size, size, 3), level, np.float32)
+        linear = from_srgb(draw(shader, size, background, _SAMPLES, mm) / np.float32(255))
+        drawn.append(np.asarray(linear)[: fine * height, : fine * width])
+    on_black, on_white = drawn
+    # what a pixel shows of the background is not covered
     coverage = 1 - (on_white - on_black).mean(axis=2, keepdims=True)
     image = np.concatenate([on_black, coverage.clip(0, 1)], axis=2)
     return np.asarray(image.reshape(height, fine, width, fine, 4).mean(axis=(1, 3)))
-
-
-def _drawn(shader: Shader, size: int, level: float, mm: float) -> FloatArray:
-    """(size, size, 3) linear, on a background of one brightness."""
-    background: Float32Array = np.full((size, size, 3), level, np.float32)
-    return np.asarray(from_srgb(draw(shader, size, background, _SAMPLES, mm) / np.float32(255)))
 
 
 def camera_of(view: PhotoView, up_axis: str) -> Camera:
@@ -133,14 +133,12 @@ def _extended(landmarks: FloatArray, reach: tuple[int, int], share: float) -> tu
 
 def _square(low: FloatArray, high: FloatArray, width: int, height: int, size: int) -> Crop:
     side = min(float((high - low).max()), float(max(width, height)))
-    corner = (low + high - side) / 2
-    left, top = (_within(float(at), side, float(reach)) for at, reach in zip(corner, (width, height), strict=True))
+    # moved into the photo, or to its middle where the square is larger
+    left, top = (
+        (reach - side) / 2 if side >= reach else min(max(float(start), 0.0), reach - side)
+        for start, reach in zip((low + high - side) / 2, (float(width), float(height)), strict=True)
+    )
     return Crop(left=left, top=top, side=side, size=size)
-
-
-def _within(start: float, side: float, reach: float) -> float:
-    """Move an interval into 0..reach, or to its middle where it is longer."""
-    return (reach - side) / 2 if side >= reach else min(max(start, 0.0), reach - side)
 
 
 def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:

@@ -91,7 +91,13 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
     first = 0
     for mesh in parts.meshes:
         corners, faces = triangulate(mesh.face_vertex_counts)
-        chosen = _materials(mesh, number)[faces]
+        of_face = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
+        bound = [(each.material, np.asarray(each.faces, dtype=np.int64)) for each in mesh.material_faces]
+        for name, those in [(mesh.material or "", np.arange(len(of_face))), *bound]:
+            if name not in number:
+                raise TopologyError(mesh.name, f"material '{name}' is not among the face's materials")
+            of_face[those] = number[name]
+        chosen = of_face[faces]
         opaque = np.array([material.opacity == 1.0 for material in materials])[chosen]
         corners, chosen = corners[opaque], chosen[opaque]
         points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
@@ -110,21 +116,6 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
         uv=np.concatenate(uv),
         uv_corners=uv_corners,
     )
-
-
-def _materials(mesh: Mesh, number: dict[str, int]) -> IntArray:
-    """(faces,) material of each face."""
-    bound = [(mesh.material or "", np.arange(len(mesh.face_vertex_counts)))]
-    bound += [
-        (material_face.material, np.asarray(material_face.faces, dtype=np.int64))
-        for material_face in mesh.material_faces
-    ]
-    materials = np.zeros(len(mesh.face_vertex_counts), dtype=np.int64)
-    for name, faces in bound:
-        if name not in number:
-            raise TopologyError(mesh.name, f"material '{name}' is not among the face's materials")
-        materials[faces] = number[name]
-    return materials
 
 
 def _uv_rows(
@@ -301,7 +292,7 @@ class FaceModel:
         normals = self.normals(points) @ rotation_matrices(camera.rotation).mT
         normals = interpolate(normals, triangles, raster, weights) * facing(screen, triangles, raster)
         shadow = None if look.shadow is None else interpolate(look.shadow, triangles, raster, weights)
-        normals = normalize(normals, dim=1)
+        normals = normalize(normals, dim=1)  # interpolated ones are shorter than 1 between points
         lit, albedo = shade(normals, look.light, shadow), self.colors(raster, weights, look.tint, look.textures)
         color = lit * albedo
         if look.key is not None:

@@ -235,7 +235,12 @@ def silhouettes(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
 
 def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     """All crossings of silhouette edges, seen or not, between two pixels of the image."""
-    edges = edges[_silhouettes(points, edges)]
+    x, y, _ = take(points, edges.T).unbind(-1)
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    one, other = (dx * (y[corner] - y[0]) - dy * (x[corner] - x[0]) for corner in (2, 3))
+    # a silhouette has all that is at it on one side of it, on the screen
+    outer = (((one > 0) & (other > 0)) | ((one < 0) & (other < 0))).nonzero()[:, 0]
+    edges = edges[outer[usable(points)[edges[outer]].all(dim=1)]]
     x, y, depth = points[edges].unbind(-1)
     steep = (y[:, 1] - y[:, 0]).abs() >= (x[:, 1] - x[:, 0]).abs()
     u, v = torch.where(steep[:, None], x, y), torch.where(steep[:, None], y, x)
@@ -251,7 +256,11 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     cell = (u[owner, 0] + share * (u[owner, 1] - u[owner, 0]) - 0.5).ceil().long() - 1
     within = ((cell >= 0) & (cell + 1 < cells[owner])).nonzero()[:, 0]
     owner, line, share, cell = owner[within], line[within], share[within], cell[within]
-    steep, inward, slope = steep[owner], *(side[owner] for side in _sides(u, v, 1 / depth))
+    # the direction in u from each edge to its surface, and the least change of nearness per pixel that way
+    over_depth, part = 1 / depth, (v[:, 2:] - v[:, :1]) / (v[:, 1:2] - v[:, :1])
+    towards = u[:, 2:] - (u[:, :1] + part * (u[:, 1:2] - u[:, :1]))
+    change = over_depth[:, 2:] - (over_depth[:, :1] + part * (over_depth[:, 1:2] - over_depth[:, :1]))
+    steep, inward, slope = steep[owner], towards[:, 0][owner], (change / towards.abs()).amin(dim=1)[owner]
     near = torch.where(steep, line * raster.width + cell, cell * raster.width + line)
     far = near + torch.where(steep, 1, raster.width)
     nearness = 1 / depth[:, :2][owner]
@@ -268,24 +277,6 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
         nearness=nearness,
         floor=nearness * (1 - _ROUNDING) + 2 * slope.clamp(max=0),
     )
-
-
-def _silhouettes(points: Tensor, edges: Tensor) -> Tensor:
-    """Numbers of the edges with all that is at them on one side of them, on the screen."""
-    x, y, _ = take(points, edges.T).unbind(-1)
-    dx, dy = x[1] - x[0], y[1] - y[0]
-    one, other = (dx * (y[corner] - y[0]) - dy * (x[corner] - x[0]) for corner in (2, 3))
-    outer = ((one > 0) & (other > 0)) | ((one < 0) & (other < 0))
-    found = outer.nonzero()[:, 0]
-    return found[usable(points)[edges[found]].all(dim=1)]
-
-
-def _sides(u: Tensor, v: Tensor, nearness: Tensor) -> tuple[Tensor, Tensor]:
-    """(e,) the direction in u from each edge to its surface, and the least change of nearness per pixel that way."""
-    share = (v[:, 2:] - v[:, :1]) / (v[:, 1:2] - v[:, :1])
-    inward = u[:, 2:] - (u[:, :1] + share * (u[:, 1:2] - u[:, :1]))
-    change = nearness[:, 2:] - (nearness[:, :1] + share * (nearness[:, 1:2] - nearness[:, :1]))
-    return inward[:, 0], (change / inward.abs()).amin(dim=1)
 
 
 def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:

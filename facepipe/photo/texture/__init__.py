@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
+    from facepipe.photo.texture.author import BakePhotoReport
     from facepipe.photo.texture.bake_photo_action import BakePhoto
-    from facepipe.photo.texture.report import BakePhotoReport
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -1,20 +1,26 @@
-"""Textures from photos, authored on a stage."""
+"""Textures from photos, authored on a stage: of eyes, hair and skin; then the pictures and page of their report."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 from scipy.ndimage import zoom
 from scipy.spatial import cKDTree
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.images import open_image
+from facepipe.core.markup import heading, joined, page, tag
+from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import triangulate
@@ -23,8 +29,13 @@ from facepipe.heads.people import STYLES
 from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, Mesh, PhotoView, Recipe, TextureInput
-from facepipe.photo.fit import Photo, read_photo
-from facepipe.photo.texture.report import BakePhotoReport
+from facepipe.photo.fit import read_photo
+from facepipe.photo.fit.report import render_image
+from facepipe.photo.pictures import photo_pictures
+from facepipe.photo.pictures.photo_pictures import photo_render
+from facepipe.photo.pictures.photo_report import SIZE, grid, three_sides
+from facepipe.pictures import save_png
+from facepipe.pictures.figures import figure
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes, author_mesh_in_place
 from facepipe.stage.materials import author_color_scale, author_opacity
@@ -32,6 +43,7 @@ from facepipe.textures.bake import Baked, Baker
 from facepipe.textures.hair import HairCards, hair_cards, painted_scalp, scale_of
 from facepipe.textures.seen_skin import DARKEST, GREY, Exposure, expose, sampled, to_camera, to_pixels
 from facepipe.textures.skin_surface import (
+    SCHEME,
     SkinSurface,
     SkinTexture,
     brow_cards,
@@ -43,7 +55,10 @@ from facepipe.textures.skin_surface import (
     textures_of,
 )
 
-SCHEME = "pupils"
+if TYPE_CHECKING:
+    pass
+
+PUPILS = "pupils"
 _EYE_TEXELS = 96  # a side of the picture as it is compared
 _FRONT = 0.012  # of the eyes' distance: a point so far behind the nearest surface is hidden
 _PUPIL = 0.3  # of the iris' median brightness: what is darker is the pupil
@@ -64,6 +79,21 @@ _MOVED = 1.0  # cm that hair which went with a fit's neutral may lie beside wher
 
 
 @dataclass(frozen=True, kw_only=True)
+class BakePhotoReport(Report):
+    """What was baked."""
+
+    textures: Mapping[str, tuple[str, ...]]  # file -> the materials that show it
+    photos: Mapping[str, float]  # file name -> share of the face that it shows
+    seen: float  # share of the face that some photo shows
+    hidden: tuple[str, ...] = ()  # materials of cards that are transparent now
+    hair: tuple[float, float, float] | None = None  # linear colour, where photos show it
+    hair_style: str | None = None  # of the built-in head, the nearest to the photos'
+    similarities: Mapping[str, float | None] = field(default_factory=dict)  # file name -> of photo and render, cosine
+    seconds: float = 0.0
+    sheet: BakeSheet = not_in_json()  # where a report or a similarity is asked for
+
+
+@dataclass(frozen=True, kw_only=True)
 class EyeColor:
     """How much lighter irises, or the whites of eyes, are than in their picture."""
 
@@ -77,34 +107,30 @@ def eye_colors(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[Fl
 
     :param scales: (3,) of each photo's light
     """
-    found = (_eye_color(parts, photos, scales, white=white) for white in (False, True))
-    return tuple(one for one in found if one is not None)
-
-
-def _eye_color(
-    parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray], *, white: bool
-) -> EyeColor | None:
-    found: list[FloatArray] = [np.zeros((0, 3))]
-    textures, first = [], 0
-    for mesh in parts.meshes:
-        texture = _texture(parts, mesh, white=white)
-        if texture is not None:
-            textures.append(texture)
-            for photo, scale in zip(photos, scales, strict=True):
-                around = photo.light_around(slice(first, first + len(mesh.points)))
-                found.append(_ratios(photo, texture, first, around) - np.log(scale))
-        first += len(mesh.points)
-    ratios, names = np.concatenate(found), {texture.source.texture.name for texture in textures}
-    if len(ratios) < _FEWEST or len(names) > 1:
-        return None
-    bright = ratios @ GREY
-    low, high = np.quantile(bright, _WHITE_SHARE if white else _IRIS_SHARE)
-    ratio = np.median(ratios[(bright >= low) & (bright <= high)], axis=0)
-    if white:  # lids in their place would redden them
-        ratio = np.full(3, ratio @ GREY)
-    materials = tuple(dict.fromkeys(name for texture in textures for name in texture.materials))
-    factor = np.clip(np.exp(ratio), *(_WHITE_LIMITS if white else _IRIS_LIMITS))
-    return EyeColor(texture=textures[0], materials=materials, factor=factor)
+    colors = []
+    for white in (False, True):
+        found: list[FloatArray] = [np.zeros((0, 3))]
+        textures, first = [], 0
+        for mesh in parts.meshes:
+            texture = _texture(parts, mesh, white=white)
+            if texture is not None:
+                textures.append(texture)
+                for photo, scale in zip(photos, scales, strict=True):
+                    around = photo.light_around(slice(first, first + len(mesh.points)))
+                    found.append(_ratios(photo, texture, first, around) - np.log(scale))
+            first += len(mesh.points)
+        ratios, names = np.concatenate(found), {texture.source.texture.name for texture in textures}
+        if len(ratios) < _FEWEST or len(names) > 1:
+            continue
+        bright = ratios @ GREY
+        low, high = np.quantile(bright, _WHITE_SHARE if white else _IRIS_SHARE)
+        ratio = np.median(ratios[(bright >= low) & (bright <= high)], axis=0)
+        if white:  # lids in their place would redden them
+            ratio = np.full(3, ratio @ GREY)
+        materials = tuple(dict.fromkeys(name for texture in textures for name in texture.materials))
+        factor = np.clip(np.exp(ratio), *(_WHITE_LIMITS if white else _IRIS_LIMITS))
+        colors.append(EyeColor(texture=textures[0], materials=materials, factor=factor))
+    return tuple(colors)
 
 
 def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
@@ -129,13 +155,13 @@ def _texture(parts: FaceParts, mesh: Mesh, *, white: bool = False) -> SkinTextur
 
     :param white: the other one
     """
-    if SCHEME not in mesh.landmarks:
+    if PUPILS not in mesh.landmarks:
         return None
     solid = {material.name for material in parts.materials if material.opacity == 1.0}
     names, number = names_of(mesh), of_faces(mesh)
     corners, faces = triangulate(mesh.face_vertex_counts)
     middles = mesh.points[mesh.face_vertex_indices[corners]].mean(axis=1)
-    off = np.linalg.norm(middles - mesh.points[mesh.landmarks[SCHEME].indices[0]], axis=1)
+    off = np.linalg.norm(middles - mesh.points[mesh.landmarks[PUPILS].indices[0]], axis=1)
     off[[names[place] not in solid for place in number[faces]]] = np.inf
     shown = names[number[faces[off.argmin()]]]
     return next((one for one in textures_of(parts, mesh, _EYE_TEXELS) if (shown in one.materials) != white), None)
@@ -168,14 +194,16 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
 
 def recolored(texture: SkinTexture, factor: FloatArray) -> bytes:
     """The picture of a texture with its linear colours times a factor (3,), as PNG."""
-    from PIL import Image
-
     name = texture.source.texture.name
     picture = open_image(texture.source.texture.image(), f"texture {name}").convert("RGB")
     linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
     levels = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
+    return _png(levels[np.asarray(picture), np.arange(3)])
+
+
+def _png(levels: ByteArray) -> bytes:
     stream = BytesIO()
-    Image.fromarray(levels[np.asarray(picture), np.arange(3)]).save(stream, format="PNG", compress_level=6)
+    Image.fromarray(levels).save(stream, format="PNG", compress_level=6)
     return stream.getvalue()
 
 
@@ -190,26 +218,39 @@ def nearest_style(
     :param scalp: (n,) how far points of the skin are scalp
     :param now: the style that the face has
     """
-    hair, face = ([_small(photo, kind) for photo in photos] for kind in ("hair", "face"))
+    scales = [min(1.0, _EYES / photo.eye_pixels) for photo in photos]  # of small pictures
+    hair, face = (
+        [
+            zoom(
+                whole,
+                [max(1, round(side * scale)) / side for side in whole.shape],
+                order=1,
+                mode="nearest",
+                grid_mode=True,
+            )
+            for whole, scale in zip([getattr(photo.seen.mask, kind) for photo in photos], scales, strict=True)
+        ]
+        for kind in ("hair", "face")
+    )
 
     def drawn(style: str) -> list[BoolArray]:
-        return [_drawn(skin, *one, scalp > _SCALP, style) for one in zip(photos, posed, strict=True)]
+        views = zip(photos, posed, scales, strict=True)
+        return [_drawn(skin, photo, points, scalp > _SCALP, style, scale) for photo, points, scale in views]
+
+    def total(kind: np.ufunc, one: Sequence[FloatArray], other: Sequence[BoolArray]) -> float:
+        return float(sum(kind(*pair).sum() for pair in zip(one, other, strict=True)))
 
     shaved = drawn("stubble")
-    if _sum(np.minimum, face, shaved) > _SHAVED * sum(map(np.sum, shaved)):
+    if total(np.minimum, face, shaved) > _SHAVED * sum(map(np.sum, shaved)):
         return "bald"
-    shares = {now: _LEAST}
+    alike = {now: _LEAST}
     for style, (painted, picture) in STYLES.items():
         if painted and picture in ("", STYLES[now][1]):
             shown = drawn(style)
             # Intersection over union: by what is shared alone, the largest outline would win.
-            share = _sum(np.minimum, hair, shown) / max(_sum(np.maximum, hair, shown), 1e-9)
-            shares[style] = max(shares.get(style, 0.0), share)
-    return max(shares, key=lambda style: shares[style])
-
-
-def _sum(kind: np.ufunc, one: Sequence[FloatArray], other: Sequence[BoolArray]) -> float:
-    return float(sum(kind(*pair).sum() for pair in zip(one, other, strict=True)))
+            share = total(np.minimum, hair, shown) / max(total(np.maximum, hair, shown), 1e-9)
+            alike[style] = max(alike.get(style, 0.0), share)
+    return max(alike, key=lambda style: alike[style])
 
 
 @cache
@@ -224,19 +265,9 @@ def _dense_triangles(style: str) -> IntArray:
     return np.asarray(triangles[np.asarray(small)[row, column] > 127])
 
 
-def _scale(photo: Exposure) -> float:
-    """Of small pictures."""
-    return min(1.0, _EYES / photo.eye_pixels)
-
-
-def _small(photo: Exposure, kind: str) -> FloatArray:
-    """(h, w) face or hair in a small picture."""
-    whole, scale = getattr(photo.seen.mask, kind), _scale(photo)
-    shares = [max(1, round(side * scale)) / side for side in whole.shape]
-    return np.asarray(zoom(whole, shares, order=1, mode="nearest", grid_mode=True))
-
-
-def _drawn(skin: SkinSurface, photo: Exposure, points: FloatArray, scalp: BoolArray, style: str) -> BoolArray:
+def _drawn(
+    skin: SkinSurface, photo: Exposure, points: FloatArray, scalp: BoolArray, style: str, scale: float
+) -> BoolArray:
     """(h, w) where a style shows in a small picture."""
     shown, triangles = photo.all_points, skin.opaque
     hair = np.zeros(len(shown), bool)
@@ -247,7 +278,6 @@ def _drawn(skin: SkinSurface, photo: Exposure, points: FloatArray, scalp: BoolAr
         shown = np.concatenate([shown, to_camera(photo.view, grown.carry(points) + grown.offsets)])
         hair = np.concatenate([hair, np.ones(len(grown.uv), bool)])
     places, depth = to_pixels(photo.view, shown)
-    scale = _scale(photo)
     flat = np.column_stack([places * scale * depth[:, None], np.ones(len(depth)), depth])
     height, width = (max(1, round(side * scale)) for side in photo.seen.depth.shape)
     raster = rasterise(screen_triangles(flat, triangles), width, height)
@@ -269,8 +299,8 @@ def author_textures(
         bar.update()
         cards, exposures, posed = hair_cards(skin, face.meshes, face.materials, neutral), [], []
         for view, path in photos:
-            points = _points(face, view)
-            exposure = expose(skin, view, _pixels(view, path).pixels, points)
+            points, pixels = _seen(face, view, path)
+            exposure = expose(skin, view, pixels, points)
             exposures.append(replace(exposure, eye_whites=eye_whites(parts, exposure)))
             posed.append(points[skin.span])
             bar.update()
@@ -281,19 +311,57 @@ def author_textures(
             style = None if now is None else nearest_style(skin, exposures, posed, scalp, now)
         baked = baker(exposures, scalp, bald=style == "bald")
         bar.update()
-    names = [view.name for view, _ in photos]
-    found = dict(zip(names, zip(baked.scales, baked.lights, strict=True), strict=True))
-    relit = tuple(_in_light(view, *found[view.name]) if view.name in found else view for view in face.photos)
-    author_changes(face, replace(parts, photos=relit, recipe=recipe))
-    files: dict[str, tuple[str, ...]] = {}
-    for texture, picture in zip(skin.textures, baked.pictures, strict=True):
+    lights = {
+        view.name: one for (view, _), one in zip(photos, zip(baked.scales, baked.lights, strict=True), strict=True)
+    }
+    relit = []
+    for view in face.photos:
+        if view.name in lights:
+            scale, light = lights[view.name]
+            view = replace(view, light=light, tint={})
+            if view.key is not None:
+                red, green, blue = (np.array(view.key.color) * scale).tolist()
+                view = replace(view, key=replace(view.key, color=(red, green, blue)))
+        relit.append(view)
+    author_changes(face, replace(parts, photos=tuple(relit), recipe=recipe))
+    levels = [(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8) for picture in baked.pictures]
+    pictures = [(one, one.materials, _png(level)) for one, level in zip(skin.textures, levels, strict=True)]
+    eyes = eye_colors(parts, exposures, baked.scales)
+    pictures += [(one.texture, one.materials, recolored(one.texture, one.factor)) for one in eyes]
+    files = {}
+    for texture, materials, picture in pictures:
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
-        face.new_texture(texture.materials, name, _png(picture))
-        files[name] = texture.materials
-    for eyes in eye_colors(parts, exposures, baked.scales):
-        name = f"{Path(eyes.texture.source.texture.name).stem}_photo.png"
-        face.new_texture(eyes.materials, name, recolored(eyes.texture, eyes.factor))
-        files[name] = eyes.materials
+        face.new_texture(materials, name, picture)
+        files[name] = materials
+    shares = {path.name: share for (_, path), share in zip(photos, baked.shares, strict=True)}
+    red, green, blue = (0.0, 0.0, 0.0) if baked.hair is None else baked.hair.round(4).tolist()
+    return BakePhotoReport(
+        textures=files,
+        photos=shares,
+        seen=baked.seen,
+        hidden=_author_cards(face, skin, cards, baked, style),
+        hair=None if baked.hair is None else (red, green, blue),
+        hair_style=style,
+        warnings=tuple(f"{name}: shows {share:.0%} of the face" for name, share in shares.items() if share < _LITTLE),
+    )
+
+
+def _seen(face: Face, view: PhotoView, path: Path) -> tuple[FloatArray, Float32Array]:
+    """(n, 3) world points of all meshes as they are in a photo, and its pixels (h, w, 3) sRGB."""
+    if view.animation is None:
+        raise InputError(f"{face.where} -> {view.name}", "no pose of the face in the photo, expected one")
+    transforms, weights = face.sample(view.animation)
+    points, pixels = face.evaluate(weights, joint_transforms=transforms), read_photo(path).pixels
+    height, width = pixels.shape[:2]
+    if (width, height) != (view.width, view.height):
+        raise InputError(path, f"is {width} x {height} pixels, expected {view.width} x {view.height} as it was fitted")
+    return points, pixels
+
+
+def _author_cards(
+    face: Face, skin: SkinSurface, cards: HairCards | None, baked: Baked, style: str | None
+) -> tuple[str, ...]:
+    """Brows and hair on cards as photos show them, within `Face.deriving`; materials of cards that are hidden now."""
     hidden: tuple[str, ...] = ()
     marks = skin.points[skin.landmarks]
     below = marks[_BROWS] - _LOWER * (marks[27] - marks[8])  # brows lie below their landmarks
@@ -301,27 +369,21 @@ def author_textures(
         hidden = hide_brow_cards(face, skin)
     elif baked.hair is not None:
         color = brow_color(baked.hair, baked.skin)
-        # give cards that lie on the brows a linear colour (3,), within `Face.deriving`
-        for prim, material in brow_cards(face, skin).items():
+        for path, material in brow_cards(face, skin).items():
             if isinstance(material.diffuse_color, TextureInput):
-                author_color_scale(face.stage.GetPrimAtPath(prim), scale_of(material, color))
-    if cards is not None and _author_hair(face, skin, cards, baked.hair, style):
-        hidden = (*hidden, cards.material.name)
-    return replace(_report(photos, baked, files), hidden=hidden, hair_style=style)
-
-
-def _author_hair(face: Face, skin: SkinSurface, cards: HairCards, color: FloatArray | None, style: str | None) -> bool:
-    """Give hair a linear colour (3,) and a style where they are known, within `Face.deriving`; whether it is hidden."""
-    (path,) = (path for path, material in face.material_names.items() if material == cards.material.name)
-    prim = face.stage.GetPrimAtPath(path)
-    if color is not None:
-        author_color_scale(prim, scale_of(cards.material, color))
+                author_color_scale(face.stage.GetPrimAtPath(path), scale_of(material, color))
+    if cards is None:
+        return hidden
+    (hair,) = (path for path, material in face.material_names.items() if material == cards.material.name)
+    prim = face.stage.GetPrimAtPath(hair)
+    if baked.hair is not None:
+        author_color_scale(prim, scale_of(cards.material, baked.hair))
     if style is not None and not STYLES[style][1]:
         author_opacity(prim, 0.0)
-        return True
+        return (*hidden, cards.material.name)
     if style not in (None, _style_now(face, skin, cards)):
         author_mesh_in_place(face, other_cards(cards.mesh, style, skin.mesh))
-    return False
+    return hidden
 
 
 def _style_now(face: Face, skin: SkinSurface, cards: HairCards) -> str | None:
@@ -332,45 +394,82 @@ def _style_now(face: Face, skin: SkinSurface, cards: HairCards) -> str | None:
     return kind if kind in STYLES else None
 
 
-def _pixels(view: PhotoView, path: Path) -> Photo:
-    photo = read_photo(path)
-    height, width = photo.pixels.shape[:2]
-    if (width, height) != (view.width, view.height):
-        raise InputError(path, f"is {width} x {height} pixels, expected {view.width} x {view.height} as it was fitted")
-    return photo
+@dataclass(frozen=True, kw_only=True)
+class ShownPhoto:
+    """A photo, and the textured face as it shows it. Pixels count from the photo's top left corner, y down."""
+
+    view: PhotoView
+    photo: Float32Array  # (h, w, 3) sRGB
+    render: FloatArray  # (rh, rw, 4) linear colour on black and coverage, of all that the photo shows
+    screen: FloatArray  # (n, 2) pixels of the points of all meshes
+    landmarks: FloatArray  # (68, 2) pixels, of the face
 
 
-def _points(face: Face, view: PhotoView) -> FloatArray:
-    """(n, 3) world points of all meshes as they are in a photo."""
-    if view.animation is None:
-        raise InputError(f"{face.where} -> {view.name}", "no pose of the face in the photo, expected one")
-    transforms, weights = face.sample(view.animation)
-    return face.evaluate(weights, joint_transforms=transforms)
+@dataclass(frozen=True, kw_only=True)
+class BakeSheet:
+    """All that a report page shows beside the figures."""
+
+    parts: FaceParts  # textured
+    neutral: FloatArray  # (n, 3) world points of the person without expression
+    photos: tuple[ShownPhoto, ...]
 
 
-def _in_light(view: PhotoView, scale: FloatArray, light: FloatArray) -> PhotoView:
-    if view.key is None:
-        return replace(view, light=light, tint={})
-    red, green, blue = (np.array(view.key.color) * scale).tolist()
-    return replace(view, light=light, key=replace(view.key, color=(red, green, blue)), tint={})
+def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeSheet:
+    """What a face shows that textures were just baked to, within `Face.deriving`.
+
+    :param photos: of the face before, whose cameras and poses it has
+    """
+    parts, textured = face.parts_so_far(), Face(face.stage, face.prim)
+    views = {view.name: view for view in parts.photos}
+    skin = next(number for number, mesh in enumerate(parts.meshes) if SCHEME in mesh.landmarks)
+    marks = sum(len(mesh.points) for mesh in parts.meshes[:skin]) + parts.meshes[skin].landmarks[SCHEME].indices
+    shown = []
+    for before, path in photos:
+        view = views[before.name]
+        points, pixels = _seen(textured, view, path)
+        screen, _ = to_pixels(view, to_camera(view, points))
+        render = photo_render(parts, view, points)
+        shown.append(ShownPhoto(view=view, photo=pixels, render=render, screen=screen, landmarks=screen[marks]))
+    return BakeSheet(parts=parts, neutral=textured.evaluate(pose="set"), photos=tuple(shown))
 
 
-def _png(picture: FloatArray) -> bytes:
-    from PIL import Image
-
-    stream = BytesIO()
-    levels = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
-    Image.fromarray(levels).save(stream, format="PNG", compress_level=6)
-    return stream.getvalue()
-
-
-def _report(
-    photos: Sequence[tuple[PhotoView, Path]], baked: Baked, files: Mapping[str, tuple[str, ...]]
-) -> BakePhotoReport:
-    shares = {path.name: share for (_, path), share in zip(photos, baked.shares, strict=True)}
-    little = tuple(f"{name}: shows {share:.0%} of the face" for name, share in shares.items() if share < _LITTLE)
-    report = BakePhotoReport(textures=files, photos=shares, seen=baked.seen, warnings=little)
-    if baked.hair is None:
-        return report
-    red, green, blue = baked.hair.round(4).tolist()
-    return replace(report, hair=(red, green, blue))
+def write_folder(folder: Path, report: BakePhotoReport) -> None:
+    """Write report.html, report.json and, called as the poses of the photos, the face as it is in them."""
+    rows, textures, parts = [], [], report.sheet.parts
+    for shown in report.sheet.photos:
+        save_png(render_image(shown.render), folder / f"{shown.view.name}.render.png")
+        height, width = shown.photo.shape[:2]
+        near = photo_pictures.portrait(shown.landmarks, shown.screen, width, height, SIZE)
+        alike = report.similarities.get(shown.view.image)
+        renders = [photo_pictures.render_picture(shown.render, shown.photo, near, on_photo=on) for on in (False, True)]
+        seen = f"{report.photos[shown.view.image]:.0%} of the face"
+        shows = [
+            figure(photo_pictures.photo_picture(shown.photo, near), shown.view.image, seen),
+            figure(renders[0], "render, same camera", "" if alike is None else f"similarity {alike:.3f}"),
+            figure(renders[1], "render on the photo"),
+        ]
+        rows.append(grid(shows, 3))
+    sources = {material.name: material.diffuse_color for material in parts.materials}
+    for name, materials in report.textures.items():
+        source = sources[materials[0]]
+        assert isinstance(source, TextureInput)
+        image = open_image(source.texture.image(), name).convert("RGB")
+        small = image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
+        textures.append(figure(small, name, f"{image.width} x {image.height}"))
+    title = f"Baked photos: {parts.name}"
+    facts = f"{report.seen:.0%} of the face in {len(report.photos)} photo{'s' * (len(report.photos) != 1)}"
+    write_bytes(
+        folder / "report.html",
+        page(
+            title,
+            joined(tag("h1", title), tag("p", facts, class_="muted")),
+            *rows,
+            heading("Without expression", "in studio light"),
+            grid(three_sides(parts, report.sheet.neutral), 3),
+            heading("Textures"),
+            grid(textures, 3),
+        ),
+    )
+    figures = report.to_dict()
+    del figures["seconds"]  # the same input gives the same bytes
+    write_bytes(folder / "report.json", f"{json.dumps(figures, sort_keys=True, indent=2)}\n".encode())

@@ -29,14 +29,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
+from facepipe.core.reports import table
 from facepipe.declare import beside, option, source
 from facepipe.kinds import Job, StageAction, action
 from facepipe.photo.options import LikenessOptions
 
 if TYPE_CHECKING:
-    from facepipe.parts import PhotoView
-    from facepipe.photo.features.extractor import Extractor
-    from facepipe.photo.texture.report import BakePhotoReport
+    from facepipe.photo.texture.author import BakePhotoReport
     from facepipe.stage import Face
 
 _REPORT = r"report\.(html|json)|[^/]+\.render\.png"
@@ -70,49 +69,45 @@ class BakePhoto(LikenessOptions, StageAction["BakePhotoReport"]):
             raise InputError("PHOTO", f"two called {twice}, expected photos of different names")
 
     def author(self, face: Face, job: Job) -> BakePhotoReport:
-        from facepipe.photo.texture.author import author_textures
+        from facepipe.photo.texture.author import author_textures, bake_sheet
 
         begin, recipe = time.perf_counter(), job.recipe()  # with the digests that files have before they are read
-        network = self._judge()
-        pairs = [(self._view(face, photo), photo) for photo in self.photos]
+        network = None
+        if self.identity_model is not None:
+            from facepipe.photo.features.extractor import load_extractor, similarity
+
+            network = load_extractor(self.identity_model, "identity")
+        pairs = []
+        for photo in self.photos:
+            view = next((view for view in face.photos if view.image == photo.name), None)
+            if view is None:
+                known = ", ".join(view.image for view in face.photos) or "none"
+                raise InputError(photo, f"no photo that {face.where} was fitted to, expected one of {known}")
+            pairs.append((view, photo))
         report = author_textures(face, pairs, self.size, recipe, job.watch)
         if network is not None or self.report is not None:
-            from facepipe.photo.texture.report import bake_sheet, with_similarities
-
             report = replace(report, sheet=bake_sheet(face, pairs))
-            report = report if network is None else with_similarities(report, network)
-        warnings = (*report.warnings, *self._unlike(report))
+        if network is not None:
+            alike = {
+                shown.view.image: similarity(network, shown.photo, shown.render, shown.landmarks)
+                for shown in report.sheet.photos
+            }
+            report = replace(report, similarities=alike)
+        warnings = (*report.warnings, *self.unlike(report.similarities))
         return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
 
-    def _judge(self) -> Extractor | None:
-        if self.identity_model is None:
-            return None
-        from facepipe.photo.features.extractor import load_extractor
-
-        return load_extractor(self.identity_model, "identity")
-
     def missed(self, report: BakePhotoReport) -> bool:
-        return bool(self._unlike(report))
-
-    def _unlike(self, report: BakePhotoReport) -> list[str]:
-        from facepipe.photo.fit.report import unlike
-
-        return unlike(report.similarities, self.similarity_threshold)
+        return bool(self.unlike(report.similarities))
 
     def write_report(self, face: Face, report: BakePhotoReport, path: Path) -> None:
         """The folder of the report."""
-        from facepipe.photo.texture.report import write_folder
+        from facepipe.photo.texture.author import write_folder
 
         write_folder(path, report)
 
-    def _view(self, face: Face, photo: Path) -> PhotoView:
-        views = [view for view in face.photos if view.image == photo.name]
-        if not views:
-            known = ", ".join(view.image for view in face.photos) or "none"
-            raise InputError(photo, f"no photo that {face.where} was fitted to, expected one of {known}")
-        return views[0]
-
     def text(self, report: BakePhotoReport, out: Path) -> str:
-        from facepipe.photo.texture.report import as_text
-
-        return as_text(out, report)
+        alike = {name: "none" if value is None else f"{value:.3f}" for name, value in report.similarities.items()}
+        rows = [("photo", "face that it shows", *(["similarity"] if alike else []))]
+        rows += [(name, f"{share:.0%}", *([alike[name]] if alike else [])) for name, share in report.photos.items()]
+        hair = "" if report.hair_style is None else f"\nhair: {report.hair_style}"
+        return f"{out}: {', '.join(report.textures)} in {report.seconds:.1f} s\n{table(rows)}{hair}"
