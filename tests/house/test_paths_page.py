@@ -223,7 +223,7 @@ OPENED = {
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step
         facepipe.scanning.rebuild.steps:WorkFolder._read
         facepipe.scanning.rebuild.rebuild:Rebuild._step facepipe.stage.files:open_stage
-        facepipe.stage.layer_files:_check facepipe.stage.textures:TextureFolder.write
+        facepipe.stage.textures:TextureFolder.write
         facepipe.stage.textures:texture_home facepipe.stage.composition:check_arrays
         """,
     "nothing is read: whether it is there decides how a name is written, or what is said": """
