@@ -22,7 +22,7 @@ from facepipe.heads import make
 from facepipe.heads.surfaces import cards, kind_of
 from facepipe.parts import FaceParts, PhotoView
 from facepipe.photo.fit import read_photo
-from facepipe.photo.pictures.photo_pictures import photo_render
+from facepipe.photo.pictures import photo_render
 from facepipe.pictures import PictureOptions
 from facepipe.pictures.face_picture import pictures
 from facepipe.stage import Face

@@ -89,7 +89,7 @@ FIELDS = (
     FileField(
         "USD layer",
         "facepipe:neuralRig:file",
-        "facepipe.stage.neural_rig_link:read_neural_rig_link",
+        "facepipe.stage.recipes:read_neural_rig_link",
         "copy_refusal",
         _BELOW,
     ),

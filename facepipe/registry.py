@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from facepipe.core.reports import ExportReport, Finding
     from facepipe.parts import FaceParts, HasParts
     from facepipe.rig.neural_rig import NeuralEncoder
-    from facepipe.stage.imported import Imported
+    from facepipe.stage.recipes import Imported
 
 _MANIFEST = Path(__file__).with_name("actions.json")
 EXPORTERS, IMPORTERS, HOSTS = "facepipe.exporters", "facepipe.importers", "facepipe.hosts"

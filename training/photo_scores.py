@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 from facepipe.geometry.face_crops import from_crop
 from facepipe.geometry.landmarks import MIRRORED
 from facepipe.networks import find_landmarks, landmark_model
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.photo.fit import read_landmarks, read_photo
 
 FloatArray = npt.NDArray[np.floating]

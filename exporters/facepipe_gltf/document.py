@@ -105,7 +105,7 @@ def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
 
 
 def _run(request: bytes) -> bytes:
-    from facepipe_gltf.node import run_node
+    from facepipe_gltf.validation import run_node
 
     node = find_program("node")
     if node is None:

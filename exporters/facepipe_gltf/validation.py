@@ -1,4 +1,4 @@
-"""Checks of glTF files: our own, and the Khronos validator where it is installed."""
+"""Checks of glTF files: our own, and the Khronos validator where node has it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,23 @@ import subprocess
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any, Literal
 
 import numpy as np
 
-from facepipe.core.policy.children import find_program
+from facepipe.core.policy.children import find_program, run
 from facepipe.core.reports import Finding
 from facepipe_gltf import mesh_validation as rules
-from facepipe_gltf.node import run_node
 from facepipe_gltf.raw import RawDocument
 
+_SECONDS = 300
+# Modules beside a file or in the working folder are left alone: a downloaded folder must not bring code along.
+_ROOTS = """
+const path = require("path");
+const roots = [path.join(path.dirname(process.execPath), "..", "lib", "node_modules"),
+               path.join(process.env.APPDATA || path.dirname(process.execPath), "npm", "node_modules")];
+"""
 _PROGRAM = """
 const fs = require("fs");
 let validator;
@@ -36,6 +43,17 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(file)), {
 }).then((report) => console.log(JSON.stringify(report)), (error) => { console.error(String(error)); process.exit(3); });
 """
 _SEVERITIES: tuple[Literal["error", "warning", "info"], ...] = ("error", "warning", "info")
+
+
+def run_node(node: str, program: str, *arguments: str, request: bytes = b"") -> CompletedProcess[bytes]:
+    """What a JavaScript `program` makes of its arguments (absolute paths) and standard input.
+
+    It has the module `path`, and `roots`: the folders of packages that npm installed for all.
+
+    :raises OSError: node can't be run
+    :raises TimeoutExpired: of subprocess, after 300 seconds
+    """
+    return run([node, "-e", _ROOTS + program, *arguments], request=request, seconds=_SECONDS)
 
 
 def _check_khronos(path: Path) -> list[Finding]:

@@ -79,7 +79,7 @@ def arcface_crop(landmarks: FloatArray, size: int = ARCFACE_SIZE) -> FloatArray:
 
 
 def plain_crop(image: Float32Array, matrix: FloatArray, size: int) -> Float32Array:
-    """(size, size, 3) the crop of an image (h, w, 3), bilinear, as `facepipe.networks.crops` takes it with torch.
+    """(size, size, 3) the crop of an image (h, w, 3), bilinear, as `facepipe.networks.files` takes it with torch.
 
     :param matrix: (2, 3) from crop pixels to image pixels
     """

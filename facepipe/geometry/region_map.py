@@ -12,7 +12,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.factor import factorise
-from facepipe.geometry.map_sampling import FIRST_TILE, MapSampling
+from facepipe.geometry.options import FIRST_TILE, MapSampling
 from facepipe.geometry.polygons import components, distinct_edges
 
 _SUM_ROUNDING = 1e-5  # sums of masks closer to 1 than this were 1 before they were stored

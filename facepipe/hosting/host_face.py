@@ -21,7 +21,7 @@ from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
 from facepipe.stage.author_mesh import check_region_name
 from facepipe.stage.files import relative_path, save_layer
-from facepipe.stage.neural_rig_link import author_neural_rig_link, read_neural_rig_link
+from facepipe.stage.recipes import author_neural_rig_link, read_neural_rig_link
 
 __all__ = [
     "Curve",

@@ -13,7 +13,7 @@ from facepipe.importers.options import OPTIONS
 if TYPE_CHECKING:
     from facepipe.registry import Importer
     from facepipe.stage import Face
-    from facepipe.stage.imported import Imported
+    from facepipe.stage.recipes import Imported
 
 
 def kinds() -> tuple[str, ...]:

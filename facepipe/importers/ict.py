@@ -35,7 +35,7 @@ from facepipe.importers.wavefront import (
     whole_region,
 )
 from facepipe.parts import FaceParts, Landmarks, Material, Mesh
-from facepipe.stage.imported import Imported, import_recipe
+from facepipe.stage.recipes import Imported, import_recipe
 
 POINT_COUNT = 26719
 FACE_COUNT = 26384

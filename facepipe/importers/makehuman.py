@@ -30,7 +30,7 @@ from facepipe.importers.npz import LARGEST
 from facepipe.importers.options import MakeHumanOptions
 from facepipe.importers.wavefront import compact_uvs, sparse_shapes, whole_region
 from facepipe.parts import FaceParts, Landmarks, Material, Mesh, Skin
-from facepipe.stage.imported import Imported, import_recipe
+from facepipe.stage.recipes import Imported, import_recipe
 
 Options = MakeHumanOptions
 

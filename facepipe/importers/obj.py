@@ -30,7 +30,7 @@ from facepipe.importers.wavefront import (
     sparse_shapes,
 )
 from facepipe.parts import FaceParts, Landmarks, Material, Mesh
-from facepipe.stage.imported import Imported, import_recipe
+from facepipe.stage.recipes import Imported, import_recipe
 
 _DEFAULT = "multipie68"
 _MOST_BYTES = 1 << 24

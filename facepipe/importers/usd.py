@@ -16,7 +16,7 @@ from facepipe.importers.options import UsdOptions
 from facepipe.parts import Animation, FaceParts, Material, Mesh, Slider, SliderNetwork, Texture
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept, with_mutual_mirrors
-from facepipe.stage.imported import Imported, import_recipe, with_units
+from facepipe.stage.recipes import Imported, import_recipe, with_units
 
 Options = UsdOptions
 

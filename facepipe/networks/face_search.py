@@ -12,7 +12,6 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import TEMPLATE, face_crop, from_crop, turned_crop
 from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
-from facepipe.networks.crops import sample_crop
 from facepipe.networks.files import (
     COUNT,
     PUPILS,
@@ -21,6 +20,7 @@ from facepipe.networks.files import (
     dense_landmarks,
     own_dense_session,
     own_landmark_session,
+    sample_crop,
 )
 from facepipe.rig.torch import torch
 

@@ -50,7 +50,7 @@ class ApplyNeuralRig(AttachOptions, StageAction[ApplyNeuralRigReport]):
         from facepipe.neural.neural_rig_file import load_neural_rig
         from facepipe.stage.author_changes import author_changes
         from facepipe.stage.files import relative_path
-        from facepipe.stage.neural_rig_link import author_neural_rig_link
+        from facepipe.stage.recipes import author_neural_rig_link
 
         recipe, rig = job.recipe(), load_neural_rig(self.rig)
         attached = AttachNeuralRig(options=self)(face.parts(), rig, face.where)

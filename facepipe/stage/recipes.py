@@ -1,29 +1,104 @@
-"""Recipes, attribution and links of files whose layers may be lost; sources of recipes, and whether they changed."""
+"""Recipes, attribution and links of files whose layers may be lost; sources of recipes, and whether they changed.
+
+What importers return, and the neural rig that a face was given, stand here since both are such links to other files.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from urllib.parse import unquote
 
 import facepipe_schemas
-from pxr import Ar, Sdf
+from pxr import Ar, Sdf, Usd
 
 from facepipe.core import __version__, tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.images import PHOTO_SUFFIXES
 from facepipe.core.policy.paths import check_copied, check_model, path_named, real_path
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
-from facepipe.parts import Recipe
+from facepipe.declare import to_json
+from facepipe.parts import FaceParts, Recipe
+from facepipe.stage.api_schemas import apply_schema, is_applied, put_value
+from facepipe.stage.assets import copy_refusal
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS, errors_below, usd_errors
+from facepipe.stage.guard import USD_ERRORS, errors_below, reads_prim, usd_errors
 from facepipe.stage.layer_files import open_layer
 from facepipe.stage.skeleton import read_recipe
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _MOST_GLTF_BYTES = 1 << 28  # of a glTF document
+
+
+class NeuralRigLink(NamedTuple):
+    """A face's link to its neural rig."""
+
+    file: str  # as authored
+    path: Path | None  # of that file; None where there is none, or it may not be read
+    digest: str  # "sha256:..." of the file when it was put on the face
+    topology: str  # digest of the meshes that it was learned on
+    refusal: str = ""  # why the file may not be read
+
+
+@reads_prim
+def read_neural_rig_link(prim: Usd.Prim) -> NeuralRigLink | None:
+    """The link on a face prim; None where there is none."""
+    if not is_applied(prim, tokens.NEURAL_RIG_API):
+        return None
+    attribute = prim.GetAttribute(tokens.NEURAL_RIG_FILE)
+    file = attribute.Get() or Sdf.AssetPath()
+    names = (tokens.NEURAL_RIG_DIGEST, tokens.NEURAL_RIG_TOPOLOGY)
+    digest, topology = (str(prim.GetAttribute(name).Get() or "") for name in names)
+    path = Path(str(file.resolvedPath)) if file.resolvedPath else None
+    refused = copy_refusal(attribute.GetPath(), attribute, file) if path else None
+    found = path if path and refused is None and is_file(path) else None
+    return NeuralRigLink(str(file.path), found, digest, topology, refused.what if refused else "")
+
+
+def author_neural_rig_link(prim: Usd.Prim, file: str, digest: str, topology: str) -> None:
+    """Author the link on a face prim.
+
+    :param file: path, relative to the layer where it can be
+    """
+    apply_schema(prim, tokens.NEURAL_RIG_API)
+    put_value(prim, tokens.NEURAL_RIG_FILE, Sdf.AssetPath(file))
+    put_value(prim, tokens.NEURAL_RIG_DIGEST, digest)
+    put_value(prim, tokens.NEURAL_RIG_TOPOLOGY, topology)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """A face read from a source file, and what the user should know about it (one line each)."""
+
+    parts: FaceParts
+    warnings: tuple[str, ...] = ()
+
+
+def with_units(parts: FaceParts, meters_per_unit: float | None, up_axis: Literal["Y", "Z"] | None) -> FaceParts:
+    """The face with a unit and an up axis in place of those of its file; None keeps the file's."""
+    return replace(parts, meters_per_unit=meters_per_unit or parts.meters_per_unit, up_axis=up_axis or parts.up_axis)
+
+
+def import_recipe(kind: str, files: Mapping[Path, Iterable[Path]], options: DataclassInstance) -> Recipe:
+    """The recipe of an import of `kind`.
+
+    :param files: each source as the user gave it -> the files of it that were read (itself, or some of a folder)
+    :param options: the importer's options
+    :raises InputError: a file can't be read
+    """
+    return Recipe(
+        verb=f"import {kind}",
+        sources=tuple(source.as_posix() for source in files),
+        digests=tuple(digest(read) for read in files.values()),
+        options=to_json(options),
+        version=__version__,
+    )
 
 
 class FileRecipe(NamedTuple):

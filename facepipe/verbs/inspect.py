@@ -98,7 +98,7 @@ def report_of(face: Face) -> InspectReport:
     from facepipe.core.reading import digest
     from facepipe.rig import implausible
     from facepipe.rig.conventions import convention_of
-    from facepipe.stage.neural_rig_link import read_neural_rig_link
+    from facepipe.stage.recipes import read_neural_rig_link
 
     parts, link = face.parts(), read_neural_rig_link(face.prim)
     neural_rig: dict[str, str] | None = None

@@ -24,7 +24,7 @@ from facepipe.core.names import first_names, identifier, select, unknown
 from facepipe.core.reading import read_json_object
 from facepipe.core.reports import Report, table
 from facepipe.declare import beside, option, source
-from facepipe.geometry.map_sampling import MapSampling
+from facepipe.geometry.options import MapSampling
 from facepipe.kinds import Job, StageAction, action
 from facepipe.verbs.landmarks import mesh_of
 

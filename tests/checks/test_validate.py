@@ -29,7 +29,7 @@ from facepipe.core.reading import digest
 from facepipe.importers import load
 from facepipe.neural import save_neural_rig
 from facepipe.stage import Face, save_parts
-from facepipe.stage.neural_rig_link import author_neural_rig_link
+from facepipe.stage.recipes import author_neural_rig_link
 from facepipe.stage.sliders import author_slider_network
 
 NAN = float("nan")

@@ -46,7 +46,7 @@ from facepipe.parts import (
 )
 from facepipe.rig import build, rest_coefficients
 from facepipe.stage import save_parts
-from facepipe.stage.imported import Imported
+from facepipe.stage.recipes import Imported
 
 FACES = ("tiny", "sample")
 

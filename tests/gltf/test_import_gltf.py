@@ -20,7 +20,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.reading import digest
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
 from facepipe.stage import save_parts
-from facepipe.stage.imported import Imported
+from facepipe.stage.recipes import Imported
 
 SCAN = SHARED / "scans" / "LeePerrySmith.glb"
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)

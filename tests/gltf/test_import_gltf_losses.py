@@ -17,7 +17,7 @@ from gltf_reader import read as read_gltf
 import facepipe
 from facepipe.rig.animation import local_transforms
 from facepipe.stage import save_parts
-from facepipe.stage.imported import Imported
+from facepipe.stage.recipes import Imported
 
 
 def read(folder: Path, builder: Builder) -> Imported:

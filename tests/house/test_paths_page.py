@@ -217,7 +217,7 @@ OPENED = {
         facepipe.stage.levels:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
-        facepipe_web.viewer:write_assets facepipe_web.server:_Handler._file
+        facepipe_web.viewer:write_assets facepipe_web.viewer:_Handler._file
         """,
     "what calls it has asked": """
         facepipe.scanning.rebuild.steps:WorkFolder.__init__ facepipe.scanning.rebuild.steps:WorkFolder.step

@@ -54,7 +54,7 @@ import numpy as np
 
 from facepipe.declare import option
 from facepipe.parts import FaceParts, Mesh
-from facepipe.stage.imported import Imported
+from facepipe.stage.recipes import Imported
 
 
 @dataclass(frozen=True, kw_only=True)

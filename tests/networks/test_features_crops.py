@@ -11,7 +11,7 @@ from with_torch import tensor, torch
 
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import ARCFACE_TEMPLATE, TEMPLATE, arcface_crop, face_crop, from_crop, to_crop
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 
 pytestmark = pytest.mark.needs_torch
 

@@ -16,8 +16,7 @@ from facepipe.checks import validate_stage
 from facepipe.core import tokens
 from facepipe.neural import save_neural_rig
 from facepipe.rig import slide
-from facepipe.stage.neural_rig_link import read_neural_rig_link
-from facepipe.stage.recipes import recipe_of
+from facepipe.stage.recipes import read_neural_rig_link, recipe_of
 from facepipe.verbs.whole_faces import MILLIMETRES, world_to_world
 
 

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 from with_torch import torch
 
 from facepipe import heads
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.networks.onnx_file import CLASSES
 from facepipe.parts import FaceParts
 from facepipe.photo.features.extractor import Extractor, load_extractor

@@ -10,7 +10,7 @@ from baked_face import camera_at, light, person, small_person, view_of, with_car
 
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, PhotoView
-from facepipe.photo.pictures.photo_pictures import photo_render
+from facepipe.photo.pictures import photo_render
 from facepipe.pictures.lighting import PhotoLights, Samples
 from facepipe.rig import build
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from facepipe.parts import FaceParts, Mesh, Slider
-from facepipe.photo.pictures import photo_pictures as pictures
-from facepipe.photo.pictures.photo_report import PhotoSheet, SheetPhoto, facts, photo_page
+from facepipe.photo import pictures
+from facepipe.photo.pictures import PhotoSheet, SheetPhoto, facts, photo_page
 from facepipe.pictures.figures import COLORS, bar, loss_chart
 from facepipe.pictures.wireframe import wireframe
 

@@ -15,7 +15,7 @@ from facepipe.parts import FaceParts
 from facepipe.photo.descent.subject import FittedCamera, FittedView, PhotoFit
 from facepipe.photo.fit import Photo
 from facepipe.photo.fit.report import report_sheet
-from facepipe.photo.pictures.photo_report import photo_page
+from facepipe.photo.pictures import photo_page
 from facepipe.photo.renderer.camera import Camera
 from facepipe.photo.renderer.light import DARK
 from facepipe.rig import build, slide

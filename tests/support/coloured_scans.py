@@ -13,7 +13,6 @@ from facepipe.geometry.coarse_surface import surface_look
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.pinhole import Pinhole
 from facepipe.geometry.polygons import point_triangles
-from facepipe.geometry.visibility import seen_from_outside
 from facepipe.heads.assembly import average, modes, with_own_blinks, with_parts_fitted
 from facepipe.heads.asset import asset
 from facepipe.heads.people import draw
@@ -24,6 +23,7 @@ from facepipe.pictures.camera import Camera
 from facepipe.pictures.face_picture import pictures
 from facepipe.pictures.lighting import EVEN
 from facepipe.pictures.surface_view import draw_surface
+from facepipe.scanning.rebuild.template import seen_from_outside
 from facepipe.scans import Scan
 from facepipe.verbs.author_neutral import AuthorNeutral
 

@@ -13,7 +13,7 @@ from facepipe import parts as p
 from facepipe.importers import load
 from facepipe.importers.usd import Options
 from facepipe.stage.author import author
-from facepipe.stage.imported import Imported
+from facepipe.stage.recipes import Imported
 
 HEAD, TEETH, SKELETON = "/Rich/Head", "/Rich/Teeth", "/Rich/Skeleton"
 

@@ -16,7 +16,7 @@ from facepipe.core.errors import InputError
 from facepipe.parts import SliderNetwork
 from facepipe.stage import save_parts
 from facepipe.stage.author_changes import author_changes
-from facepipe.stage.neural_rig_link import author_neural_rig_link, read_neural_rig_link
+from facepipe.stage.recipes import author_neural_rig_link, read_neural_rig_link
 
 COMMANDS = (
     "sliders face.usda --set open=0.75 -o person.usda",

@@ -27,7 +27,7 @@ import facepipe
 from facepipe.checks import validate
 from facepipe.core.errors import InputError
 from facepipe.core.images import read_png
-from facepipe.geometry.map_sampling import MapSampling
+from facepipe.geometry.options import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture

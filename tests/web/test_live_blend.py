@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done
-from facepipe_web.server import Server
-from facepipe_web.viewer import Blending, blending_of
+from facepipe_web.viewer import Blending, Server, blending_of
 from faces import tiny_face
 from small_sources import WORDS
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from command_line import exit_code, failed
 from facepipe_web import Options, build, view
-from facepipe_web.server import MOST_CONNECTIONS, Server
+from facepipe_web.viewer import MOST_CONNECTIONS, Server
 from faces import tiny_face
 
 from facepipe.core.errors import InputError
@@ -377,7 +377,7 @@ def ends(connection: socket.socket) -> bool:
 
 
 def test_requests_that_never_end_are_given_up(face: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("facepipe_web.server.PATIENCE", 0.5)
+    monkeypatch.setattr("facepipe_web.viewer.PATIENCE", 0.5)
     server = Server(0, {"/": face}, {})
     thread = threading.Thread(target=server.serve_forever)
     thread.start()

@@ -18,7 +18,7 @@ from facepipe.core.policy.bounds import check_counts
 from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
-from facepipe.stage.imported import Imported, import_recipe, with_units
+from facepipe.stage.recipes import Imported, import_recipe, with_units
 from facepipe_gltf.read import materials, meshes, primitives
 from facepipe_gltf.read.animations import read_animations
 from facepipe_gltf.read.document import Document, open_document

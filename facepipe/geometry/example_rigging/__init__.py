@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.geometry.example_rigging.options import SplitOptions
     from facepipe.geometry.example_rigging.split import Split, split_shapes
+    from facepipe.geometry.options import SplitOptions
 else:
     __getattr__, __dir__ = lazy(__name__)
 

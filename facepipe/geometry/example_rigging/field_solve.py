@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe.geometry.example_rigging.options import SplitOptions
+from facepipe.geometry.options import SplitOptions
 from facepipe.geometry.polygons import point_areas
 from facepipe.geometry.vectors import finite, group_sums
 

@@ -16,8 +16,8 @@ from facepipe.geometry.example_rigging.field_solve import (
     examples_of,
     solve_fields,
 )
-from facepipe.geometry.example_rigging.options import SplitOptions
 from facepipe.geometry.factor import factorise
+from facepipe.geometry.options import SplitOptions
 
 _PLACES_AT_ONCE = 4096  # places at a time: a bound on memory
 _PAIRS_NAMED = 5  # pairs that a warning names

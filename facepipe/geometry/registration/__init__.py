@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
-    from facepipe.geometry.registration.options import RegistrationOptions
+    from facepipe.geometry.options import RegistrationOptions
     from facepipe.geometry.registration.solve import register, register_together
     from facepipe.geometry.registration.step import Registered, View
     from facepipe.geometry.registration.surface import Anchors, DeformableSurface, ScanTarget, Shown

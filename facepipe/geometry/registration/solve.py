@@ -10,8 +10,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.threads import one_thread
+from facepipe.geometry.options import RegistrationOptions
 from facepipe.geometry.polygons import point_areas
-from facepipe.geometry.registration.options import RegistrationOptions
 from facepipe.geometry.registration.step import (
     Demand,
     Membrane,

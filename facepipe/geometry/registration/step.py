@@ -26,8 +26,8 @@ from facepipe.geometry.change_smoothness import sparse_blocks
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.factor import Factor, factorise
 from facepipe.geometry.gradient_system import cotangent_weights, incidence
+from facepipe.geometry.options import RegistrationOptions
 from facepipe.geometry.polygons import point_normals
-from facepipe.geometry.registration.options import RegistrationOptions
 from facepipe.geometry.registration.surface import Anchors, DeformableSurface, Matches, ScanTarget, Shown
 from facepipe.geometry.similarity import Similarity
 from facepipe.geometry.vectors import unit_vectors

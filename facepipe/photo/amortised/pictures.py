@@ -16,7 +16,7 @@ from torch.nn import functional
 from facepipe.core.arrays import ByteArray, FloatArray
 from facepipe.geometry.face_crops import face_crop, to_crop
 from facepipe.geometry.landmarks import eye_distance
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.photo.amortised.network import MEAN, SIZE, STD
 from facepipe.photo.descent.subject import PoseSpace
 from facepipe.photo.descent.working_photo import WorkingPhoto, to_linear

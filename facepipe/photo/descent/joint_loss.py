@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from facepipe.core.arrays import FloatArray
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.networks.onnx_file import Kind
 from facepipe.photo.descent.descent import Unknowns
 from facepipe.photo.descent.landmark_fit import LandmarkFit, huber, standardised

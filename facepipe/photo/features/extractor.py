@@ -19,7 +19,7 @@ from facepipe.core.policy.paths import check_model
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.face_crops import arcface_crop, face_crop
 from facepipe.networks import feature_model
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.networks.onnx_file import (
     CELEBAMASK,
     CLASSES,

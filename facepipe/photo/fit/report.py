@@ -21,10 +21,10 @@ from facepipe.geometry.polygons import point_areas, point_normals, point_triangl
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.networks.masks import face_mask
 from facepipe.parts import FaceParts, TextureInput
+from facepipe.photo import pictures
 from facepipe.photo.fit.landmark_file import write_landmarks
 from facepipe.photo.fit.person_model import SCHEME
-from facepipe.photo.pictures import photo_pictures as pictures
-from facepipe.photo.pictures.photo_report import PhotoSheet, SheetPhoto, photo_page
+from facepipe.photo.pictures import PhotoSheet, SheetPhoto, photo_page
 from facepipe.pictures import save_png
 from facepipe.pictures.occlusion import visible_sky
 from facepipe.rig import Rig, build, slide

@@ -18,7 +18,7 @@ from facepipe.geometry.face_crops import face_crop
 from facepipe.geometry.landmarks import face_size, turned_view
 from facepipe.heads.asset import asset
 from facepipe.networks import FoundFace, find_landmarks, follow_face
-from facepipe.networks.crops import sample_crop
+from facepipe.networks.files import sample_crop
 from facepipe.photo.fit import check_face, own_landmarks, read_photo
 from facepipe.photo.frames.clip import Clip, Frame
 from facepipe.pictures import save_png

@@ -29,11 +29,10 @@ from facepipe.heads.people import STYLES
 from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
 from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, Mesh, PhotoView, Recipe, TextureInput
+from facepipe.photo import pictures
 from facepipe.photo.fit import read_photo
 from facepipe.photo.fit.report import render_image
-from facepipe.photo.pictures import photo_pictures
-from facepipe.photo.pictures.photo_pictures import photo_render
-from facepipe.photo.pictures.photo_report import SIZE, grid, three_sides
+from facepipe.photo.pictures import SIZE, grid, photo_render, three_sides
 from facepipe.pictures import save_png
 from facepipe.pictures.figures import figure
 from facepipe.stage import Face
@@ -439,12 +438,12 @@ def write_folder(folder: Path, report: BakePhotoReport) -> None:
     for shown in report.sheet.photos:
         save_png(render_image(shown.render), folder / f"{shown.view.name}.render.png")
         height, width = shown.photo.shape[:2]
-        near = photo_pictures.portrait(shown.landmarks, shown.screen, width, height, SIZE)
+        near = pictures.portrait(shown.landmarks, shown.screen, width, height, SIZE)
         alike = report.similarities.get(shown.view.image)
-        renders = [photo_pictures.render_picture(shown.render, shown.photo, near, on_photo=on) for on in (False, True)]
+        renders = [pictures.render_picture(shown.render, shown.photo, near, on_photo=on) for on in (False, True)]
         seen = f"{report.photos[shown.view.image]:.0%} of the face"
         shows = [
-            figure(photo_pictures.photo_picture(shown.photo, near), shown.view.image, seen),
+            figure(pictures.photo_picture(shown.photo, near), shown.view.image, seen),
             figure(renders[0], "render, same camera", "" if alike is None else f"similarity {alike:.3f}"),
             figure(renders[1], "render on the photo"),
         ]

@@ -12,23 +12,72 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import suggestion
 from facepipe.geometry.deformation_transfer import Transfer
-from facepipe.geometry.polygons import components
+from facepipe.geometry.polygons import components, point_normals
 from facepipe.geometry.registration import Shown
 from facepipe.geometry.similarity import fit_similarities
 from facepipe.geometry.vectors import group_sums
-from facepipe.geometry.visibility import seen_from_outside
 from facepipe.kinds import found_of
 from facepipe.parts import FaceParts, Recipe, all_regions
 from facepipe.scanning.database import FaceDatabase
 from facepipe.verbs.skin.surface import slits_of, surface_of
 from facepipe.verbs.whole_faces import Topology, whole_face, whole_points
 
+_DIRECTIONS = 60
+_TRIANGLE_SAMPLES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, 1 / 3]])  # of a triangle
+_CELLS_ACROSS = 100  # across the surface: wider than the gaps between samples
+_DEPTH_SLACK = 0.012  # of the surface's size, in depth
+_FACING_COSINE = 0.1  # cosine between a point's normal and the direction that it is seen from
 _LIP = 0.35  # of a slit's width: so far from its rims, points count as of the upper or lower lip or lid
 _LIPS_MM, _DEEP_MM = 1.5, 6.0  # off the skin: up to there of lips and lids, and from there inside the head
 _AROUND = 48  # points of the skin that what is inside moves with
 _NO_REGIONS = ", expected a face with regions (facepipe regions)"
 _SIDES = ("_L", "_R")
 _SIDES_WRITTEN = (("_L", "Left"), ("Left", "_L"), ("_R", "Right"), ("Right", "_R"))
+
+
+def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
+    """(n,) points that some of 60 directions all around sees from the front, with every triangle opaque.
+
+    Depth maps of samples of the triangles, so that gaps much thinner than the surface (lips, lids) are closed.
+
+    :param points: (n, 3)
+    :param triangles: (t, 3), oriented outward
+    """
+    normals = point_normals(points, triangles)
+    samples = np.einsum("sc,tci->tsi", _TRIANGLE_SAMPLES, points[triangles]).reshape(-1, 3)
+    size = float(np.ptp(samples, axis=0).max()) or 1.0
+    seen = np.zeros(len(points), bool)
+    # (count, 3) directions spread evenly (a Fibonacci spiral)
+    step = np.arange(_DIRECTIONS) + 0.5
+    height = 1.0 - 2.0 * step / _DIRECTIONS
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * step
+    width = np.sqrt(1.0 - height**2)
+    for towards in np.stack([width * np.cos(turn), height, width * np.sin(turn)], axis=1):
+        facing = np.flatnonzero((normals @ towards > _FACING_COSINE) & ~seen)
+        if len(facing):
+            seen[facing] = _in_front(points[facing], samples, towards, size)
+    used = np.zeros(len(points), bool)
+    used[triangles.ravel()] = True
+    return seen & used
+
+
+def _in_front(points: FloatArray, samples: FloatArray, towards: FloatArray, size: float) -> BoolArray:
+    """(m,) points with nothing before them."""
+    across = np.eye(3)[np.abs(towards).argmin()]
+    right = np.cross(across, towards)
+    axes = np.stack([right, np.cross(towards, right)], axis=1) / np.linalg.norm(right)
+    flat = samples @ axes
+    low = flat.min(axis=0)
+    cell = size / _CELLS_ACROSS
+    shape = np.floor((flat.max(axis=0) - low) / cell).astype(np.int64) + 1
+
+    def cells(values: FloatArray) -> IntArray:
+        row, column = np.clip(np.floor((values - low) / cell).astype(np.int64), 0, shape - 1).T
+        return np.asarray(row * shape[1] + column)
+
+    nearest = np.full(int(shape.prod()), -np.inf)
+    np.maximum.at(nearest, cells(flat), samples @ towards)
+    return np.asarray(points @ towards >= nearest[cells(points @ axes)] - _DEPTH_SLACK * size)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -300,8 +300,7 @@ class SlidersFromShapes(ShapeSliderOptions):
         )
         # new sliders keep the values of those that they replace, beside the others
         valued, _ = with_values(new, parts.sliders)
-        new_names = {slider.name for slider in new}
-        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in new_names)
+        others = () if self.drop else tuple(one for one in parts.sliders if one.name not in {each.name for each in new})
         sliders = with_mutual_mirrors((*others, *valued))
         network, lost = fitting_network(parts.slider_network, sliders)
         changed = replace(parts, meshes=meshes, sliders=sliders, slider_network=network, recipe=recipe or parts.recipe)

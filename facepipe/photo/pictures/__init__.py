@@ -1,1 +1,0 @@
-"""Pictures of fits: a face in a photo's light, and what reports show."""
