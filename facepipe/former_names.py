@@ -16,7 +16,7 @@ from typing import Any
 _MOVED = {
     "facepipe.core.trust": ("facepipe.core.policy.paths",),
     "facepipe.learn": (),
-    "facepipe.learn.features.crops": ("facepipe.networks.crops",),
+    "facepipe.learn.features.crops": ("facepipe.networks.files",),
     "facepipe.processors": ("facepipe.verbs",),
 }
 _STARTS = ("facepipe.core.trust", "facepipe.learn", "facepipe.processors", "facepipe.photo_options")
