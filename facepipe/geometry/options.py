@@ -1,4 +1,4 @@
-"""Options of registration, of splits of composites and of sampling painted maps; without numpy: actions declare them."""
+"""Options of registration, of split composites and of sampled maps; without numpy, since actions declare them."""
 
 from __future__ import annotations
 
