@@ -34,7 +34,7 @@ from facepipe.neural.sample_motion import BakeReport
 from facepipe.neural.train_neural_rig import NeuralRigReport
 from facepipe.photo.fit.report import PhotoFitReport
 from facepipe.photo.fit.train_photo_action import TrainPhotoReport
-from facepipe.photo.frames.search import ChosenFramesReport
+from facepipe.photo.frames.report import ChosenFramesReport
 from facepipe.photo.texture.author import BakePhotoReport
 from facepipe.scanning.database.database_report import DatabaseReport
 from facepipe.scanning.database.info_action import DatabaseInfoReport

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
 from facepipe.networks.onnx_file import read_model
-from facepipe.rig.torch import torch
+
+if TYPE_CHECKING:
+    from facepipe.rig.torch import torch
 
 _OPERATORS = ("Sigmoid", "Gemm", "Flatten", "GlobalAveragePool")  # from presence back to the features
 _BATCH = 32
@@ -35,6 +37,8 @@ def sample_crop(image: torch.Tensor, matrix: FloatArray, size: int) -> torch.Ten
 
     :param matrix: (2, 3) from crop pixels to image pixels
     """
+    from facepipe.rig.torch import torch
+
     pixels = image.permute(2, 0, 1)[None]
     factor = max(1, round(float(np.hypot(*matrix[:, 0]))))
     if factor > 1:

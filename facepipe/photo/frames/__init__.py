@@ -6,7 +6,7 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.photo.frames.choose_frames_action import ChooseFrames
-    from facepipe.photo.frames.search import ChosenFrame, ChosenFramesReport
+    from facepipe.photo.frames.report import ChosenFrame, ChosenFramesReport
 else:
     __getattr__, __dir__ = lazy(__name__)
 

@@ -28,7 +28,7 @@ from facepipe.declare import option, source
 from facepipe.kinds import FolderAction, Job, action
 
 if TYPE_CHECKING:
-    from facepipe.photo.frames.search import ChosenFramesReport
+    from facepipe.photo.frames.report import ChosenFramesReport
 
 
 @action("choose-frames", "choose frames of a short video as photos of a person")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from math import degrees
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from scipy.ndimage import gaussian_laplace
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, table
 from facepipe.geometry.face_crops import face_crop
 from facepipe.geometry.landmarks import face_size, turned_view
 from facepipe.heads.asset import asset
@@ -21,6 +19,7 @@ from facepipe.networks import FoundFace, find_landmarks, follow_face
 from facepipe.networks.files import sample_crop
 from facepipe.photo.fit import check_face, own_landmarks, read_photo
 from facepipe.photo.frames.clip import Clip, Frame
+from facepipe.photo.frames.report import ChosenFrame, ChosenFramesReport
 from facepipe.pictures import save_png
 from facepipe.rig.torch import torch
 
@@ -160,38 +159,6 @@ def angles(looks: Sequence[Look]) -> FloatArray:
 def _sides(looks: Sequence[Look]) -> FloatArray:
     """(n, 2) degrees."""
     return np.degrees([(look.yaw, _UP * look.pitch) for look in looks])
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChosenFrame:
-    """A frame that was kept."""
-
-    file: str
-    number: int  # from 0
-    time: float  # seconds since the first frame
-    sharpness: float  # 1: as sharp as the sharper frames from nearly the same side
-    yaw: float  # radians, to the person's left
-    pitch: float  # radians, up
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChosenFramesReport(Report):
-    """Which frames were kept, in their order."""
-
-    chosen: tuple[ChosenFrame, ...]
-    clip_frames: int
-    clip_seconds: float
-    looked_at: int  # moments
-    with_face: int  # of these
-
-    def as_text(self, out: Path) -> str:
-        """The report for people."""
-        rows = [("frame", "sharpness", "yaw", "pitch")]
-        for one in self.chosen:
-            rows.append((one.file, f"{one.sharpness:.2f}", f"{degrees(one.yaw):.0f}", f"{degrees(one.pitch):.0f}"))
-        looked = f"a face at {self.with_face} of {self.looked_at} moments of {self.clip_seconds:.1f} s"
-        unit = "yaw to the person's left, pitch up, degrees"
-        return f"{out}: {len(self.chosen)} frame(s), {looked}\n{table(rows)}\n{unit}"
 
 
 @dataclass(frozen=True, kw_only=True)
