@@ -213,10 +213,7 @@ def test_clips_are_fitted_frame_after_frame(kind: str) -> None:
 
 # --- residual
 
-MAKEHUMAN_TARGETS = (
-    "nose/nose-hump-incr",
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("mouth/mouth-scale-horiz-incr", "chin/chin-width-incr")),
-)
+MAKEHUMAN_TARGETS = ("nose/nose-hump-incr", "mouth/mouth-scale-horiz-incr", "chin/chin-width-incr")
 
 
 @pytest.mark.parametrize(
