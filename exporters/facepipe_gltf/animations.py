@@ -1,4 +1,4 @@
-"""Poses and animations as glTF animations."""
+"""The skeleton as glTF nodes and a skin, poses and animations as glTF animations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A face as a glTF document: the table of contents of the exporter."""
+"""A face as a glTF document, the exporter's table of contents; levels in one file, and meshopt's compression."""
 
 from __future__ import annotations
 

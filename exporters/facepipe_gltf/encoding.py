@@ -1,4 +1,4 @@
-"""How vertex attributes are stored: as float32, or quantised to 8 and 16 bit integers (KHR_mesh_quantization)."""
+"""How vertex attributes are stored: few influences, float32 or 8 and 16 bit integers (KHR_mesh_quantization)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an export loses, and how far the influences that it leaves out move points."""
+"""Checks of a face before an export, what the export loses, and how far influences left out move points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""UsdPreviewSurface materials as glTF metallic-roughness materials."""
+"""UsdPreviewSurface materials as glTF metallic-roughness materials, with their images, samplers and textures."""
 
 from __future__ import annotations
 

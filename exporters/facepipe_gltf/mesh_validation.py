@@ -1,4 +1,4 @@
-"""Checks of accessors, meshes and the node tree of a glTF file."""
+"""Checks of accessors, meshes, skins and the node tree of a glTF file."""
 
 from __future__ import annotations
 

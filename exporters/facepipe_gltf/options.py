@@ -1,4 +1,4 @@
-"""Options of the glTF exporter."""
+"""Options of the glTF exporter, and what each engine's reader supports."""
 
 from __future__ import annotations
 

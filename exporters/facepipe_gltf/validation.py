@@ -1,4 +1,4 @@
-"""Checks of glTF files: our own, and the Khronos validator where node has it."""
+"""Checks of glTF files: ours, and the Khronos validator where node, which is run here, has it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes a face as .glb, or as .gltf with its buffer and images beside: each file whole, all or none."""
+"""Writes a face as .glb, or .gltf with files beside, all or none; changes that callers make to the document before."""
 
 from __future__ import annotations
 

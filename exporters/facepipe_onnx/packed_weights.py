@@ -1,4 +1,4 @@
-"""Matrices of the sliders and their network in fewer bytes: the file holds float16 or int8, the graph makes it float32.
+"""What sliders do as ramps, and their matrices in fewer bytes: float16 or int8 in the file, float32 in the graph.
 
 Of int8 the numbers are ``row scale * whole number * column scale``: columns are of different units, and rows are
 straight sliders or units of a network. Runtimes that fold constants do this once, when they load the graph.

@@ -1,4 +1,4 @@
-"""Writes the graph of a face and its sidecar."""
+"""Writes the graph of a face or of an encoder, and its sidecar."""
 
 from __future__ import annotations
 

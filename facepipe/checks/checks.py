@@ -1,4 +1,4 @@
-"""Every check of a stage by name."""
+"""Every check of a stage by name, and USD's own validation framework: ours registered with it, its validators run."""
 
 from __future__ import annotations
 

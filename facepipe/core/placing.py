@@ -1,4 +1,4 @@
-"""Files and folders made in hidden folders are put in their places together, even if processes are killed meanwhile.
+"""Hidden folders, and how what is made in them is put in place together, even if processes are killed meanwhile.
 
 A journal in the first hidden folder is the step that decides: before it all is old, after it all is new, or will be
 when the next process writes there. It may come from anywhere, so a move only goes from a hidden folder to a plain name

@@ -1,4 +1,4 @@
-"""Processes for tasks, each task in one of its own: a crash or an overrun ends that process alone."""
+"""Processes for tasks, here and on a Dask cluster, each task in one of its own: a crash or an overrun ends it alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Convex quadratic problems in a box: min 1/2 x^T H x + g^T x with lower <= x <= upper."""
+"""Quadratic problems with bounds: in a box, of many frames at once, and of shares that sum to 1."""
 
 from __future__ import annotations
 

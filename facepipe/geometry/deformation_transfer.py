@@ -1,4 +1,4 @@
-"""Deformation-gradient transfer between faces on one topology: a shape for the face that lacks it.
+"""Frames and gradients of triangles, and the transfer of deformations to a face of the topology that lacks a shape.
 
 The gradient of a deformation over a triangle is the 3 x 3 matrix S that takes two edges and the scaled normal
 ``n = e1 x e2 / sqrt(|e1 x e2|)`` of the undeformed triangle to those of the deformed one (Sumner & Popović,

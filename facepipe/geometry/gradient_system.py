@@ -1,4 +1,4 @@
-"""Points from edge vectors: ``M^T W M x = M^T W D`` with an anchor, and the bi-Laplacian with static points.
+"""Differences along edges, points from edge vectors: ``M^T W M x = M^T W D`` with an anchor, and the bi-Laplacian.
 
 Source: the gradient-domain face blending document, S602-S605'. Its rows of M hold 1 at both ends of an edge; such an
 M can't satisfy ``M x = D``, so here they hold -1 and +1. Multiplying both sides by M^T M once more (S605') leaves the

@@ -1,4 +1,4 @@
-"""Soft region masks of a mesh from a map painted over its UV layout, one colour a region."""
+"""Soft region masks of a mesh from a map painted over its UV layout, one colour a region; masks made to sum to 1."""
 
 from __future__ import annotations
 

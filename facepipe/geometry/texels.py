@@ -1,4 +1,4 @@
-"""Texels of a texture that lie on a surface, and where each of them is on it."""
+"""Texels of a texture that lie on a surface, where each is on it, and textures completed that are known in part."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rig of the MakeHuman head: where joints rest after targets, and the poses and sliders of pose units.
+"""The packed MakeHuman head as checked arrays, and its rig: where joints rest after targets, poses and sliders.
 
 A pose unit at v turns each bone by v times its angle, about its axis (as quaternions interpolate). Euler angles follow
 that in curves: straight pieces, as many as keep every angle within `_ANGLE`, twice as many until they do.

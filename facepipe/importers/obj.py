@@ -1,4 +1,4 @@
-"""A folder of OBJ files on one topology: a neutral, and one file a shape.
+"""A folder of OBJ files on one topology: a neutral, one file a shape, and landmarks from a JSON file beside.
 
 Points keep their order, faces their corners; UVs, material groups with their .mtl, and vertex colours come along.
 Normals are left out: they'd belong to the neutral alone.

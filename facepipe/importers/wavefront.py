@@ -1,4 +1,4 @@
-"""Wavefront OBJ geometry as arrays, with quads and the order of points as in the file; sets of files on one topology.
+"""Wavefront OBJ geometry as arrays, material libraries, sets of files on one topology, and meshes of pieces of one.
 
 trimesh reads OBJ too, but triangulates, reorders and merges points, which breaks the correspondence between the
 files of a shape set. Numeric lines are converted in bulk; a line at fault is looked for only when that fails.

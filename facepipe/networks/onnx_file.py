@@ -1,4 +1,4 @@
-"""Reads ONNX files of others: whole, self-contained, of operator sets whose meaning is known."""
+"""Reads ONNX files of others, whole and of known operators, and what they say of themselves in metadata or beside."""
 
 from __future__ import annotations
 

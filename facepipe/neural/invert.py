@@ -1,4 +1,4 @@
-"""Controls of a neural rig for points: the document's inverse optimisation."""
+"""Controls of a neural rig for points: the document's inverse optimisation, frame by frame, and how far off it ends."""
 
 from __future__ import annotations
 

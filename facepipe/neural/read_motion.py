@@ -1,4 +1,4 @@
-"""Examples of any rig from a stage: controls over time, and the point cache of what they moved."""
+"""Examples of any rig from a stage: controls over time with the point cache they moved, and frames to invert."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Carry a neural rig to a new subject, of some frames of that subject: the document's second submodel."""
+"""Carry a neural rig to a new subject: by deformation gradients, and by the document's second submodel."""
 
 from __future__ import annotations
 

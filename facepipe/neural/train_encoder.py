@@ -1,4 +1,4 @@
-"""Train the encoder of a neural rig: deformation to controls, the document's first submodel backwards."""
+"""Train the encoder of a neural rig: deformation to controls, the first submodel backwards; where a training stands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Train a neural rig: controls to deformation, the forward part of the document's first submodel."""
+"""Train a neural rig: controls to deformation, the first submodel forward; its outputs, and straight models."""
 
 from __future__ import annotations
 

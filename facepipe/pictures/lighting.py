@@ -1,4 +1,4 @@
-"""Lamps that stay with the camera: plain light on a surface, for colours that must be read and for known scenes."""
+"""Light on a face: lamps that stay with the camera, portrait light of a dome and softboxes, light of a photo."""
 
 from __future__ import annotations
 

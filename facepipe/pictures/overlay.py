@@ -1,4 +1,4 @@
-"""What is written over a picture and below several: the colour bar, and the captions of contact sheets."""
+"""What is written over a picture and below several: landmarks, regions, the colour bar, captions of contact sheets."""
 
 from __future__ import annotations
 

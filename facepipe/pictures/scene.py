@@ -1,4 +1,4 @@
-"""All meshes of a face as one triangle soup, ready to draw."""
+"""All meshes of a face as one triangle soup, ready to draw, and lookups of their textures."""
 
 from __future__ import annotations
 

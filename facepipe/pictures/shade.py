@@ -1,4 +1,4 @@
-"""What a sample of the scene shows: its material, heat map or paint, and the light on it."""
+"""What a sample of the scene shows: its material with textures filtered for distance, heat map or paint, and light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A learned rig: from controls to bone coefficients, and to points as a sum of learned shapes."""
+"""A learned rig: controls to bone coefficients and to points as sums of learned shapes; derivatives, the encoder."""
 
 from __future__ import annotations
 

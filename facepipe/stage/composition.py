@@ -1,4 +1,4 @@
-"""What a stage composes to, counted from its layers before USD composes it.
+"""What a stage composes to and holds, counted before USD composes, follows or reads it.
 
 A few lines of references that double on every level make more prims than memory holds. The count is an upper bound: it
 takes all variants and payloads, and instances in full.

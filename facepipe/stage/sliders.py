@@ -1,4 +1,4 @@
-"""Sliders of a face: read, checked and authored."""
+"""Sliders of a face and their learned network: read, checked and authored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between Vt arrays and numpy: the only place that knows both."""
+"""Between Vt arrays and numpy: the only place that knows both; and whether parts differ in the precision of files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a photo shows of the skin: where each point is in it, and how far from anything that is no skin."""
+"""What a photo shows of the skin: where each point is in it, how far from what is no skin, and its colours unlit."""
 
 from __future__ import annotations
 

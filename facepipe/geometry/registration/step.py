@@ -1,4 +1,4 @@
-"""One step of registration: coefficients, the scan's place and the residual from given matches, solved together.
+"""A scan as a registration sees it, and one step: coefficients, place and residual solved together from matches.
 
 With modes C, a residual d, and a scan that turns by ω, moves by t and grows by s about its centre, the distance of a
 point from the plane of its match p is linear in all of them:

@@ -1,4 +1,4 @@
-"""A face that can follow a scan: its model, what lies beyond that, and places that are known on the scan too."""
+"""A face that can follow a scan: its model, what lies beyond that, places known on both, and that scan."""
 
 from __future__ import annotations
 

@@ -243,7 +243,7 @@ class EncoderSamples:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedEncoder:
-    """Weights by the names of `facepipe.neural.learning.encoder_network`, float32, and the steps taken."""
+    """Weights by their names in the network, float32, and the steps taken."""
 
     weights: dict[str, FloatArray]
     steps: int

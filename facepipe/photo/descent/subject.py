@@ -1,4 +1,4 @@
-"""What may move when a face is fitted to photos: its sliders, and its expressions beside them."""
+"""What may move when a face is fitted to photos: sliders, expressions and poses; and what a fit found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of a photo that a fit looks at: the head, at about the resolution that is asked for."""
+"""The part of a photo that a fit looks at, at about the resolution asked for, and what a fitted camera sees."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Feature extractors: a face's picture in, content, identity, attributes or landmarks out, with gradients."""
+"""Feature extractors: a face's picture in, features out, with gradients; their signatures, our own, and likeness."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ class Fitted:
 
 
 def report_sheet(parts: FaceParts, fit: PhotoFit, photos: Sequence[Photo]) -> PhotoSheet:
-    """What `facepipe.pictures.photo_page` shows of a fit.
+    """What `facepipe.photo.pictures.photo_page` shows of a fit.
 
     :param parts: the face that was fitted, without the result
     :param photos: that were fitted, one a view

@@ -1,4 +1,4 @@
-"""The face in a clip: looked at in frames that are spread over it, each the sharpest of those around it."""
+"""The face in a clip: looked at in frames spread over it, chosen by sharpness and side, and written as photos."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The first has no gradient and is the rasteriser's of pictures. The second is interpolation with perspective-correct
 barycentric coordinates, which carry gradients (photo-to-face-sliders [0213]). Gradients of what moves in front of what
-come from `facepipe.photo.renderer.antialias`.
+come from `antialias` below.
 """
 
 from __future__ import annotations
@@ -294,7 +294,7 @@ def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:
 
 @dataclass(frozen=True, kw_only=True)
 class Outline:
-    """The topology that `facepipe.photo.renderer.antialias` needs, made once a mesh."""
+    """The topology that `antialias` needs, made once a mesh."""
 
     triangles: Tensor  # (t, 3) int64
     edges: Tensor  # (e, 4) int64: both ends, then the corners across from it in the triangles on its sides

@@ -1,4 +1,4 @@
-"""Where the cameras stood, and points that several photos show: features, matches and bundle adjustment by COLMAP.
+"""Where the cameras stood, points that several photos show, by COLMAP, and what of it is the subject, upright.
 
 Document S12: pixels of one place on the face are matched between photos, and the matches calibrate the cameras.
 """

@@ -1,4 +1,4 @@
-"""How good a blend is: the report, in millimetres, and as text."""
+"""How good a blend is: the report, in millimetres and as text, cuts of lids into eyeballs, weights for a target."""
 
 from __future__ import annotations
 

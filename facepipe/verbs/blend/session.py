@@ -1,4 +1,4 @@
-"""A live blend: sources read and systems factored once, then solved for any weights."""
+"""A live blend: sources with sculpts and kept parts read and factored once, then solved for any weights."""
 
 from __future__ import annotations
 

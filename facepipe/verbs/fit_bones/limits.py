@@ -1,4 +1,4 @@
-"""Limits of bone coefficients: those of the rig, and rules of a JSON file over them.
+"""Limits of bone coefficients: those of the rig, rules of a JSON file over them, and checks of a fit's input.
 
     {
       "joints": {

@@ -1,4 +1,4 @@
-"""How a skinned face answers to bone coefficients: matrices of a joint tree with their derivatives, and its points.
+"""How a skinned face answers to bone coefficients, with derivatives, and the unknowns of a fit: each free one once.
 
 A skinned point ``x_i = sum_d X_d (w_id q_i)`` is linear in the skinning matrices X_d (3 x 4; q_i the homogeneous rest
 point). So the weighted squared distance to a target, its gradient and the Gauss-Newton matrix need no sum over points

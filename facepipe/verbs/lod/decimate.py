@@ -1,4 +1,4 @@
-"""The surface of a whole face in fewer triangles: the skin and all else each in their share of the budget."""
+"""The surface of a face in fewer triangles: wedges, cards of hairs, meshoptimizer's simplifier, each part's share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skeleton and weights of another face, on another topology."""
+"""Skeleton and weights of another face, on another topology, by where its points lie: lips on lips, lids on lids."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Skeleton and weights from where joints are: the nearest along the surface, spread like heat, never across lips."""
+"""Joints from a JSON file to skeleton and weights: nearest along the surface, spread like heat, loose parts by rule."""
 
 from __future__ import annotations
 

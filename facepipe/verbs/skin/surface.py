@@ -1,4 +1,4 @@
-"""The surface of a face for skinning: all meshes in one place and unit, cuts sewn, in connected components."""
+"""The surface of a face for skinning: meshes in one place and unit, cuts sewn; its lips, lids and eyeballs."""
 
 from __future__ import annotations
 
