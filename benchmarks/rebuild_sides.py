@@ -155,7 +155,7 @@ def prepare(seed: str, data: str, task: str) -> Json:
 
 
 def facepipe_fit(mesh: str, path: str) -> Json:
-    """The fit of a neutral as `FitNeutral` makes it, of the mesh of the face area alone or of the whole head."""
+    """The fit of a neutral as `fit_neutral` makes it, of the mesh of the face area alone or of the whole head."""
     import scipy.sparse.linalg
     import scipy.spatial.transform  # noqa: F401  (modules are loaded before the clock runs)
 

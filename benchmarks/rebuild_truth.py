@@ -63,17 +63,16 @@ class Actor:
 
     def figures(self, *, joint: bool, wrong: bool) -> dict[str, dict[str, float]]:
         """All of its rows."""
-        from facepipe.scanning.rebuild import FitNeutral, NeutralScan
+        from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 
         scan, landmarks = self._read("neutral", self._scan)
-        fit = FitNeutral()(self._template, scan, landmarks, self._database)
-        base = NeutralScan(points=fit.points, place=fit.place, landmarks=landmarks)
+        base, _, report = fit_neutral(self._template, scan, landmarks, self._database)
         rows, (shapes, registered) = {}, self._expressions(base)
         rows["alone"] = self._row(base, shapes, registered)
         if wrong:
             rows |= self._with_wrong(base, shapes, registered)
         if joint:
-            base = self._together(scan, base, np.array(fit.report.coefficients), shapes, registered)
+            base = self._together(scan, base, np.array(report.coefficients), shapes, registered)
             rows["joint"] = self._row(base, *self._expressions(base))
         return rows
 
@@ -114,11 +113,11 @@ class Actor:
         self, scan: Any, base: Any, coefficients: FloatArray, shapes: dict[str, FloatArray], registered: dict[str, Any]
     ) -> Any:
         """The neutral refined on all scans."""
-        from facepipe.scanning.rebuild import NeutralScan, fit_together
+        from facepipe.scanning.rebuild import fit_together
 
         placed = [replace(self._given(name), place=place) for name, (_, place, _) in registered.items()]
-        fit, _, _ = fit_together(self._template, scan, base, coefficients, self._database, shapes, placed)
-        return NeutralScan(points=fit.points, place=fit.place, landmarks=base.landmarks)
+        fit, _, _, _ = fit_together(self._template, scan, base, coefficients, self._database, shapes, placed)
+        return fit
 
     def _row(self, base: Any, shapes: dict[str, FloatArray], registered: dict[str, Any]) -> dict[str, float]:
         self._place = base.place

@@ -6,17 +6,11 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.scanning.rebuild.declared import FitNeutralOptions, RefineNeutralOptions, RegisterScansOptions
-    from facepipe.scanning.rebuild.fit_neutral import FitNeutral, NeutralFit
+    from facepipe.scanning.rebuild.fit_neutral import FitNeutral, NeutralScan
     from facepipe.scanning.rebuild.personal_template import starting_shapes
     from facepipe.scanning.rebuild.project import Project, ProjectScan, read_project
     from facepipe.scanning.rebuild.rebuild import Rebuild, Rebuilt
-    from facepipe.scanning.rebuild.register_scans import (
-        Composite,
-        ExpressionScan,
-        NeutralScan,
-        fit_together,
-        register_scan,
-    )
+    from facepipe.scanning.rebuild.register_scans import Composite, ExpressionScan, fit_together, register_scan
     from facepipe.scanning.rebuild.template import DEFAULT_COMPOSITES, Template, resolved
 else:
     __getattr__, __dir__ = lazy(__name__)
@@ -27,7 +21,6 @@ __all__ = [
     "ExpressionScan",
     "FitNeutral",
     "FitNeutralOptions",
-    "NeutralFit",
     "NeutralScan",
     "Project",
     "ProjectScan",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,7 +22,7 @@ from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.scanning.database import FaceDatabase, Quality
 from facepipe.scanning.rebuild.declared import UNITS, FitNeutralOptions, Judged
 from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target, unit_of
-from facepipe.scanning.rebuild.template import ShownShapes, Template
+from facepipe.scanning.rebuild.template import Template, carried_over, expression_of, shown_prior
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.verbs.skin.surface import points_between, smoothstep, surface_of
 
@@ -32,6 +33,7 @@ _LIPS = 0.16  # of the mouth's width: so far from their rims, lips follow these
 _WIDE = 0.12  # of the mouth's width: lips that are farther apart are not sealed
 _FEWEST_LANDMARKS = 6
 _ODD_SIZE = 0.2  # logarithm: a scan that has grown or shrunk by more is held at the size that its landmarks have
+_USUAL = FitNeutralOptions()
 
 
 def shut_eyes(landmarks: ScanLandmarks, shapes: Collection[str]) -> dict[str, float]:
@@ -99,76 +101,76 @@ class FitNeutralReport(Judged):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeutralFit:
-    """An actor's neutral."""
+class NeutralScan:
+    """An actor's neutral, and how a scan shows it."""
 
-    points: FloatArray  # (n, 3) whole points, in the template's place
-    expression: FloatArray  # (n, 3) whole delta that the scan shows besides
-    place: Similarity  # from the scan's coordinates to those
-    report: FitNeutralReport
+    points: FloatArray  # (n, 3) whole points, in the template's place, millimetres
+    # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers are ignored.
+    place: Similarity | None = None
+    landmarks: ScanLandmarks = field(default_factory=ScanLandmarks)  # markers on it are followed
+    expression: FloatArray | None = None  # (n, 3) whole delta that its scan shows besides; None: none
+
+    @property
+    def shown(self) -> FloatArray:
+        """(n, 3) whole points as its scan shows them."""
+        return self.points if self.expression is None else self.points + self.expression
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitNeutral:
-    """Identity coefficients, the scan's place and size, and a smooth residual, solved together on matches that are
-    renewed from step to step.
+@one_thread()
+def fit_neutral(
+    template: Template,
+    scan: Scan,
+    landmarks: ScanLandmarks,
+    database: FaceDatabase,
+    options: FitNeutralOptions = _USUAL,
+    progress: Callable[[int], None] = lambda step: None,
+    weights: Mapping[str, float] | None = None,
+) -> tuple[NeutralScan, Similarity, FitNeutralReport]:
+    """The neutral, the place of its scan, and how it lies there.
 
-    The document (S13) solves them one after another; what the model can't show then bends its coefficients, and leaves
-    0.1 mm more. Points that no scan shows (back of the mouth, eyeballs, teeth) follow the model and the skin around.
+    Identity coefficients, the scan's place and size, and a smooth residual are solved together, on matches that are
+    renewed from step to step. The document (S13) solves them one after another; what the model can't show then bends
+    its coefficients, and leaves 0.1 mm more. Points that no scan shows (back of the mouth, eyeballs, teeth) follow the
+    model and the skin around.
+
+    :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is without
+        them
+    :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or a scan
+        that can't be used
+    :raises TopologyError: a database of another topology
+    :raises FitError: a scan that does not show this face
     """
-
-    options: FitNeutralOptions = field(default_factory=FitNeutralOptions)
-
-    @one_thread()
-    def __call__(
-        self,
-        template: Template,
-        scan: Scan,
-        landmarks: ScanLandmarks,
-        database: FaceDatabase,
-        progress: Callable[[int], None] = lambda step: None,
-        weights: Mapping[str, float] | None = None,
-    ) -> NeutralFit:
-        """Fit the neutral.
-
-        :param weights: of the template's shapes that the scan shows besides, such as closed eyes; the neutral is
-            without them
-        :raises InputError: too few landmarks, a mirrored scan, a wrong unit, a shape that the template lacks, or
-            a scan that can't be used
-        :raises TopologyError: a database of another topology
-        :raises FitError: a scan that does not show this face
-        """
-        if database.topology.digest != template.topology.digest:
-            raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
-        marks = template.rows[template.landmarks]
-        known, where = landmarks.known, f"{scan.name} -> landmarks"
-        if known.sum() < _FEWEST_LANDMARKS:
-            raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
-        given, reference = landmarks.points[known], database.identity.mean[marks][known]
-        if mirrored(given, reference):
-            raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
-        start = robust_similarity(given, reference)  # about where the scan lies
-        if self.options.unit != "auto":
-            size = UNITS[self.options.unit]
-            if abs(start.scale / size - 1.0) > 0.3:
-                size_of = unit_of(start.scale) or f"units of {start.scale:.3g} mm"
-                what = f"was given in {self.options.unit}, but has the size of a face in {size_of}"
-                raise InputError(scan.name, what)
-            start = replace(robust_similarity(given * size, reference, scale=False), scale=size)
-        shapes = ShownShapes.carried_over(template, database, weights or {}, f"{scan.name} -> weights")
-        target, mended = scan_target(scan)
-        surface = identity_surface(template, database.identity, self.options)
-        anchors = landmark_anchors(template, landmarks)
-        shown = shapes.prior(template, self.options.weight_sigma)
-        options = self.options.registration
-        try:
-            registered = register(surface, target, anchors, start, options, progress, shown)
-            if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
-                registered = register(surface, target, anchors, start, replace(options, scale=False), progress, shown)
-        except FitError as error:
-            raise error.under(scan.name) from None
-        lines = (*scan.warnings, *mended)
-        return neutral_fit(template, database.identity, scan.name, registered, anchors.names, lines, shapes)
+    if database.topology.digest != template.topology.digest:
+        raise TopologyError(template.where, "other meshes or faces than the database has, expected the same")
+    marks = template.rows[template.landmarks]
+    known, where = landmarks.known, f"{scan.name} -> landmarks"
+    if known.sum() < _FEWEST_LANDMARKS:
+        raise InputError(where, f"{int(known.sum())} of 68 are known, expected {_FEWEST_LANDMARKS} or more")
+    given, reference = landmarks.points[known], database.identity.mean[marks][known]
+    if mirrored(given, reference):
+        raise InputError(where, "fit a mirrored face, expected left and right as the person has them")
+    start = robust_similarity(given, reference)  # about where the scan lies
+    if options.unit != "auto":
+        size = UNITS[options.unit]
+        if abs(start.scale / size - 1.0) > 0.3:
+            size_of = unit_of(start.scale) or f"units of {start.scale:.3g} mm"
+            raise InputError(scan.name, f"was given in {options.unit}, but has the size of a face in {size_of}")
+        start = replace(robust_similarity(given * size, reference, scale=False), scale=size)
+    deltas, weights = carried_over(template, database, weights or {}, f"{scan.name} -> weights")
+    target, mended = scan_target(scan)
+    surface = identity_surface(template, database.identity, options)
+    anchors = landmark_anchors(template, landmarks)
+    shown = shown_prior(template, deltas, weights, options.weight_sigma)
+    solver = options.registration
+    try:
+        registered = register(surface, target, anchors, start, solver, progress, shown)
+        if abs(np.log(registered.place.scale / start.scale)) > _ODD_SIZE:
+            registered = register(surface, target, anchors, start, replace(solver, scale=False), progress, shown)
+    except FitError as error:
+        raise error.under(scan.name) from None
+    lines = (*scan.warnings, *mended)
+    neutral, report = found_neutral(template, database.identity, scan.name, registered, anchors.names, lines, deltas)
+    return replace(neutral, landmarks=landmarks), registered.place, report
 
 
 def identity_surface(template: Template, identity: IdentityModel, options: FitNeutralOptions) -> DeformableSurface:
@@ -192,25 +194,24 @@ def landmark_anchors(template: Template, landmarks: ScanLandmarks) -> Anchors:
     return Anchors.at_points(template.landmarks, landmarks.points, names, landmarks.sigma_mm)
 
 
-def neutral_fit(
+def found_neutral(
     template: Template,
     identity: IdentityModel,
     scan: str,
     registered: Registered,
     names: tuple[str, ...],
     warnings: tuple[str, ...],
-    shapes: ShownShapes | None = None,
-) -> NeutralFit:
-    """Whole points and the report of what was found on a scan.
+    deltas: Mapping[str, FloatArray],
+) -> tuple[NeutralScan, FitNeutralReport]:
+    """What was found on a scan, in whole points, and the report of it.
 
     :param names: of the anchors
     :param warnings: from before
-    :param shapes: those that the scan shows besides
+    :param deltas: of the shapes that the scan shows besides
     """
-    shapes = shapes or ShownShapes()
-    weights = dict(zip(shapes.weights, map(float, registered.weights), strict=True))
+    weights = dict(zip(deltas, map(float, registered.weights), strict=True))
     model = identity.points(registered.coefficients)
-    expression = shapes.expression(weights, len(model))
+    expression = expression_of(deltas, weights, len(model))
     base = model[template.rows]
     # a scan is model + expression + residual; the neutral is model + residual.
     moves = template.with_inside(base, registered.points - expression[template.rows] - base)
@@ -243,4 +244,16 @@ def neutral_fit(
         weights=weights,
         warnings=tuple(lines),
     )
-    return NeutralFit(points=points, expression=expression, place=registered.place, report=report)
+    return NeutralScan(points=points, place=registered.place, expression=expression if deltas else None), report
+
+
+def FitNeutral(**options: FitNeutralOptions) -> Callable[..., SimpleNamespace]:  # noqa: N802
+    """As in 0.1.0, which had a class of that name: `fit_neutral` with its `options`, and what that finds."""
+
+    def fit(*given: Any, **more: Any) -> SimpleNamespace:
+        named = {**options, **dict(zip(("progress", "weights"), given[4:], strict=False)), **more}
+        neutral, place, report = fit_neutral(*given[:4], **named)
+        shown = neutral.shown - neutral.points
+        return SimpleNamespace(points=neutral.points, expression=shown, place=place, report=report)
+
+    return fit

@@ -101,7 +101,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.built_in_head import BuiltInHead
-        from facepipe.scanning.rebuild.fit_neutral import FitNeutral, are_sealed, shut_eyes, with_sealed_lips
+        from facepipe.scanning.rebuild.fit_neutral import are_sealed, fit_neutral, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named, scan_input
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
@@ -121,17 +121,17 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         scan, landmarks, notes, photos = scan_input(Path(self.scan), self.landmarks, job.watch)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
-            fit = FitNeutral(options=self)(body, scan, landmarks, database, lambda step: bar.update(), weights)
-        report, points = fit.report, fit.points
+            fit, place, report = fit_neutral(body, scan, landmarks, database, self, lambda step: bar.update(), weights)
+        points = fit.points
         if self.close_lips and are_sealed(landmarks):
             points = with_sealed_lips(body, points)
         points = template.dressed(body, points if own is None else own.fitted(points))
-        shown = template.dressed(body, fit.points + fit.expression)
+        shown = template.dressed(body, fit.shown)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
         author = AuthorNeutral() if own is None else AuthorNeutral(settled=own.settled)
         authored = author(face, points, recipe=recipe)
         with named(self.scan), job.watch("textures", 1) as bar:
-            baked = author_scan_textures(face, parts, shown, scan, fit.place, self)
+            baked = author_scan_textures(face, parts, shown, scan, place, self)
             bar.update()
         neutral = points if report.weights else None
         missed = misses(report.quality, QualityLimits())
@@ -140,7 +140,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
             warnings=(*notes, *report.warnings, *authored.warnings, *baked.warnings, *missed),
             missed=missed,
             picture=partial(
-                draw_face_on_scan, template=template, points=shown, scan=scan, place=fit.place, neutral=neutral
+                draw_face_on_scan, template=template, points=shown, scan=scan, place=place, neutral=neutral
             ),
             textures=baked.textures,
             colored=baked.colored,

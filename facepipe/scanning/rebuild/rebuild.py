@@ -18,14 +18,13 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.scanning.database import FaceDatabase, Quality, load_database, quality_from
 from facepipe.scanning.rebuild.declared import RefineNeutralOptions
-from facepipe.scanning.rebuild.fit_neutral import FitNeutral, FitNeutralReport
+from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport, NeutralScan, fit_neutral
 from facepipe.scanning.rebuild.personal_template import starting_names, starting_shapes
 from facepipe.scanning.rebuild.project import Project, ProjectScan, Refinement, expression_weights
 from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport, refine_neutral
 from facepipe.scanning.rebuild.register_scans import (
     Composite,
     ExpressionScan,
-    NeutralScan,
     RegisterScanReport,
     fit_together,
     register_scan,
@@ -93,6 +92,12 @@ def step_count(project: Project) -> int:
     scans = len(project.expressions)
     once = 2 + scans + bool(scans) + (project.options.refinement is not None)
     return once + (2 + scans) * is_joint(project)
+
+
+def _neutral_arrays(neutral: NeutralScan) -> dict[str, FloatArray]:
+    """What a step keeps of it: without shapes that the scan shows besides, their delta is 0."""
+    shown = np.zeros_like(neutral.points) if neutral.expression is None else neutral.expression
+    return {"points": neutral.points, "expression": shown}
 
 
 class Rebuild:
@@ -180,10 +185,9 @@ class Rebuild:
 
         def compute() -> tuple[dict[str, Any], dict[str, Any]]:
             scan, marks = self._read(project.neutral)
-            fit_neutral = FitNeutral(options=project.options.neutral)
-            fit = fit_neutral(self._template, scan, marks, self._database(), weights=project.neutral.weights)
-            arrays = {"points": fit.points, "expression": fit.expression}
-            return arrays, {"report": fit.report.of_fit(), "place": place_json(fit.place)}
+            options, weights = project.options.neutral, project.neutral.weights
+            fit, place, report = fit_neutral(self._template, scan, marks, self._database(), options, weights=weights)
+            return _neutral_arrays(fit), {"report": report.of_fit(), "place": place_json(place)}
 
         inputs = self._inputs(project.neutral, project.options.neutral, database=self._digest(project.database))
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
@@ -217,21 +221,20 @@ class Rebuild:
                 placed.append(ExpressionScan(scan=raw, landmarks=marks, weights=composite.weights, place=place))
             raw, marks = self._read(project.neutral)
             given, database = replace(neutral, landmarks=marks), self._database()
-            fit, others, moved_mm = fit_together(
+            fit, own_report, others, moved_mm = fit_together(
                 self._template, raw, given, coefficients, database, shapes, placed, options.neutral, options.expressions
             )
             weights = {
                 name: dict(zip(one.weights, map(float, other.weights), strict=True))
                 for name, one, other in zip(expressions, placed, others, strict=True)
             }
-            report = fit.report.of_fit()
+            report = own_report.of_fit()
             # Shapes that the neutral's scan shows besides are fitted as one, of which there is `share`, by what was
             # found alone.
             share = next(iter(report["weights"].values()), 1.0)
             report["weights"] = {shape: share * weight for shape, weight in alone["weights"].items()}
             report["together"] = {"moved_mean_mm": moved_mm, "weights": weights}
-            arrays = {"points": fit.points, "expression": fit.expression}
-            return arrays, {"report": report, "place": place_json(fit.place)}
+            return _neutral_arrays(fit), {"report": report, "place": place_json(fit.place)}
 
         inputs = self._inputs(project.neutral, options.neutral, database=self._digest(project.database))
         inputs |= {
@@ -313,7 +316,7 @@ class Rebuild:
             "shapes": array_digest(*(shapes[shape] for shape in weights)),
             "markers": {name: np.asarray(place).tolist() for name, place in neutral.landmarks.markers.items()},
             "shown": array_digest(neutral.shown),
-            "place": place_json(neutral.place) if neutral.place else None,
+            "place": place_json(neutral.place),
             "keeps": ["points", "matched", "report", "place"],
         }
         name = f"{below}expressions/{scan.name}"

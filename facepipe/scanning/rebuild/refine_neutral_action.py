@@ -67,7 +67,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         from facepipe.scanning.database import QualityLimits, misses
         from facepipe.scanning.rebuild.refine_neutral import flipped_before, refine_neutral
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, landmarks_of, named
-        from facepipe.scanning.rebuild.template import ShownShapes, Template, region_weights, resolved, shown_before
+        from facepipe.scanning.rebuild.template import Template, expression_of, region_weights, resolved, shown_before
         from facepipe.verbs.author_neutral import AuthorNeutral
         from facepipe.verbs.whole_faces import whole_face
 
@@ -78,7 +78,7 @@ class RefineNeutralAction(RefineNeutralOptions, ScanAction["RefineNeutralReport"
         # The face is refined as the scan shows it; what it shows besides is taken off again.
         own, besides = whole_face(parts, where), self.weights or shown_before(parts.recipe)
         shown = resolved(besides, tuple(own.deltas), f"{where} -> --weights") if besides else {}
-        expression = ShownShapes(deltas=own.deltas).expression(shown, len(template.points))
+        expression = expression_of(own.deltas, shown, len(template.points))
         with named(self.scan), job.watch("refine", _STEPS) as bar:
             points, place, report = refine_neutral(
                 template,

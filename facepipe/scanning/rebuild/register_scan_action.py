@@ -31,7 +31,8 @@ from facepipe.kinds import Job, action
 from facepipe.scanning.rebuild.declared import RegisterScansOptions, ScanAction, landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.register_scans import NeutralScan, RegisterScanReport
+    from facepipe.scanning.rebuild.fit_neutral import NeutralScan
+    from facepipe.scanning.rebuild.register_scans import RegisterScanReport
     from facepipe.scanning.rebuild.template import Template
     from facepipe.stage import Face
     from facepipe.verbs.whole_faces import WholeFace
@@ -146,16 +147,17 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
     def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
         """The neutral, with the place of its scan where one is given, and warnings."""
         from facepipe.importers.scan_file import read_scan
-        from facepipe.scanning.rebuild.register_scans import NeutralScan, placed_neutral
+        from facepipe.scanning.rebuild.fit_neutral import NeutralScan
+        from facepipe.scanning.rebuild.register_scans import placed_neutral
         from facepipe.scanning.rebuild.scan_fit import landmarks_of, named
-        from facepipe.scanning.rebuild.template import ShownShapes, resolved
+        from facepipe.scanning.rebuild.template import expression_of, resolved
 
         if self.neutral_scan is None:
             return NeutralScan(points=whole.points), ()
         expression = None
         if self.neutral_weights:
             shown = resolved(self.neutral_weights, tuple(whole.deltas), "--neutral-weights")
-            expression = ShownShapes(deltas=whole.deltas, weights=shown).expression(shown, len(whole.points))
+            expression = expression_of(whole.deltas, shown, len(whole.points))
         scan = read_scan(self.neutral_scan)
         landmarks, notes = landmarks_of(self.neutral_landmarks, scan)
         with named(self.neutral_scan):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,9 +28,15 @@ from facepipe.geometry.registration import (
 from facepipe.geometry.similarity import Similarity, robust_similarity
 from facepipe.scanning.database import FaceDatabase
 from facepipe.scanning.rebuild.declared import FitNeutralOptions, Judged, RegisterScansOptions
-from facepipe.scanning.rebuild.fit_neutral import NeutralFit, identity_surface, landmark_anchors, neutral_fit
+from facepipe.scanning.rebuild.fit_neutral import (
+    FitNeutralReport,
+    NeutralScan,
+    found_neutral,
+    identity_surface,
+    landmark_anchors,
+)
 from facepipe.scanning.rebuild.scan_fit import ScanFit, scan_fit, scan_target
-from facepipe.scanning.rebuild.template import ShownShapes, Template
+from facepipe.scanning.rebuild.template import Template, shown_prior
 from facepipe.scans import Scan, ScanLandmarks
 
 _FEWEST = 4  # landmarks and markers
@@ -74,22 +80,6 @@ class RegisterScanReport(Judged):
     name: str = ""  # of the shape
 
     of_action: ClassVar[tuple[str, ...]] = ("name",)
-
-
-@dataclass(frozen=True, kw_only=True)
-class NeutralScan:
-    """The neutral that expressions are registered from."""
-
-    points: FloatArray  # (n, 3) whole points
-    # From its scan's coordinates; None where there is none: sizes of scans are fitted, and markers are ignored.
-    place: Similarity | None = None
-    landmarks: ScanLandmarks = field(default_factory=ScanLandmarks)  # markers on it are followed
-    expression: FloatArray | None = None  # (n, 3) whole delta that its scan shows besides; None: none
-
-    @property
-    def shown(self) -> FloatArray:
-        """(n, 3) whole points as its scan shows them."""
-        return self.points if self.expression is None else self.points + self.expression
 
 
 @one_thread()
@@ -286,8 +276,8 @@ def fit_together(
     options: FitNeutralOptions = _USUAL_NEUTRAL,
     expression_options: RegisterScansOptions = _USUAL,
     progress: Callable[[int], None] = lambda step: None,
-) -> tuple[NeutralFit, tuple[Registered, ...], float]:
-    """The neutral, what was found on each expression's scan, and how far the neutral's face has moved (mm, mean).
+) -> tuple[NeutralScan, FitNeutralReport, tuple[Registered, ...], float]:
+    """The neutral, how it lies on its scan, what was found on each other, and how far its face has moved (mm, mean).
 
     Identity coefficients and residual of one face, the weights of each scanned expression's shapes, and the place of
     each scan are solved in one system. Each expression shows where its points would be at rest, as surely as people do
@@ -307,10 +297,10 @@ def fit_together(
     surface = identity_surface(template, database.identity, options)
     residual = first.points[template.rows] - surface.points(coefficients)
     target, mended = scan_target(scan)
-    anchors, besides = landmark_anchors(template, first.landmarks), ShownShapes()
-    if first.expression is not None:  # as one shape
-        besides = ShownShapes(deltas={"shown": first.expression}, weights={"shown": 1.0})
-    name, prior = f"{scan.name} -> scan", besides.prior(template, _SHOWN_SIGMA)
+    anchors = landmark_anchors(template, first.landmarks)
+    besides = {} if first.expression is None else {"shown": first.expression}  # as one shape
+    prior = shown_prior(template, besides, dict.fromkeys(besides, 1.0), _SHOWN_SIGMA)
+    name = f"{scan.name} -> scan"
     views = [View(scan=target, anchors=anchors, start=first.place, shown=prior, name=name)]
     views += (_view(template, first, shapes, one, options, expression_options) for one in placed)
     points, solver = first.shown[template.rows], options.registration
@@ -319,10 +309,11 @@ def fit_together(
     views = _balanced(views, shows, options)
     found = register_together(surface, views, coefficients, residual, solver, progress)
     lines = (*scan.warnings, *mended)
-    neutral = neutral_fit(template, database.identity, scan.name, found[0], anchors.names, lines, besides)
+    neutral, report = found_neutral(template, database.identity, scan.name, found[0], anchors.names, lines, besides)
     face = template.rows[template.face]
     moved = np.linalg.norm(neutral.points[face] - first.points[face], axis=1)
-    return neutral, found[1:], float(moved.mean()) if len(moved) else 0.0
+    off = float(moved.mean()) if len(moved) else 0.0
+    return replace(neutral, landmarks=first.landmarks), report, found[1:], off
 
 
 def _view(

@@ -83,8 +83,10 @@ def check_kept(
         from_json(report, known, ArrayReader(b""), "report")
 
 
-def place_json(place: Similarity) -> dict[str, Any]:
+def place_json(place: Similarity | None) -> dict[str, Any] | None:
     """A similarity as JSON."""
+    if place is None:
+        return None
     return {"rotation": place.rotation.tolist(), "translation": place.translation.tolist(), "scale": place.scale}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -323,51 +323,46 @@ def resolved(composite: Mapping[str, float], shapes: Sequence[str], where: str) 
     return {name: weights[name] for name in shapes if name in weights}
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShownShapes:
-    """Shapes on the mean person of a database, and about how much of each a scan shows."""
+def carried_over(
+    template: Template, database: FaceDatabase, weights: Mapping[str, float], where: str
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """The template's own shapes that a scan shows, carried over to the database's mean person: of a scan's own person,
+    nothing is known yet, and the residual takes up how that person differs.
 
-    deltas: Mapping[str, FloatArray] = field(default_factory=dict)  # name -> (n, 3) whole deltas, millimetres
-    weights: Mapping[str, float] = field(default_factory=dict)  # of the same names
+    :param weights: by names as `resolved` finds them
+    :return: name -> (n, 3) whole delta, millimetres; and the weights of the same names
+    :raises InputError: a shape that the template lacks, or a weight out of 0 to 2
+    """
+    if not weights:
+        return {}, {}
+    template_deltas = whole_face(template.parts, template.where).deltas
+    if not template_deltas:
+        raise InputError(where, f"{template.where} has no blendshapes, expected those that the scan shows")
+    named, mean = resolved(weights, tuple(template_deltas), where), database.identity.mean
+    transfer = Transfer(mean, template.topology.triangles, np.zeros(len(mean), bool))
+    rest = template.points
+    return {name: transfer.solve(rest[None], (rest + template_deltas[name])[None]) - mean for name in named}, named
 
-    @classmethod
-    def carried_over(
-        cls, template: Template, database: FaceDatabase, weights: Mapping[str, float], where: str
-    ) -> ShownShapes:
-        """The template's own shapes, carried over to the database's mean person: of a scan's own person, nothing is
-        known yet, and the residual takes up how that person differs.
 
-        :param weights: by names as `resolved` finds them
-        :raises InputError: a shape that the template lacks, or a weight out of 0 to 2
-        """
-        if not weights:
-            return cls()
-        template_deltas = whole_face(template.parts, template.where).deltas
-        if not template_deltas:
-            raise InputError(where, f"{template.where} has no blendshapes, expected those that the scan shows")
-        named, mean = resolved(weights, tuple(template_deltas), where), database.identity.mean
-        transfer = Transfer(mean, template.topology.triangles, np.zeros(len(mean), bool))
-        rest = template.points
-        deltas = {name: transfer.solve(rest[None], (rest + template_deltas[name])[None]) - mean for name in named}
-        return cls(deltas=deltas, weights=named)
+def expression_of(deltas: Mapping[str, FloatArray], weights: Mapping[str, float], count: int) -> FloatArray:
+    """(n, 3) whole delta of `count` points: shapes by their weights."""
+    return np.asarray(sum((weight * deltas[name] for name, weight in weights.items()), np.zeros((count, 3))))
 
-    def expression(self, weights: Mapping[str, float], count: int) -> FloatArray:
-        """(n, 3) whole delta of `count` points by weights of its shapes."""
-        return np.asarray(sum((weight * self.deltas[name] for name, weight in weights.items()), np.zeros((count, 3))))
 
-    def prior(self, template: Template, sigma: float) -> Shown | None:
-        """For a registration of the template's rows; None where nothing is shown.
+def shown_prior(
+    template: Template, deltas: Mapping[str, FloatArray], weights: Mapping[str, float], sigma: float
+) -> Shown | None:
+    """Shapes that a scan shows besides, for a registration of the template's rows; None where nothing is shown.
 
-        :param sigma: how far a weight may be from the given one
-        """
-        if not self.weights:
-            return None
-        count = len(self.weights)
-        return Shown(
-            modes=np.stack([self.deltas[name][template.rows] for name in self.weights]),
-            expected=np.array(list(self.weights.values())),
-            precision=np.full(count, 1.0 / sigma**2),
-        )
+    :param sigma: how far a weight may be from the given one
+    """
+    if not weights:
+        return None
+    return Shown(
+        modes=np.stack([deltas[name][template.rows] for name in weights]),
+        expected=np.array(list(weights.values())),
+        precision=np.full(len(weights), 1.0 / sigma**2),
+    )
 
 
 def shown_before(recipe: Recipe | None) -> dict[str, float]:

@@ -24,8 +24,6 @@ from facepipe.importers.scan_ply import write_ply
 from facepipe.scanning.database import save_database
 from facepipe.scanning.rebuild import (
     ExpressionScan,
-    FitNeutral,
-    NeutralFit,
     NeutralScan,
     Rebuild,
     Template,
@@ -34,6 +32,7 @@ from facepipe.scanning.rebuild import (
     register_scan,
     starting_shapes,
 )
+from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
 from facepipe.verbs.whole_faces import whole_face
@@ -79,25 +78,25 @@ def scanned(jaw_open: float, *, hole: bool) -> tuple[Scan, ScanLandmarks]:
 def test_what_the_neutrals_scan_lacks_is_taken_from_an_expression() -> None:
     template, database = Template.of(expression_domes.face(), "head.usda"), scan_domes.database()
     scan, landmarks = scanned(0.0, hole=True)
-    alone = FitNeutral()(template, scan, landmarks, database)
-    first = NeutralScan(points=alone.points, place=alone.place, landmarks=landmarks)
-    shapes = starting_shapes(template, alone.points)
+    first, _, alone = fit_neutral(template, scan, landmarks, database)
+    shapes = starting_shapes(template, first.points)
     opened, marks = scanned(0.8, hole=False)
     given = ExpressionScan(scan=opened, landmarks=marks, weights={"jawOpen": 0.8})
     _, place, _ = register_scan(template, first, shapes, given)
     placed = replace(given, place=place)
-    coefficients = np.array(alone.report.coefficients)
-    fit, others, _ = fit_together(template, scan, first, coefficients, database, shapes, [placed])
+    coefficients = np.array(alone.coefficients)
+    fit, _, others, _ = fit_together(template, scan, first, coefficients, database, shapes, [placed])
     places, _ = scan_domes.grid(expression_domes.SIDE)
     near = np.linalg.norm(places - BUMP, axis=1) < 8.0
     fine, triangles = scan_domes.grid(121)
 
-    def off(fit: NeutralFit) -> np.ndarray:
+    def off(fit: NeutralScan) -> np.ndarray:
         """From the true surface: where a point lies along a bump that no landmark is on, no scan shows."""
+        assert fit.place is not None
         home = POSE.undo(fit.place.undo(fit.points[: len(places)]))
         return np.asarray(closest_places(home, person(fine), triangles).distances)
 
-    before, after = off(alone), off(fit)
+    before, after = off(first), off(fit)
     assert before[near].mean() > 1.0
     assert after[near].mean() < 0.1 * before[near].mean()
     assert after[~near].mean() < 0.1
@@ -216,20 +215,19 @@ def test_all_scans_together_make_a_truer_neutral() -> None:
     database, actor = ict_database(template), Actor(101)
     scanned = simulate(actor.neutral, 101)
     scan, landmarks = read("neutral", scanned)
-    alone = FitNeutral()(template, scan, landmarks, database)
-    first = NeutralScan(points=alone.points, place=alone.place, landmarks=landmarks)
-    shapes, placed = starting_shapes(template, alone.points), []
+    first, _, alone = fit_neutral(template, scan, landmarks, database)
+    shapes, placed = starting_shapes(template, first.points), []
     for number, name in enumerate(("smile", "closed_eyes", "pucker", "brows_up", "funnel", "sad")):
         one, marks = read(name, simulate(actor.composite(COMPOSITES[name]), 10100 + number))
         given = ExpressionScan(scan=one, landmarks=marks, weights=ours(COMPOSITES[name]))
         _, place, _ = register_scan(template, first, shapes, given)
         placed.append(replace(given, place=place))
-    found, _, _ = fit_together(template, scan, first, np.array(alone.report.coefficients), database, shapes, placed)
+    found, _, _, _ = fit_together(template, scan, first, np.array(alone.coefficients), database, shapes, placed)
 
     def off(points: np.ndarray, place: object) -> float:
         home = scanned.pose.undo(place.undo(points))  # type: ignore[attr-defined]
         return float(np.linalg.norm(home - actor.neutral, axis=1)[: ict().full_face].mean())
 
-    before, after = off(alone.points, alone.place), off(found.points, found.place)
+    before, after = off(first.points, first.place), off(found.points, found.place)
     print(f"alone {before:.3f} mm, together {after:.3f} mm")
     assert after < 0.96 * before

@@ -12,12 +12,11 @@ from scan_simulator import SimulatedScan, simulate
 
 from facepipe.scanning.rebuild import (
     ExpressionScan,
-    FitNeutral,
-    NeutralFit,
     NeutralScan,
     register_scan,
     starting_shapes,
 )
+from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 
 
 @dataclass
@@ -32,9 +31,10 @@ class Errors:
 
 
 def _errors(
-    actor: Actor, neutral: NeutralFit, found: np.ndarray, start: np.ndarray, truth: np.ndarray, scan: SimulatedScan
+    actor: Actor, neutral: NeutralScan, found: np.ndarray, start: np.ndarray, truth: np.ndarray, scan: SimulatedScan
 ) -> Errors:
     def home(points: np.ndarray) -> np.ndarray:
+        assert neutral.place is not None
         return scan.pose.undo(neutral.place.undo(points))[: ict().full_face]
 
     own, true = home(neutral.points), actor.neutral[: ict().full_face]
@@ -53,14 +53,13 @@ def test_expressions_registered_from_a_rebuilt_neutral() -> None:
         actor = Actor(seed)
         scanned = simulate(actor.neutral, seed)
         scan, landmarks = read("neutral", scanned)
-        neutral = FitNeutral()(template, scan, landmarks, database)
+        neutral, _, _ = fit_neutral(template, scan, landmarks, database)
         shapes = starting_shapes(template, neutral.points)
-        base = NeutralScan(points=neutral.points, place=neutral.place, landmarks=landmarks)
         for number, name in enumerate(names):
             truth, weights = actor.composite(COMPOSITES[name]), ours(COMPOSITES[name])
             scan, landmarks = read(name, simulate(truth, 100 * seed + number))
             found, _, _ = register_scan(
-                template, base, shapes, ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
+                template, neutral, shapes, ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
             )
             start = neutral.points + np.sum([weight * shapes[shape] for shape, weight in weights.items()], axis=0)
             rows.append(_errors(actor, neutral, found.points, start, truth, scanned))
@@ -85,8 +84,8 @@ def test_a_neutral_whose_scan_has_closed_eyes(seed: int) -> None:
     seen = simulate(truth, seed)
     errors = []
     for weights in (closed, {}):
-        found = FitNeutral()(template, *read("neutral", seen), database, weights=weights)
-        home, shown = (seen.pose.undo(found.place.undo(found.points + one)) for one in (0.0, found.expression))
+        found, place, _ = fit_neutral(template, *read("neutral", seen), database, weights=weights)
+        home, shown = (seen.pose.undo(place.undo(points)) for points in (found.points, found.shown))
         errors.append([np.linalg.norm(home - actor.neutral, axis=1), np.linalg.norm(shown - truth, axis=1)])
     (open_named, closed_named), (open_without, _) = ([one[lids].mean() for one in pair] for pair in errors)
     print(seed, f"around the eyes {open_named:.3f}, closed {closed_named:.3f}; not named {open_without:.3f}")

@@ -10,11 +10,8 @@ from ict_people import ict_database, ict_template, read
 from scan_actors import Actor, ict
 from scan_simulator import simulate
 
-from facepipe.scanning.rebuild import (
-    FitNeutral,
-    FitNeutralOptions,
-    NeutralFit,
-)
+from facepipe.scanning.rebuild import FitNeutralOptions, NeutralScan
+from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport, refine_neutral
 
 _STIFF = FitNeutralOptions(membrane=3000.0)
@@ -25,7 +22,7 @@ _PERSON = 101
 class _Refined:
     """A neutral as fitted and as refined, and how far its points are from where they truly are, in millimetres."""
 
-    fit: NeutralFit
+    fit: NeutralScan
     points: np.ndarray  # (n, 3) refined
     report: RefineNeutralReport
     before: np.ndarray  # (n,)
@@ -36,12 +33,12 @@ def _refined(options: FitNeutralOptions, weights: np.ndarray | None = None) -> _
     template, person = ict_template(), Actor(_PERSON)
     simulated = simulate(person.neutral, _PERSON)
     scan, landmarks = read("neutral", simulated)
-    fit = FitNeutral(options=options)(template, scan, landmarks, ict_database(template))
+    fit, home, _ = fit_neutral(template, scan, landmarks, ict_database(template), options)
     found, place, report = refine_neutral(template, fit.points, scan, landmarks, weights=weights)
     count = len(person.neutral)
     errors = [
         np.linalg.norm(simulated.pose.undo(place.undo(points))[:count] - person.neutral, axis=1)
-        for points, place in ((fit.points, fit.place), (found, place))
+        for points, place in ((fit.points, home), (found, place))
     ]
     return _Refined(fit, found, report, *errors)
 

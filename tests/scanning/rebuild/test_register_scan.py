@@ -21,10 +21,10 @@ from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks, write_scan_landmarks
 from facepipe.importers.scan_ply import write_ply
 from facepipe.performing import read_kept
-from facepipe.scanning.rebuild import Template
+from facepipe.scanning.rebuild import NeutralScan, Template
 from facepipe.scanning.rebuild.declared import RegisterScansOptions
 from facepipe.scanning.rebuild.register_scan_action import RegisterScanAction
-from facepipe.scanning.rebuild.register_scans import NeutralScan, expression_surface, placed_neutral
+from facepipe.scanning.rebuild.register_scans import expression_surface, placed_neutral
 from facepipe.scans import Scan
 from facepipe.verbs.whole_faces import whole_face, whole_points
 

@@ -19,8 +19,8 @@ from facepipe.heads.assembly import average
 from facepipe.heads.asset import asset
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.scanning.landmarks import FindScanLandmarks, find
-from facepipe.scanning.rebuild import FitNeutral
 from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scans import ScanLandmarks
 
@@ -67,8 +67,8 @@ def test_a_closer_look_at_a_coloured_scan_keeps_brows_and_lips_in_place(monkeypa
     monkeypatch.setattr(find, "look_closer", lambda look, frame, seen, angles, draw: seen)
     far = replace(finder(scan).landmarks, sigma_mm=np.full(68, FAR_MM))
     for landmarks in (near, far):
-        fit = FitNeutral()(template, scan, landmarks, head.people())
-        found.append([slid(template, fit.place.undo(fit.points), truth, part) for part in (BROWS, LIPS)])
+        fit, place, _ = fit_neutral(template, scan, landmarks, head.people())
+        found.append([slid(template, place.undo(fit.points), truth, part) for part in (BROWS, LIPS)])
     (brows, lips), (brows_before, lips_before) = found
     print(f"brows {brows_before:.2f} to {brows:.2f} mm, lips {lips_before:.2f} to {lips:.2f} mm")
     assert brows < 0.9 * brows_before
