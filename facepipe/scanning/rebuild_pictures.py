@@ -31,7 +31,7 @@ _ROUND = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _DISC = 0.7  # of the way to the next points: radius of what is drawn for a point of a cloud
 _NEIGHBOURS = 6
 _CLEAR = 0.5  # opacity of what a scanner looks through
-_MOST = 12  # changed shapes that are drawn
+_MOST, _SHAPE_PIXELS = 12, 300  # changed shapes that are drawn, and the size of each picture
 # The face's left shows from the right of the picture: a face that turns its head from left to right.
 _VIEWS: tuple[View, ...] = ((-0.66, 0.05), (0.0, 0.0), (0.66, 0.05))
 _GAP = 10  # pixels
@@ -126,40 +126,35 @@ def _scan_parts(scan: Scan) -> FaceParts:
     return FaceParts(name="Scan", meters_per_unit=0.001, up_axis="Y", meshes=(mesh,))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Turntable:
-    """A face and its scan in one place: millimetres, Y up."""
-
-    parts: FaceParts  # meshes at the registered points
-    scan: Scan
-    distances: FloatArray  # (n,) mm of all points from the scan, NaN where it doesn't show them
-    largest_mm: float  # of the heat map
-    framing: FloatArray  # (k, 3) points that all pictures have inside
-    size: int = 420  # pixels a picture
-
-
-def turntable(shown: Turntable) -> dict[str, Image]:
+def turntable(
+    parts: FaceParts, scan: Scan, distances: FloatArray, largest_mm: float, framing: FloatArray, size: int
+) -> dict[str, Image]:
     """Scan, registered face and distances, each from the left, the front and the right; the face without its clear
-    parts, which no scan shows.
+    parts, which no scan shows. Face and scan are in one place: millimetres, Y up.
+
+    :param parts: meshes at the registered points
+    :param distances: (n,) mm of all points from the scan, NaN where it doesn't show them
+    :param largest_mm: of the heat map
+    :param framing: (k, 3) points that all pictures have inside
+    :param size: pixels a picture
     """
-    face, distances = _opaque(shown.parts, shown.distances)
-    heat = HeatMap(values=distances, range=(0.0, shown.largest_mm))
-    return {
-        "scan": _views(shown, _scan_parts(shown.scan), None),
-        "registered face": _views(shown, face, None),
-        "distance from the scan": _views(shown, face, heat),
+    face, distances = _opaque(parts, distances)
+    shown = {
+        "scan": (_scan_parts(scan), None),
+        "registered face": (face, None),
+        "distance from the scan": (face, HeatMap(values=distances, range=(0.0, largest_mm))),
     }
+    images = {}
+    for name, (drawn, heat) in shown.items():
+        studio = _STUDIO if heat is None else None
+        several = [replace(_framed(framing, view, size), heatmap=heat, studio=studio) for view in _VIEWS]
+        images[name] = _pasted(pictures(drawn, None, several), 1, 0)
+    return images
 
 
 def stacked(images: Sequence[Image]) -> Image:
     """Pictures of one width on top of each other."""
     return _pasted(images, 0, 1)
-
-
-def _views(shown: Turntable, face: FaceParts, heat: HeatMap | None) -> Image:
-    studio = _STUDIO if heat is None else None
-    several = [replace(_framed(shown.framing, view, shown.size), heatmap=heat, studio=studio) for view in _VIEWS]
-    return _pasted(pictures(face, None, several), 1, 0)
 
 
 def _framed(framing: FloatArray, view: View, size: int) -> PictureOptions:
@@ -179,46 +174,32 @@ def _pasted(images: Sequence[Image], right: int, down: int) -> Image:
     return sheet
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChangedShapes:
-    """A face's shapes and what they were: points in millimetres, Y up."""
-
-    parts: FaceParts  # meshes at the neutral
-    neutral: FloatArray  # (n, 3)
-    shapes: Mapping[str, FloatArray]  # name -> (n, 3) delta
-    before: Mapping[str, FloatArray]  # the same shapes, as they were
-    counted: IntArray  # points that show, by which shapes count as changed
-    framing: FloatArray  # (k, 3) points that all pictures have inside
-    size: int = 300  # pixels a picture
+def most_changed(far: Mapping[str, float], most: int = _MOST) -> dict[str, float]:
+    """At most `most` of the shapes that have changed, and how far each has (mm), from the largest distance down."""
+    names = sorted((name for name in far if far[name] > 0.0), key=lambda name: -far[name])[:most]
+    return {name: far[name] for name in names}
 
 
-def most_changed(given: ChangedShapes, most: int = _MOST) -> list[str]:
-    """The names of at most `most` shapes that have changed, from the largest distance down."""
-    far = {name: change_mm(given, name) for name in given.shapes}
-    return sorted((name for name in far if far[name] > 0.0), key=lambda name: -far[name])[:most]
-
-
-def changed_pictures(given: ChangedShapes, names: Sequence[str]) -> tuple[list[Image], tuple[float, float]]:
+def changed_pictures(
+    parts: FaceParts,
+    faces: Mapping[str, tuple[FloatArray, FloatArray]],
+    counted: IntArray,
+    framing: FloatArray,
+    size: int = _SHAPE_PIXELS,
+) -> tuple[dict[str, Image], tuple[float, float]]:
     """Each shape at weight 1, painted with its distance from where it was; and the millimetres of the colours' ends.
 
     The scale is one for all: from 0 to a round number that nearly all distances are below.
+
+    :param parts: meshes at the neutral, millimetres, Y up
+    :param faces: shape -> (n, 3) points, and (n,) how far they are from where they were
+    :param counted: points that show, by which shapes count as changed
+    :param framing: (k, 3) points that all pictures have inside
     """
-    distances = {name: _distances(given, name) for name in names}
-    known = np.concatenate([distances[name][given.counted] for name in names])
+    known = np.concatenate([distances[counted] for _, distances in faces.values()])
     limits = 0.0, round_above(known[known > 0.0])
-    options = _framed(given.framing, "front", given.size)
-    images = []
-    for name in names:
-        painted = replace(options, heatmap=HeatMap(values=distances[name], range=limits))
-        images.append(picture(given.parts, given.neutral + given.shapes[name], painted))
+    options = _framed(framing, "front", size)
+    images = {}
+    for name, (points, distances) in faces.items():
+        images[name] = picture(parts, points, replace(options, heatmap=HeatMap(values=distances, range=limits)))
     return images, limits
-
-
-def change_mm(given: ChangedShapes, name: str) -> float:
-    """The largest distance of the shape from where it was, of the points that count."""
-    return float(_distances(given, name)[given.counted].max(initial=0.0))
-
-
-def _distances(given: ChangedShapes, name: str) -> FloatArray:
-    """(n,) millimetres."""
-    return np.asarray(np.linalg.norm(given.shapes[name] - given.before[name], axis=1))

@@ -210,7 +210,7 @@ OPENED = {
         facepipe.verbs.array_file:write_arrays
         facepipe.scanning.database.database_report:DatabaseReport.as_text facepipe.verbs.eval:Eval.write
         facepipe.neural.bake_action:Bake.text
-        facepipe.scanning.rebuild.rebuild_report:RebuildPictures.write
+        facepipe.scanning.rebuild.rebuild_report:write_report
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
         facepipe.scanning.photos.structure:_triangulated
         facepipe.scanning.photos.surface:_read_mesh facepipe.stage.face:Face.deriving

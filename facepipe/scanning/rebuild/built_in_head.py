@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,58 +70,52 @@ def mouth_lines(contacts: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
             yield f"{name}: teeth, gums or tongue come through the skin by {depths}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class BuiltInHead:
-    """A template that is the built-in head, with cards of hair or without."""
+def bare_head(parts: FaceParts) -> FaceParts | None:
+    """The average head without hair, where `parts` are the built-in head with cards of hair or without; None: they are
+    another face."""
+    from facepipe.heads.assembly import average
+    from facepipe.heads.asset import asset
 
-    parts: FaceParts  # of the template
-    body: FaceParts  # the bare average head
+    names = asset().parts
+    known = parts.meshes[: len(names)]
+    if [mesh.name for mesh in known] != list(names) or (parts.meters_per_unit, parts.up_axis) != (0.01, "Y"):
+        return None
+    body = average()
+    return body if Topology.of(replace(parts, meshes=known)).digest == Topology.of(body).digest else None
 
-    @classmethod
-    def of(cls, parts: FaceParts) -> BuiltInHead | None:
-        """None: the template is another face."""
-        from facepipe.heads.asset import asset
 
-        names = asset().parts
-        known = parts.meshes[: len(names)]
-        if [mesh.name for mesh in known] != list(names) or (parts.meters_per_unit, parts.up_axis) != (0.01, "Y"):
-            return None
-        from facepipe.heads.assembly import average
+def people(body: FaceParts) -> FaceDatabase:
+    """Who people may be: the identity modes of the bare head, as a database of nobody."""
+    from facepipe.heads.assembly import modes
 
-        body = average()
-        alike = Topology.of(replace(parts, meshes=known)).digest == Topology.of(body).digest
-        return cls(parts=parts, body=body) if alike else None
+    identity = IdentityModel.from_modes(whole_points(body), _TO_MM * modes())
+    return FaceDatabase(
+        topology=Topology.of(body),
+        identity=identity,
+        coefficients=np.zeros((0, len(identity.deviations))),
+        expressions=None,
+        entries=(),
+        history=(Update(version=1, verb="create", entries=(), facepipe=__version__),),
+        tolerance_mm=_TOLERANCE_MM,
+    )
 
-    def people(self) -> FaceDatabase:
-        """Who people may be: the identity modes, as a database of nobody."""
-        from facepipe.heads.assembly import modes
 
-        identity = IdentityModel.from_modes(whole_points(self.body), _TO_MM * modes())
-        return FaceDatabase(
-            topology=Topology.of(self.body),
-            identity=identity,
-            coefficients=np.zeros((0, len(identity.deviations))),
-            expressions=None,
-            entries=(),
-            history=(Update(version=1, verb="create", entries=(), facepipe=__version__),),
-            tolerance_mm=_TOLERANCE_MM,
-        )
+def with_inside_fitted(points: FloatArray) -> FloatArray:
+    """(n, 3) whole points of the bare head in millimetres, with eyeballs that fit lids, and a mouth behind skin."""
+    from facepipe.heads.assembly import with_parts_fitted
 
-    def fitted(self, points: FloatArray) -> FloatArray:
-        """(n, 3) whole points of the bare head in millimetres, with eyeballs that fit lids, and a mouth behind skin."""
-        from facepipe.heads.assembly import with_parts_fitted
+    return _TO_MM * with_parts_fitted(points / _TO_MM)
 
-        return _TO_MM * with_parts_fitted(points / _TO_MM)
 
-    def settled(self, changed: FaceParts, *, blinks: bool = True) -> FaceParts:
-        """The template with other points, whose blinks close its lids, and whose cards lie on its skin.
+def settled(parts: FaceParts, changed: FaceParts, *, blinks: bool = True) -> FaceParts:
+    """The built-in head `parts` with other points, whose blinks close its lids, and whose cards lie on its skin.
 
-        :param blinks: made of the lids; else they stay as they are
-        """
-        from facepipe.heads.assembly import with_own_blinks, with_own_cards
+    :param blinks: made of the lids; else they stay as they are
+    """
+    from facepipe.heads.assembly import with_own_blinks, with_own_cards
+    from facepipe.heads.asset import asset
 
-        if blinks:
-            body = changed.meshes[: len(self.body.meshes)]
-            points = np.concatenate([np.asarray(mesh.points, np.float64) for mesh in body])
-            changed = with_own_blinks(changed, points)
-        return with_own_cards(changed, self.parts)
+    if blinks:
+        body = changed.meshes[: len(asset().parts)]
+        changed = with_own_blinks(changed, np.concatenate([np.asarray(mesh.points, np.float64) for mesh in body]))
+    return with_own_cards(changed, parts)

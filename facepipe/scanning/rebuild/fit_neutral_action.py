@@ -100,7 +100,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
 
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses
-        from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+        from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled, with_inside_fitted
         from facepipe.scanning.rebuild.fit_neutral import are_sealed, fit_neutral, shut_eyes, with_sealed_lips
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named, scan_input
         from facepipe.scanning.rebuild.template import Template
@@ -108,11 +108,11 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         from facepipe.verbs.author_neutral import AuthorNeutral
 
         parts = face.parts()
-        template, own = Template.of(parts, str(self.template or face.where)), BuiltInHead.of(parts)
+        template, own = Template.of(parts, str(self.template or face.where)), bare_head(parts)
         if self.database is not None:
             database = load_database(self.database)
         elif own is not None:
-            database = own.people()
+            database = people(own)
         else:
             what = "none given, expected faces of the template's topology: .fpdb (the built-in head needs none)"
             raise InputError("--database", what)
@@ -125,10 +125,10 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         points = fit.points
         if self.close_lips and are_sealed(landmarks):
             points = with_sealed_lips(body, points)
-        points = template.dressed(body, points if own is None else own.fitted(points))
+        points = template.dressed(body, points if own is None else with_inside_fitted(points))
         shown = template.dressed(body, fit.shown)
         recipe = job.recipe(quality=to_json(report.quality), weights=report.weights)
-        author = AuthorNeutral() if own is None else AuthorNeutral(settled=own.settled)
+        author = AuthorNeutral() if own is None else AuthorNeutral(settled=partial(settled, parts))
         authored = author(face, points, recipe=recipe)
         with named(self.scan), job.watch("textures", 1) as bar:
             baked = author_scan_textures(face, parts, shown, scan, place, self)

@@ -33,7 +33,8 @@ from facepipe.scanning.rebuild.scan_check import ScanCheck, misfits, scan_checks
 from facepipe.scanning.rebuild.scan_fit import landmarks_of
 from facepipe.scanning.rebuild.split_expressions import SplitShapesReport, split_expressions, turned_over
 from facepipe.scanning.rebuild.steps import (
-    StepResult,
+    Arrays,
+    Content,
     WorkFolder,
     array_digest,
     check_kept,
@@ -50,6 +51,7 @@ from facepipe.verbs.whole_faces import whole_face
 
 Shapes = Mapping[str, FloatArray]  # name -> (n, 3) whole delta
 Report = Mapping[str, Any]
+Compute = Callable[[], tuple[Arrays, Content]]  # a step's result
 # What was found, as corrected; from its scan's coordinates to those of its points; and how it lies there.
 FittedNeutral = tuple[NeutralScan, Similarity, Report]
 FittedExpression = tuple[Composite, Similarity, Report]
@@ -67,6 +69,8 @@ _SHAPES = partial(check_kept, shapes=True, report=SplitShapesReport)
 class Rebuilt:
     """An actor's face, and how it came about."""
 
+    project: Project
+    template: Template
     neutral: FloatArray  # (n, 3) whole points, millimetres
     shapes: Mapping[str, FloatArray]  # name -> (n, 3) whole delta
     reports: Mapping[str, Mapping[str, Any]]  # step -> its report: "neutral", "refined", "expressions/NAME", "shapes"
@@ -161,6 +165,8 @@ class Rebuild:
         idle = [name for name in self._folder.corrections() if name not in self._corrected]
         lines += [f"{self._folder.path}/corrections/{name}: corrects no result" for name in idle]
         return Rebuilt(
+            project=project,
+            template=template,
             neutral=points,
             shapes=shapes,
             reports=reports,
@@ -183,7 +189,7 @@ class Rebuild:
         """
         project = self._project
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             scan, marks = self._read(project.neutral)
             options, weights = project.options.neutral, project.neutral.weights
             fit, place, report = fit_neutral(self._template, scan, marks, self._database(), options, weights=weights)
@@ -191,7 +197,7 @@ class Rebuild:
 
         inputs = self._inputs(project.neutral, project.options.neutral, database=self._digest(project.database))
         inputs |= {"weights": dict(project.neutral.weights), "keeps": ["points", "expression", "report", "place"]}
-        return self._fitted_neutral(self._step(f"{below}neutral", inputs, compute, _NEUTRAL), below)
+        return self._fitted_neutral(f"{below}neutral", inputs, compute)
 
     def _joint_neutral(self) -> FittedNeutral:
         """On all scans together, which begins with fits to each; on its scan alone where no other belongs."""
@@ -214,7 +220,7 @@ class Rebuild:
         scans = {scan.name: scan for scan in project.expressions}
         coefficients = np.array(alone["coefficients"])
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             placed = []
             for name, (composite, place, _) in expressions.items():
                 raw, marks = self._read(scans[name])
@@ -247,17 +253,18 @@ class Rebuild:
         for name, (composite, place, _) in expressions.items():
             found = {"weights": dict(composite.weights), "place": place_json(place)}
             inputs["expressions"][name] = self._inputs(scans[name], options.expressions, **found)
-        return self._fitted_neutral(self._step("neutral", inputs, compute, _NEUTRAL))
+        return self._fitted_neutral("neutral", inputs, compute)
 
-    def _fitted_neutral(self, result: StepResult, below: str = "") -> FittedNeutral:
-        given, place = self._project.neutral, place_of(result.content["place"])
+    def _fitted_neutral(self, name: str, inputs: Content, compute: Compute) -> FittedNeutral:
+        arrays, content = self._step(name, inputs, compute, _NEUTRAL)
+        given, place = self._project.neutral, place_of(content["place"])
         neutral = NeutralScan(
-            points=self._after_correction(f"{below}neutral", result.arrays["points"]),
+            points=self._after_correction(name, arrays["points"]),
             place=place,
             landmarks=read_scan_landmarks(given.landmarks) if given.landmarks else ScanLandmarks(),
-            expression=result.arrays["expression"] if given.weights else None,
+            expression=arrays["expression"] if given.weights else None,
         )
-        return neutral, place, result.content["report"]
+        return neutral, place, content["report"]
 
     def _refined(self, fitted: FittedNeutral, refinement: Refinement) -> FittedNeutral:
         """The neutral drawn closer to its scan, as corrected.
@@ -269,7 +276,7 @@ class Rebuild:
         options = RefineNeutralOptions(**values_of(RefineNeutralOptions, refinement))  # regions apart, in the key too
         points, flipped = neutral.points, quality_from(report["quality"], "neutral").flipped_triangles
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             scan, marks = self._read(project.neutral)
             given = (template, points, scan, marks, place, weights, neutral.expression)
             refined, _, found = refine_neutral(*given, options=options, flipped=flipped)
@@ -277,16 +284,16 @@ class Rebuild:
 
         inputs = self._inputs(project.neutral, options, neutral=array_digest(points, neutral.shown))
         inputs |= {"regions": list(refinement.regions), "place": place_json(place), "flipped": flipped}
-        result = self._step("refined", inputs, compute, _REFINED)
-        refined = replace(neutral, points=self._after_correction("refined", result.arrays["points"]))
-        return refined, place, result.content["report"]
+        arrays, content = self._step("refined", inputs, compute, _REFINED)
+        refined = replace(neutral, points=self._after_correction("refined", arrays["points"]))
+        return refined, place, content["report"]
 
     def _starting_shapes(self, neutral: FloatArray, below: str = "") -> Shapes:
         """Those of `neutral` (n, 3)."""
         project = self._project
         options = project.options.template
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             shapes = starting_shapes(self._template, neutral, self._database(), options)
             return shape_arrays(shapes), {"names": list(shapes)}
 
@@ -296,20 +303,20 @@ class Rebuild:
             "database": self._digest(project.database),
             "options": asdict(options),
         }
-        result = self._step(f"{below}template", inputs, compute, _TEMPLATE)
-        return shapes_of(result.arrays, result.content["names"])
+        arrays, content = self._step(f"{below}template", inputs, compute, _TEMPLATE)
+        return shapes_of(arrays, content["names"])
 
     def _expression(self, scan: ProjectScan, neutral: NeutralScan, shapes: Shapes, below: str = "") -> FittedExpression:
         """One expression from the neutral and its shapes."""
         options = self._project.options.expressions
         weights = expression_weights(self._project, scan, tuple(shapes))
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             raw, marks = self._read(scan)
             given = ExpressionScan(scan=raw, landmarks=marks, weights=weights)
             found, place, report = register_scan(self._template, neutral, shapes, given, options)
-            content = {"report": report.of_fit(), "place": place_json(place)}
-            return {"points": found.points, "matched": found.matched.astype(np.int32)}, content
+            kept = {"points": found.points, "matched": found.matched.astype(np.int32)}
+            return kept, {"report": report.of_fit(), "place": place_json(place)}
 
         inputs = self._inputs(scan, options, weights=weights, neutral=array_digest(neutral.points))
         inputs |= {
@@ -320,14 +327,14 @@ class Rebuild:
             "keeps": ["points", "matched", "report", "place"],
         }
         name = f"{below}expressions/{scan.name}"
-        result = self._step(name, inputs, compute, _EXPRESSION)
-        points = np.asarray(result.arrays["points"], np.float64)
+        arrays, content = self._step(name, inputs, compute, _EXPRESSION)
+        points = np.asarray(arrays["points"], np.float64)
         composite = Composite(
             points=points if below else self._after_correction(name, points),
             weights=weights,  # as asked for: what this person does more or less belongs into the shapes
-            matched=result.arrays["matched"].astype(bool),
+            matched=arrays["matched"].astype(bool),
         )
-        return composite, place_of(result.content["place"]), result.content["report"]
+        return composite, place_of(content["place"]), content["report"]
 
     def _belonging(
         self, neutral: FloatArray, shapes: Shapes, found: Mapping[str, FittedExpression]
@@ -348,7 +355,7 @@ class Rebuild:
         """The actor's own shapes, and the report."""
         options = self._project.options.split
 
-        def compute() -> tuple[dict[str, Any], dict[str, Any]]:
+        def compute() -> tuple[Arrays, Content]:
             found, report = split_expressions(self._template, neutral, shapes, composites, options)
             return shape_arrays(found), {"names": list(found), "report": report.of_fit()}
 
@@ -361,27 +368,22 @@ class Rebuild:
             "weights": {name: dict(one.weights) for name, one in composites.items()},
             "options": asdict(options),
         }
-        result = self._step("shapes", inputs, compute, _SHAPES)
-        return shapes_of(result.arrays, result.content["names"]), result.content["report"]
+        arrays, content = self._step("shapes", inputs, compute, _SHAPES)
+        return shapes_of(arrays, content["names"]), content["report"]
 
-    def _step(
-        self,
-        name: str,
-        inputs: Mapping[str, Any],
-        compute: Callable[[], tuple[dict[str, Any], dict[str, Any]]],
-        check: Callable[..., None],
-    ) -> StepResult:
+    def _step(self, name: str, inputs: Content, compute: Compute, check: Callable[..., None]) -> tuple[Arrays, Content]:
         """The result of a step, with a mesh beside it where it has points: for eyes and for an artist's hand."""
         self._began(name)
         topology = self._template.topology
-        result = self._folder.step(name, inputs, compute, partial(check, count=topology.point_count))
-        if result.reused:
+        given = partial(check, count=topology.point_count)
+        arrays, content, is_reused = self._folder.step(name, inputs, compute, given)
+        if is_reused:
             self._reused.append(name)
-        if "points" in result.arrays:
+        if "points" in arrays:
             path = self._folder.place(f"{name}.usdc")
-            if not (result.reused and path.is_file()):
-                save_parts(topology.parts(result.arrays["points"]), path)
-        return result
+            if not (is_reused and path.is_file()):
+                save_parts(topology.parts(arrays["points"]), path)
+        return arrays, content
 
     def _after_correction(self, name: str, points: FloatArray) -> FloatArray:
         """The points (n, 3) of a step, or of the mesh that an artist put in their place.

@@ -98,9 +98,15 @@ class RebuildAction(StageAction["RebuildReport"]):
         from facepipe.heads.assembly import BLINKS
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import QualityLimits, load_database, misses
-        from facepipe.scanning.rebuild.built_in_head import BuiltInHead, mouth_contacts, mouth_lines
+        from facepipe.scanning.rebuild.built_in_head import (
+            bare_head,
+            mouth_contacts,
+            mouth_lines,
+            settled,
+            with_inside_fitted,
+        )
         from facepipe.scanning.rebuild.rebuild import Rebuild, step_count
-        from facepipe.scanning.rebuild.rebuild_report import RebuildPictures, RebuildReport
+        from facepipe.scanning.rebuild.rebuild_report import RebuildReport
         from facepipe.scanning.rebuild.scan_check import left_out_lines
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
@@ -115,17 +121,12 @@ class RebuildAction(StageAction["RebuildReport"]):
             rebuilt = Rebuild(project, body, _named_steps(bar, steps))()
         quality = to_json(rebuilt.quality)
         missed = (*left_out_lines(project, rebuilt.left_out), *misses(rebuilt.quality, QualityLimits()))
-        own, shapes = BuiltInHead.of(parts), template.dressed_shapes(body, rebuilt.shapes)
-        neutral, author = rebuilt.neutral, AuthorNeutral(shapes=shapes)
-        if own is not None:
-            neutral = neutral if rebuilt.corrected else own.fitted(neutral)
+        neutral, author = rebuilt.neutral, AuthorNeutral(shapes=template.dressed_shapes(body, rebuilt.shapes))
+        if bare_head(parts) is not None:
+            neutral = neutral if rebuilt.corrected else with_inside_fitted(neutral)
             found = rebuilt.reports.get("shapes", {}).get("shapes", {})
-            author = replace(
-                author,
-                settled=partial(
-                    own.settled, blinks=not any(found[name]["observed"] > 0 for name in BLINKS if name in found)
-                ),
-            )
+            blinks = not any(found[name]["observed"] > 0 for name in BLINKS if name in found)
+            author = replace(author, settled=partial(settled, parts, blinks=blinks))
         authored = author(face, template.dressed(body, neutral), recipe=job.recipe(quality=quality))
         scan, shown = read_scan(project.neutral.scan), template.dressed(body, rebuilt.shown)
         place = rebuilt.places.get("refined", rebuilt.places["neutral"])
@@ -143,16 +144,18 @@ class RebuildAction(StageAction["RebuildReport"]):
             warnings=(*rebuilt.warnings, *authored.warnings, *baked.warnings, *mouth_lines(contacts), *missed),
             textures=baked.textures,
             colored=baked.colored,
-            pictures=RebuildPictures(project=project, template=body, rebuilt=rebuilt),
+            rebuilt=rebuilt,
             job=job,
         )
 
     def draw(self, face: Face, report: RebuildReport, path: Path) -> None:
         """The folder of the report, with what `--json` prints."""
-        if report.pictures is not None and report.job is not None:
+        from facepipe.scanning.rebuild.rebuild_report import report_steps, write_report
+
+        if report.rebuilt is not None and report.job is not None:
             result = {"path": str(report.job.out), **report.to_dict(), "report": str(self.report)}
-            with report.job.watch("report", report.pictures.count) as bar:
-                report.pictures.write(path, result, bar.update)
+            with report.job.watch("report", report_steps(report.rebuilt)) as bar:
+                write_report(report.rebuilt, path, result, bar.update)
 
 
 def _named_steps(bar: Any, steps: int) -> Callable[[str], None]:

@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,7 @@ _SUFFIXES = (".usdc", ".usda", ".usd", ".usdz", ".obj", ".glb", ".gltf")
 
 
 Arrays = Mapping[str, AnyArray]
-Content = Mapping[str, Any]
+Content = Mapping[str, Any]  # JSON: report, weights, place
 
 
 def check_kept(
@@ -109,15 +108,6 @@ def shapes_of(arrays: Mapping[str, AnyArray], names: list[str]) -> dict[str, Flo
     return {name: np.asarray(arrays[f"shape/{name}"], np.float64) for name in names}
 
 
-@dataclass(frozen=True, kw_only=True)
-class StepResult:
-    """What one step found."""
-
-    arrays: Arrays
-    content: Content  # JSON: report, weights, place
-    reused: bool  # it was there, of the same inputs
-
-
 class WorkFolder:
     """:raises InputError: `path` can't be made, is a file, or has links that lead outside the roots"""
 
@@ -134,8 +124,9 @@ class WorkFolder:
         inputs: Mapping[str, Any],
         compute: Callable[[], tuple[Arrays, Content]],
         check: Callable[[Arrays, Content], object] = lambda arrays, content: None,
-    ) -> StepResult:
-        """The result of a step: the one that is there where it came from the same `inputs`, otherwise a new one.
+    ) -> tuple[Arrays, Content, bool]:
+        """The result of a step: the one that is there, where it came from the same `inputs`, otherwise a new one; and
+        whether it was there.
 
         A damaged file is made anew, and so is one that holds something else.
 
@@ -150,14 +141,14 @@ class WorkFolder:
         collect(path.parent)  # nothing may be written there any more
         known = self._read(path, key, check)
         if known is not None:
-            return known
+            return *known, True
         arrays, content = compute()
         path.parent.mkdir(parents=True, exist_ok=True)
         write_arrays(path, KIND, {"key": key, "content": dict(content)}, arrays)
         fresh = self._read(path, key, check)
         if fresh is None:
             raise InputError(path, "changed while it was written, expected one rebuild at a time in a work folder")
-        return StepResult(arrays=fresh.arrays, content=fresh.content, reused=False)
+        return *fresh, False
 
     def place(self, name: str) -> Path:
         """Where a file of results is written.
@@ -194,7 +185,7 @@ class WorkFolder:
             check_found(path, self.path)
         return tuple(path.relative_to(folder).with_suffix("").as_posix() for path in files if path.is_file())
 
-    def _read(self, path: Path, key: str, check: Callable[[Arrays, Content], object]) -> StepResult | None:
+    def _read(self, path: Path, key: str, check: Callable[[Arrays, Content], object]) -> tuple[Arrays, Content] | None:
         if not path.is_file():
             return None
         try:
@@ -205,7 +196,7 @@ class WorkFolder:
             check(file.arrays, content)
         except InputError:
             return None
-        return StepResult(arrays=file.arrays, content=content, reused=True)
+        return file.arrays, content
 
 
 def array_digest(*arrays: AnyArray) -> str:

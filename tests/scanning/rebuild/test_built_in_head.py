@@ -19,8 +19,9 @@ from facepipe.core.policy.paths import Trust, trusting
 from facepipe.heads import make
 from facepipe.heads.asset import asset
 from facepipe.importers.scan_ply import write_ply
+from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
-from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled
 from facepipe.scanning.rebuild.fit_neutral import are_sealed, shut_eyes, with_sealed_lips
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scanning.rebuild.template import Template
@@ -34,23 +35,25 @@ CARDS = {"Brows", "Lashes", "Hair"}
 
 
 @cache
-def built_in() -> BuiltInHead:
-    head = BuiltInHead.of(make(0, textures=SIZE))
-    assert head is not None
-    return head
+def built_in() -> tuple[FaceParts, FaceParts]:
+    """The head, and it without hair."""
+    parts = make(0, textures=SIZE)
+    body = bare_head(parts)
+    assert body is not None
+    return parts, body
 
 
 def test_other_faces_are_no_built_in_heads() -> None:
-    parts = built_in().parts
-    assert BuiltInHead.of(replace(parts, meshes=parts.meshes[1:])) is None
-    assert BuiltInHead.of(replace(parts, meters_per_unit=0.001)) is None
-    bare = BuiltInHead.of(make(5))
+    parts, body = built_in()
+    assert bare_head(replace(parts, meshes=parts.meshes[1:])) is None
+    assert bare_head(replace(parts, meters_per_unit=0.001)) is None
+    bare = bare_head(make(5))
     assert bare is not None
-    assert Topology.of(bare.body).digest == Topology.of(built_in().body).digest
+    assert Topology.of(bare).digest == Topology.of(body).digest
 
 
 def test_people_are_those_of_the_modes() -> None:
-    identity = built_in().people().identity
+    identity = people(built_in()[1]).identity
     assert len(identity.deviations) == len(asset().modes)
     spread = np.einsum("knc,k->nc", identity.components**2, identity.deviations**2)  # variance of each coordinate
     np.testing.assert_allclose(spread, ((10 * asset().modes.astype(np.float64)) ** 2).sum(axis=0), rtol=1e-6, atol=1e-6)
@@ -58,11 +61,11 @@ def test_people_are_those_of_the_modes() -> None:
 
 def test_eyes_blinks_and_cards_are_those_of_the_person() -> None:
     """Given a drawn person's skin, all that goes with it comes out as that person has it."""
-    truth, head = make(21, textures=SIZE), built_in()
-    count = Topology.of(head.body).point_count
-    points = np.concatenate([whole_points(truth)[:count], whole_points(head.parts)[count:]])
-    settled = head.settled(AuthorNeutral().changed(head.parts, points))
-    for mesh, own in zip(settled.meshes, truth.meshes, strict=True):
+    truth, (parts, body) = make(21, textures=SIZE), built_in()
+    count = Topology.of(body).point_count
+    points = np.concatenate([whole_points(truth)[:count], whole_points(parts)[count:]])
+    found = settled(parts, AuthorNeutral().changed(parts, points))
+    for mesh, own in zip(found.meshes, truth.meshes, strict=True):
         if len(mesh.points) != len(own.points):
             continue  # hair of another style
         np.testing.assert_allclose(mesh.points, own.points, atol=1e-6)
@@ -85,7 +88,7 @@ def test_shut_eyes_are_seen_by_their_landmarks() -> None:
 
 
 def test_lips_that_the_landmarks_show_shut_meet() -> None:
-    template = Template.of(built_in().body, "head")
+    template = Template.of(built_in()[1], "head")
     points, marks = template.points, template.rows[template.landmarks]
     parted, met = np.array(points[marks]), np.array(points[marks])
     met[[61, 62, 63]] = met[[67, 66, 65]]

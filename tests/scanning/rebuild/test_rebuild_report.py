@@ -24,20 +24,13 @@ from facepipe.pictures.face_picture import PictureOptions, picture, pictures
 from facepipe.pictures.heatmap import HeatMap
 from facepipe.scanning.database import save_database
 from facepipe.scanning.rebuild import Rebuild, Rebuilt, Template, read_project
-from facepipe.scanning.rebuild.rebuild_report import RebuildPictures, ShapeRow, shape_rows, shapes_table
-from facepipe.scanning.rebuild_pictures import (
-    ChangedShapes,
-    Turntable,
-    change_mm,
-    changed_pictures,
-    most_changed,
-    stacked,
-    turntable,
-)
+from facepipe.scanning.rebuild.rebuild_report import report_steps, shapes_table, write_report
+from facepipe.scanning.rebuild_pictures import changed_pictures, most_changed, stacked, turntable
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import open_face, save_parts
 
 PERSON = 9  # none of the database's
+SIZE = 96  # pixels of a picture of a scan
 FILES = ["expressions", "expressions/open.png", "neutral.png", "report.html", "report.json"]
 
 
@@ -63,13 +56,12 @@ class Made:
     def words(self, *more: object) -> tuple[object, ...]:
         return ("rebuild", self.folder / "p.toml", "-o", self.folder / "out.usda", "--force", *more)
 
-    def rebuilt(self) -> tuple[RebuildPictures, Rebuilt]:
-        """What pictures of little size are drawn of, from the stages' results."""
+    def rebuilt(self) -> Rebuilt:
+        """From the stages' results."""
         project = read_project(self.folder / "p.toml")
         template = Template.of(open_face(project.template).parts(), "head.usda")
         with mock.patch("facepipe.scanning.rebuild.rebuild.landmarks_of", side_effect=AssertionError):
-            rebuilt = Rebuild(project, template)()
-        return RebuildPictures(project=project, template=template, rebuilt=rebuilt, size=96), rebuilt
+            return Rebuild(project, template)()
 
 
 @pytest.fixture(scope="module")
@@ -122,13 +114,16 @@ def test_the_page_has_each_scan_and_shape(made: Made) -> None:
 
 
 def test_the_table_names_each_shape_once(made: Made) -> None:
-    _, rebuilt = made.rebuilt()
-    rows = shape_rows(rebuilt)
-    assert [row.name for row in rows] == list(rebuilt.shapes)
-    assert {row.name for row in rows if row.unseen} == {"smile"}
-    jaw_open = next(row for row in rows if row.name == "jawOpen")
-    assert jaw_open.scans == ("open",)
-    assert jaw_open.gain > 1.05  # this person opens the mouth wider than the template does
+    rebuilt = made.rebuilt()
+    report = rebuilt.reports["shapes"]
+    table = "".join(shapes_table(report, rebuilt.shapes))
+    assert [table.count(f">{name}<") for name in rebuilt.shapes] == [1] * len(rebuilt.shapes)
+    assert re.findall("<li>(.*?)</li>", table) == ["smile"]
+    assert report["shapes"]["jawOpen"]["scans"] == ["open"]
+    assert report["shapes"]["jawOpen"]["gain"] > 1.05  # this person opens the mouth wider than the template does
+    by_hand = "".join(shapes_table(report, rebuilt.shapes, ["shapes/smile"]))
+    assert "<td>corrected by hand</td>" in by_hand
+    assert "<li>" not in by_hand
 
 
 def test_an_existing_folder_is_refused(made: Made, capsys: pytest.CaptureFixture[str]) -> None:
@@ -161,37 +156,37 @@ def test_no_folder_that_is_in_use(made: Made, capsys: pytest.CaptureFixture[str]
 
 
 def test_nothing_is_left_of_a_report_that_fails(made: Made) -> None:
-    shown, _ = made.rebuilt()
+    rebuilt = made.rebuilt()
     scans = tuple(
-        replace(expression, scan=expression.scan.with_name("gone.ply")) for expression in shown.project.expressions
+        replace(expression, scan=expression.scan.with_name("gone.ply")) for expression in rebuilt.project.expressions
     )
-    broken = replace(shown, project=replace(shown.project, expressions=scans))
+    broken = replace(rebuilt, project=replace(rebuilt.project, expressions=scans))
     before = names(made.folder)
     with pytest.raises(InputError, match=r"gone\.ply"), replacing_folder(made.folder / "broken") as folder:
-        broken.write(folder, {})
+        write_report(broken, folder, {}, size=SIZE)
     assert names(made.folder) == before
 
 
 def test_a_neutral_alone_has_no_pictures_of_shapes(made: Made, tmp_path: Path) -> None:
-    shown, rebuilt = made.rebuilt()
+    rebuilt = made.rebuilt()
     alone = replace(
-        shown,
-        project=replace(shown.project, expressions=()),
-        rebuilt=replace(
-            rebuilt, shapes=rebuilt.personal, composites={}, reports={"neutral": rebuilt.reports["neutral"]}
-        ),
+        rebuilt,
+        project=replace(rebuilt.project, expressions=()),
+        shapes=rebuilt.personal,
+        composites={},
+        reports={"neutral": rebuilt.reports["neutral"]},
     )
     steps: list[None] = []
-    alone.write(tmp_path, {}, lambda: steps.append(None))
+    write_report(alone, tmp_path, {}, lambda: steps.append(None), SIZE)
     assert names(tmp_path) == ["neutral.png", "report.html", "report.json"]
     assert "changed most" not in (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert len(steps) == alone.count
+    assert len(steps) == report_steps(alone)
 
 
 def test_the_same_pictures_again(made: Made, tmp_path: Path) -> None:
     for folder in (tmp_path / "one", tmp_path / "other"):
         folder.mkdir()
-        made.rebuilt()[0].write(folder, made.result)
+        write_report(made.rebuilt(), folder, made.result, size=SIZE)
     for name in FILES[1:]:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes(), name
 
@@ -202,8 +197,8 @@ def _shown(distances: np.ndarray) -> np.ndarray:
     mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
     parts = replace(parts, meshes=(mesh,), meters_per_unit=0.001, materials=())
     scan = Scan(name="scan", points=mesh.points, triangles=mesh.face_vertex_indices.reshape(-1, 3))
-    given = Turntable(parts=parts, scan=scan, distances=distances, largest_mm=1.0, framing=mesh.points, size=96)
-    return np.asarray(turntable(given)["distance from the scan"]).astype(float)
+    images = turntable(parts, scan, distances, 1.0, mesh.points, SIZE)
+    return np.asarray(images["distance from the scan"]).astype(float)
 
 
 def test_no_distance_is_one_colour() -> None:
@@ -231,41 +226,31 @@ def test_several_pictures_are_those_of_one_after_another() -> None:
     assert yellow == [True, True, False]  # the upper end of the bar, where there is one
 
 
-def _changes(count: int, moved: dict[str, float]) -> ChangedShapes:
-    parts = scan_domes.face()
-    mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
-    before = {f"s{number}": np.zeros_like(mesh.points) for number in range(count)}
-    shapes = {name: delta + moved.get(name, 0.0) * np.array([0.0, 0.0, 1.0]) for name, delta in before.items()}
-    return ChangedShapes(
-        parts=replace(parts, meshes=(mesh,), meters_per_unit=0.001),
-        neutral=mesh.points,
-        shapes=shapes,
-        before=before,
-        counted=np.arange(len(mesh.points)),
-        framing=mesh.points,
-        size=128,
-    )
-
-
 def test_the_most_changed_shapes_are_drawn() -> None:
     """The largest change first, none that has not changed, at most so many; the same change has the same colour."""
-    given = _changes(6, {"s1": 0.5, "s4": 2.0, "s5": 1.0})
-    assert most_changed(given) == ["s4", "s5", "s1"]
-    assert most_changed(given, most=2) == ["s4", "s5"]
-    assert most_changed(_changes(3, {})) == []
-    assert change_mm(given, "s4") == pytest.approx(2.0)
-    (one, other), limits = changed_pictures(_changes(2, {"s0": 1.0, "s1": 1.0}), ["s0", "s1"])
-    np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+    far = {"s0": 0.0, "s1": 0.5, "s2": 0.0, "s4": 2.0, "s5": 1.0}
+    assert list(most_changed(far).items()) == [("s4", 2.0), ("s5", 1.0), ("s1", 0.5)]
+    assert list(most_changed(far, most=2)) == ["s4", "s5"]
+    assert most_changed({"s0": 0.0}) == {}
+    parts = scan_domes.face()
+    mesh = replace(parts.meshes[0], points=10.0 * parts.meshes[0].points)
+    parts, count = replace(parts, meshes=(mesh,), meters_per_unit=0.001), len(mesh.points)
+    moved = (mesh.points + np.array([0.0, 0.0, 1.0]), np.ones(count))
+    images, limits = changed_pictures(parts, {"s0": moved, "s1": moved}, np.arange(count), mesh.points, size=128)
+    np.testing.assert_array_equal(np.asarray(images["s0"]), np.asarray(images["s1"]))
     assert limits == (0.0, 1.0)
 
 
-def _row(name: str, observed: float, *, unseen: bool = False) -> ShapeRow:
-    return ShapeRow(name=name, observed=observed, gain=1.0, change_mm=0.1, scans=("one",), unseen=unseen)
+def _shape(observed: float, change_mm: float = 0.1, alike: tuple[str, ...] = ()) -> dict[str, object]:
+    return {"observed": observed, "gain": 1.0, "change_mm": change_mm, "scans": ["one"], "alike": alike}
+
+
+def _table(shapes: dict[str, dict[str, object]], *unseen: str) -> str:
+    return "".join(shapes_table({"shapes": shapes, "unseen": unseen, "undecided": ()}, shapes))
 
 
 def test_the_table_of_shapes_shows_what_changed_most_first() -> None:
-    rows = [_row("a", 0.5), replace(_row("b", 0.25), change_mm=0.2), _row("<c>", 1.0, unseen=True)]
-    table = "".join(shapes_table(rows))
+    table = _table({"a": _shape(0.5), "b": _shape(0.25, 0.2), "<c>": _shape(1.0)}, "<c>")
     assert table.index("<td>b</td>") < table.index("<td>a</td>")
     assert [float(width) for width in re.findall(r'width="([\d.]+)" height="8" fill="var\(--above\)', table)] == [
         25,
@@ -276,8 +261,7 @@ def test_the_table_of_shapes_shows_what_changed_most_first() -> None:
 
 
 def test_the_table_of_shapes_says_what_scans_do_not_tell_apart() -> None:
-    shared, twin = (replace(_row(name, 0.0), alike=("c",)) for name in "ab")
-    table = "".join(shapes_table([shared, replace(twin, unseen=True), _row("d", 0.0, unseen=True)]))
+    table = _table({"a": _shape(0.0, alike=("c",)), "b": _shape(0.0, alike=("c",)), "d": _shape(0.0)}, "b", "d")
     assert "<td>c</td>" in table
     assert table.index("Not shown by the scans") < table.index("<li>d</li>")
     assert table.index("<li>d</li>") < table.index("Not distinguished by the scans") < table.index("<li>b</li>")

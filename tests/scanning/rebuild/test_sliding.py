@@ -19,7 +19,7 @@ from facepipe.heads.assembly import average
 from facepipe.heads.asset import asset
 from facepipe.pictures.surface_view import draw_surface
 from facepipe.scanning.landmarks import FindScanLandmarks, find
-from facepipe.scanning.rebuild.built_in_head import BuiltInHead
+from facepipe.scanning.rebuild.built_in_head import people
 from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scanning.rebuild.template import Template
 from facepipe.scans import ScanLandmarks
@@ -60,14 +60,13 @@ def test_the_report_says_how_far_points_lie_from_landmarks_along_the_surface(
 def test_a_closer_look_at_a_coloured_scan_keeps_brows_and_lips_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
     scan, truth = coloured_scan(2)
     body = average()
-    template, head = Template.of(body, "head"), BuiltInHead.of(body)
-    assert head is not None
+    template = Template.of(body, "head")
     finder, found = FindScanLandmarks(draw=draw_surface), []
     near = finder(scan).landmarks
     monkeypatch.setattr(find, "look_closer", lambda look, frame, seen, angles, draw: seen)
     far = replace(finder(scan).landmarks, sigma_mm=np.full(68, FAR_MM))
     for landmarks in (near, far):
-        fit, place, _ = fit_neutral(template, scan, landmarks, head.people())
+        fit, place, _ = fit_neutral(template, scan, landmarks, people(body))
         found.append([slid(template, place.undo(fit.points), truth, part) for part in (BROWS, LIPS)])
     (brows, lips), (brows_before, lips_before) = found
     print(f"brows {brows_before:.2f} to {brows:.2f} mm, lips {lips_before:.2f} to {lips:.2f} mm")
