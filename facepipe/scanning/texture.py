@@ -19,6 +19,7 @@ from facepipe.geometry.polygons import point_areas, point_normals
 from facepipe.geometry.scan_surface import cloud_normals
 from facepipe.geometry.similarity import Similarity
 from facepipe.geometry.texels import Texels, spread
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.heads.skin import jpeg, to_bytes
 from facepipe.parts import FaceParts, TextureInput
 from facepipe.scanning.rebuild.declared import BakeScanOptions
@@ -90,7 +91,7 @@ def scan_samples(scan: Scan, place: Similarity, low: FloatArray, high: FloatArra
     corners = scan.triangles[owners]
     samples = ScanSamples(
         points=_mixed(points, corners, shares),
-        normals=unit(_mixed(normals, corners, shares)),
+        normals=unit_vectors(_mixed(normals, corners, shares)),
         colors=_colors(scan, owners, corners, shares),
         spacing=spacing,
     )
@@ -157,20 +158,6 @@ def _mixed(values: FloatArray, corners: IntArray, shares: FloatArray) -> FloatAr
     return np.asarray(sum(values[corner] * share[:, None] for corner, share in zip(corners.T, shares.T, strict=True)))
 
 
-def unit(vectors: FloatArray) -> FloatArray:
-    """(m, 3) of length 1."""
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShownTexels:
-    """k texels of one texture that a scan shows."""
-
-    place: IntArray  # (k,) into the texels of the surface
-    sample: IntArray  # (k,) nearest of the scan
-    trust: Float32Array  # (k,) 0..1
-
-
 @dataclass(frozen=True, kw_only=True)
 class SkinOnScan:
     """A skin in the pose of a scan, and the scan's samples."""
@@ -225,8 +212,8 @@ class SkinOnScan:
         trust = np.where(hit, (1 - step(np.where(hit, distances, 0), *_FAR_MM)) * step(agreement, *_TURNED), 0.0)
         return np.where(hit, near, -1), trust
 
-    def shown(self, number: int) -> ShownTexels:
-        """The texels of one of the skin's textures that the scan shows."""
+    def shown(self, number: int) -> tuple[IntArray, IntArray, Float32Array]:
+        """Of one of the skin's textures (k,) texels that the scan shows, its nearest samples, and trust, 0..1."""
         texels = self.skin.textures[number].texels
         shown = np.flatnonzero(self.trust[texels.corners].min(axis=1) > 0)
         places, samples, trusts = [], [], []
@@ -237,26 +224,23 @@ class SkinOnScan:
             places.append(chunk[kept])
             samples.append(sample[kept])
             trusts.append((trust * part.carried(self.trust[:, None])[:, 0])[kept])
-        return ShownTexels(
-            place=np.concatenate(places),
-            sample=np.concatenate(samples),
-            trust=np.concatenate(trusts).astype(np.float32),
-        )
+        return np.concatenate(places), np.concatenate(samples), np.concatenate(trusts).astype(np.float32)
 
     def observed(self, number: int, template: FloatArray) -> Observed:
         """The scan's colours on one of the skin's textures.
 
         :param template: (m, 3) linear colours of the texture's texels
         """
-        shown = self.shown(number)
+        place, sample, trust = self.shown(number)
+        texels, chunks = self.skin.textures[number].texels, -(-len(place) // _CHUNK) or 1
         seen = np.concatenate(
             [
-                self._mixed(self.skin.textures[number].texels.taken(shown.place[chunk]), shown.sample[chunk])
-                for chunk in np.array_split(np.arange(len(shown.place)), -(-len(shown.place) // _CHUNK) or 1)
+                self._mixed(texels.taken(place[chunk]), sample[chunk])
+                for chunk in np.array_split(np.arange(len(place)), chunks)
             ]
         )
-        ratio = np.log(np.maximum(seen, DARKEST)) - np.log(template[shown.place])
-        return Observed(place=shown.place, ratio=ratio.astype(np.float32), trust=shown.trust)
+        ratio = np.log(np.maximum(seen, DARKEST)) - np.log(template[place])
+        return Observed(place=place, ratio=ratio.astype(np.float32), trust=trust)
 
     def _mixed(self, part: Texels, sample: IntArray) -> Float32Array:
         """(k, 3) colours at texels: of the nearest sample, or of some where these are far apart."""
@@ -296,28 +280,28 @@ def baked_relief(on_scan: SkinOnScan, number: int, own: TextureInput, edge: floa
     picture = open_image(own.texture.image(), f"texture {own.texture.name}").convert("RGB")
     values = np.asarray(picture.resize(size, Image.Resampling.BICUBIC), np.float32) / 255
     before = (values * np.array(own.scale[:3]) + np.array(own.bias[:3])).reshape(-1, 3)
-    flat = np.asarray(unit(before), np.float32)
-    shown = on_scan.shown(number)
-    part = texels.taken(shown.place)
+    flat = np.asarray(unit_vectors(before), np.float32)
+    place, sample, trust = on_scan.shown(number)
+    part = texels.taken(place)
     # (n, 3) directions at points in which u and v grow, means of those of the texels around
     places = spread(texels, texels.carried(skin.points))
     growing = (sign * np.gradient(places, axis=axis).reshape(-1, 3)[texels.at] for axis, sign in ((1, 1), (0, -1)))
-    across, up = (part.carried(unit(texels.summed(unit(one), count))) for one in growing)
-    normal = unit(part.carried(on_scan.normals))
-    across = unit(across - (across * normal).sum(axis=1, keepdims=True) * normal)
+    across, up = (part.carried(unit_vectors(texels.summed(unit_vectors(one), count))) for one in growing)
+    normal = unit_vectors(part.carried(on_scan.normals))
+    across = unit_vectors(across - (across * normal).sum(axis=1, keepdims=True) * normal)
     binormal = np.cross(normal, across)
     # Mirrored texture coordinates turn the frame's hand.
     binormal *= np.where((binormal * up).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
-    there = on_scan.outward * on_scan.samples.normals[shown.sample]
+    there = on_scan.outward * on_scan.samples.normals[sample]
     facing = (there * normal).sum(axis=1)
     slopes = np.column_stack([(there * across).sum(axis=1), (there * binormal).sum(axis=1)])
-    trust = (shown.trust * step(facing, *_ALIKE))[:, None]
+    share = (trust * step(facing, *_ALIKE))[:, None]
     # Slopes (x / z, y / z) of two reliefs add up, unit normals don't; 0.1 bounds those seen edge-on.
     slopes = slopes / np.maximum(facing, 0.1)[:, None]
     before = flat[part.at]
-    kept = 1 - trust if edge <= _PORES_MM else 1.0
-    both = kept * before[:, :2] / np.maximum(before[:, 2:], 0.1) + trust * slopes
-    flat[part.at] = unit(np.column_stack([both, np.ones(len(both))]))
+    kept = 1 - share if edge <= _PORES_MM else 1.0
+    both = kept * before[:, :2] / np.maximum(before[:, 2:], 0.1) + share * slopes
+    flat[part.at] = unit_vectors(np.column_stack([both, np.ones(len(both))]))
     return flat.reshape(*size, 3)
 
 

@@ -188,10 +188,17 @@ class Baker:
         if scalp is not None and (bald or color is not None):
             below = own if color is None else scalp_color(color, own)
             paint = scalp[:, None], scalp[:, None] * (np.log(below) - self.template)
+        merged = [self._merged(number, layers) for number in range(len(self.flats))]
+        colors, trust = self.at_points(merged)
+        whole, pictures = self.completed(colors, trust, paint), []
+        for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
+            ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
+            ratio[one.place] += one.trust[:, None] * (one.ratio - part.carried(colors))
+            pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
         face = inner(self.skin) * self.skin.areas * self.skin.outside
         seen = np.max([layer.trust for layer in layers], axis=0)
         return Baked(
-            pictures=tuple(self._pictures(layers, paint)),
+            pictures=tuple(pictures),
             scales=tuple(layer.scale for layer in layers),
             lights=tuple(layer.light for layer in layers),
             shares=tuple(float(layer.trust @ face / face.sum()) for layer in layers),
@@ -277,18 +284,6 @@ class Baker:
             calm = _OTHERS * layer.calm
             ranked[number] = replace(layer, observed=tuple(observed), colors=colors, trust=trust, calm=calm)
         return ranked
-
-    def _pictures(self, layers: Sequence[_Layer], paint: tuple[FloatArray, FloatArray] | None) -> list[FloatArray]:
-        merged = [self._merged(number, layers) for number in range(len(self.flats))]
-        colors, trust = self.at_points(merged)
-        whole = self.completed(colors, trust, paint)
-        pictures = []
-        for texture, flat, one in zip(self.skin.textures, self.flats, merged, strict=True):
-            ratio, part = texture.texels.carried(whole), texture.texels.taken(one.place)
-            fine = one.ratio - part.carried(colors)
-            ratio[one.place] += one.trust[:, None] * fine
-            pictures.append(to_srgb(spread(texture.texels, np.exp(ratio) * flat)))
-        return pictures
 
     def _merged(self, number: int, layers: Sequence[_Layer]) -> Observed:
         if len(layers) == 1:

@@ -64,26 +64,20 @@ def hair_color(photos: Sequence[Exposure], scales: Sequence[FloatArray], scalp: 
     :param scales: (3,) of each photo's light
     :param scalp: (n,) how far points are painted with hair
     """
-    colors = [_hair(photo, scalp) / scale for photo, scale in zip(photos, scales, strict=True)]
-    known = [shown for shown in colors if len(shown)]
+    known = []
+    for photo, scale in zip(photos, scales, strict=True):
+        mask, lit = photo.seen.mask, photo.trust > _SEEN
+        clear = mask.hair > _CLEAR
+        if not lit.any() or not clear.any() or clear.sum() < _LEAST * (mask.face > _CLEAR).sum():
+            continue
+        # The face's light, or the scalp's where that is brighter: most lamps hang above, and the scalp of the face is
+        # in the shade of cards whose style the person may not have.
+        light = np.median(photo.white[lit], axis=0)
+        above = (scalp > _SEEN) & (photo.facing > _TOWARDS)
+        if above.any():
+            light = light * max(1.0, float(np.median(photo.white[above] @ GREY)) / float(light @ GREY))
+        known.append(from_srgb(photo.pixels[clear].astype(np.float64)) / light / scale)
     return np.clip(np.quantile(np.concatenate(known), _LIT, axis=0), _DARKEST, _BRIGHTEST) if known else None
-
-
-def _hair(photo: Exposure, scalp: FloatArray) -> FloatArray:
-    """(m, 3) linear colours over light; none where a face has hardly any hair.
-
-    Light is that of the face, or of the scalp where that is brighter: most lamps hang above, and the scalp of the face
-    is in the shade of cards whose style the person may not have.
-    """
-    mask, lit = photo.seen.mask, photo.trust > _SEEN
-    clear = mask.hair > _CLEAR
-    if not lit.any() or clear.sum() < _LEAST * (mask.face > _CLEAR).sum():
-        return np.zeros((0, 3))
-    light = np.median(photo.white[lit], axis=0)
-    above = (scalp > _SEEN) & (photo.facing > _TOWARDS)
-    if above.any():
-        light = light * max(1.0, float(np.median(photo.white[above] @ GREY)) / float(light @ GREY))
-    return np.asarray(from_srgb(photo.pixels[clear].astype(np.float64)) / light)
 
 
 def scale_of(material: Material, color: FloatArray) -> tuple[float, float, float, float]:

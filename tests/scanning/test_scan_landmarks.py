@@ -25,7 +25,6 @@ from facepipe.scanning.landmarks import FindScanLandmarks
 from facepipe.scanning.landmarks.find import _Search
 from facepipe.scanning.landmarks.search import (
     MIRRORED,
-    Candidate,
     FaceFrame,
     _apart,
     _crop_matrix,
@@ -185,9 +184,9 @@ def test_views_along_the_axes_look_both_ways_through_upright_squares() -> None:
 def test_the_surest_of_faces_at_one_place_is_kept() -> None:
     presences, places = (0.6, 0.9, 0.7, 0.8), (0.0, 0.0, 5.0, 9.0)
     frames = [FaceFrame(middle=np.array([x, 0.0, 0.0]), axes=np.eye(3), side=1.0) for x in places]
-    faces = [Candidate(presence=sure, frame=frame) for sure, frame in zip(presences, frames, strict=True)]
-    assert [face.presence for face in _apart(faces, 3)] == [0.9, 0.8, 0.7]
-    assert [face.presence for face in _apart(faces, 2)] == [0.9, 0.8]
+    faces = list(zip(presences, frames, strict=True))
+    assert [presence for presence, _ in _apart(faces, 3)] == [0.9, 0.8, 0.7]
+    assert [presence for presence, _ in _apart(faces, 2)] == [0.9, 0.8]
 
 
 def test_a_part_of_a_surface_has_the_points_of_its_triangles() -> None:

@@ -11,7 +11,6 @@ examples:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,6 @@ from facepipe.scanning.database.database_report import DatabaseReport, report_of
 from facepipe.scanning.database.options import AddOptions, FaceNames
 
 if TYPE_CHECKING:
-    from facepipe.scanning.database.changes import StageSource
     from facepipe.scanning.database.options import Quality
 
 _MOST_REPORT = 1 << 26  # bytes of a report
@@ -59,14 +57,6 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
 
         database = load_database(self.database)
         sources = stage_sources(self.faces, self.names, database, str(self.database))
-        qualities = self._qualities(sources)
-        with job.watch("add", 2 * len(sources)) as bar:
-            made = add_faces(database, sources, self, qualities=qualities, done=bar.update)
-        save_database(made.database, job.out)
-        return report_of(made.database, made.warnings)
-
-    def _qualities(self, sources: Sequence[StageSource]) -> dict[str, Quality]:
-        """Face name -> its measures, from reports and recipes."""
         from facepipe.core.reading import read_json
         from facepipe.scanning.database.options import quality_from
 
@@ -88,4 +78,7 @@ class AddToDatabase(FaceNames, AddOptions, InPlaceAction[DatabaseReport]):
                         raise
                     measures = None
                 qualities |= {} if measures is None else {face.name: measures}
-        return qualities
+        with job.watch("add", 2 * len(sources)) as bar:
+            made = add_faces(database, sources, self, qualities=qualities, done=bar.update)
+        save_database(made.database, job.out)
+        return report_of(made.database, made.warnings)

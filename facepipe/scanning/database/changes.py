@@ -104,41 +104,6 @@ class Facts:
     warnings: tuple[str, ...]
 
 
-def check_faces(database: FaceDatabase | None, facts: Sequence[Facts]) -> None:
-    """Check that faces are of one topology, size and place, and each is new.
-
-    :raises InputError: a name or a face twice, or a face of another size or place
-    :raises TopologyError: another topology
-    """
-    topology = database.topology if database else facts[0].topology
-    mean = np.asarray(database.identity.mean if database else facts[0].points, np.float64)
-    entries = database.entries if database else ()
-    names = {entry.name: "the database" for entry in entries}
-    known = {entry.content: entry.name for entry in entries} | {
-        entry.digest: entry.name for entry in entries if entry.digest
-    }
-    for face in facts:
-        if face.topology.digest != topology.digest:
-            raise TopologyError(face.name, f"{face.topology.digest[:14]} of meshes, expected {topology.digest[:14]}")
-        twin = known.get(face.content) or known.get(face.digest or face.content)
-        if twin is not None:
-            raise InputError(face.name, f"is the same face as {twin}, expected each face once")
-        if face.name in names:
-            raise InputError(face.name, f"a face of that name is in {names[face.name]} too, expected another name")
-        # One that stands elsewhere: what is place would enter the model as identity.
-        fitted = fit_similarity(mean, face.points)
-        angle = float(np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1))))
-        shift = float(np.linalg.norm(face.points.mean(axis=0) - mean.mean(axis=0)))
-        if not 1 / _SCALES < fitted.scale < _SCALES:
-            what = f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so"
-            raise InputError(face.name, what)
-        if angle > _TURNED or shift > _SHIFTED:
-            what = f"stands {shift:.0f} mm and {angle:.0f} degrees away from the others"
-            raise InputError(face.name, f"{what}, expected faces in one place")
-        names[face.name] = "the line"
-        known |= {face.content: face.name} | ({face.digest: face.name} if face.digest else {})
-
-
 class Shapes(NamedTuple):
     """Those that all faces have that have any, and what became of the others."""
 
@@ -256,6 +221,11 @@ def add_faces(
 
 
 def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callable[[], object]) -> list[Facts]:
+    """What is kept of faces, which are of one topology, size and place, and each is new.
+
+    :raises InputError: a name or a face twice, or a face of another size or place
+    :raises TopologyError: another topology
+    """
     facts = []
     for source in sources:
         face = source()
@@ -275,7 +245,33 @@ def _read(sources: Sequence[Source], database: FaceDatabase | None, done: Callab
             )
         )
         done()
-    check_faces(database, facts)
+    topology = database.topology if database else facts[0].topology
+    mean = np.asarray(database.identity.mean if database else facts[0].points, np.float64)
+    entries = database.entries if database else ()
+    names = {entry.name: "the database" for entry in entries}
+    known = {entry.content: entry.name for entry in entries} | {
+        entry.digest: entry.name for entry in entries if entry.digest
+    }
+    for fact in facts:
+        if fact.topology.digest != topology.digest:
+            raise TopologyError(fact.name, f"{fact.topology.digest[:14]} of meshes, expected {topology.digest[:14]}")
+        twin = known.get(fact.content) or known.get(fact.digest or fact.content)
+        if twin is not None:
+            raise InputError(fact.name, f"is the same face as {twin}, expected each face once")
+        if fact.name in names:
+            raise InputError(fact.name, f"a face of that name is in {names[fact.name]} too, expected another name")
+        # One that stands elsewhere: what is place would enter the model as identity.
+        fitted = fit_similarity(mean, fact.points)
+        angle = float(np.degrees(np.arccos(np.clip((np.trace(fitted.rotation) - 1) / 2, -1, 1))))
+        shift = float(np.linalg.norm(fact.points.mean(axis=0) - mean.mean(axis=0)))
+        if not 1 / _SCALES < fitted.scale < _SCALES:
+            what = f"{fitted.scale:.3g} times as large as the others, expected metersPerUnit to say so"
+            raise InputError(fact.name, what)
+        if angle > _TURNED or shift > _SHIFTED:
+            what = f"stands {shift:.0f} mm and {angle:.0f} degrees away from the others"
+            raise InputError(fact.name, f"{what}, expected faces in one place")
+        names[fact.name] = "the line"
+        known |= {fact.content: fact.name} | ({fact.digest: fact.name} if fact.digest else {})
     return facts
 
 
@@ -422,13 +418,10 @@ def remove_faces(database: FaceDatabase, names: Sequence[str], where: str = "the
         history=(*database.history, update),
         tolerance_mm=database.tolerance_mm,
     )
-    return Made(made, _removal_warnings(database, entries, made))
-
-
-def _removal_warnings(database: FaceDatabase, entries: Sequence[Entry], made: FaceDatabase) -> tuple[str, ...]:
-    if database.expressions is not None and made.expressions is None:
-        return ("the faces that stay have no shapes: the model of expressions goes",)
-    free = [shape for shape, lacking in made.left_out.items() if not lacking]
-    if not free or len(entries) < 2:
-        return ()
-    return (f"no face lacks {', '.join(sorted(free))} any more: left out until the database is created anew",)
+    free = sorted(shape for shape, lacking in made.left_out.items() if not lacking)
+    lines: tuple[str, ...] = ()
+    if known_model is not None and model is None:
+        lines = ("the faces that stay have no shapes: the model of expressions goes",)
+    elif free:
+        lines = (f"no face lacks {', '.join(free)} any more: left out until the database is created anew",)
+    return Made(made, lines)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from facepipe.core.arrays import BoolArray, FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FitError
 from facepipe.core.reports import Report, not_in_json
 from facepipe.core.threads import one_thread
@@ -118,26 +118,31 @@ class FindScanLandmarks:
         :raises FitError: no face on it
         :raises InputError: no surface, or no torch
         """
+        from scipy.spatial import cKDTree
+
         import facepipe.rig.torch  # noqa: F401  (asked for before the work, not in the middle of it)
+        from facepipe.geometry.closest_points import closest_places
         from facepipe.networks.files import own_landmark_session
 
         network = own_landmark_session()
         cleaned = CleanScan()(scan).scan
-        look = _look(cleaned)
+        if cleaned.is_cloud:
+            assert cleaned.normals is not None  # of cleaned scans
+            spacing = cloud_normals(cleaned.points, 6).spacing
+            look = disc_look(cleaned.points, cleaned.normals, 1.2 * spacing, cleaned.colors)
+        else:
+            look = surface_look(cleaned.points, cleaned.triangles, cleaned.colors)
         search = _Search(look=look, cloud=cleaned.is_cloud, draw=self.draw, network=network, size=network.size)
         frame, searched = search.face(scan.name)
         near = search.near(frame)
         seen = look_again(near, frame, _ALL, self.draw, network, network.size)
         seen = look_closer(near, frame, seen, _CLOSER, self.draw)
-        ends = search.ends(frame)
-        from facepipe.geometry.closest_points import closest_places
-
         nearest = closest_places(seen.landmarks, near.points, near.triangles)
-        left_out = {
-            "views disagree": seen.spread >= _UNSURE,
-            "the scan ends before them": (nearest.distances >= _OFF * frame.side)
-            | _at_end(nearest.places, ends, frame.side),
-        }
+        ended = nearest.distances >= _OFF * frame.side
+        ends = search.ends(frame)
+        if len(ends):  # the jaw alone: features lie inside of what scans show
+            ended[:_JAW] |= cKDTree(ends).query(nearest.places[:_JAW])[0] < _END * frame.side
+        left_out = {"views disagree": seen.spread >= _UNSURE, "the scan ends before them": ended}
         kept = ~np.any(list(left_out.values()), axis=0)
         eyes = seen.landmarks[36:42].mean(axis=0) - seen.landmarks[42:48].mean(axis=0)
         report = ScanLandmarksReport(
@@ -175,9 +180,9 @@ class _Search:
             if not is_worth_search(small, views[::few], turns, self.draw, self.network, self.size):
                 continue
             judged: list[tuple[float, FaceFrame]] = []
-            for candidate in candidates(small, views, turns, self.draw, self.network, self.size, _MOST):
+            for _, frame in candidates(small, views, turns, self.draw, self.network, self.size, _MOST):
                 # How sure a face is, and its frame as three views show it, and three along what those showed.
-                once = self._moved(candidate.frame, _SURE / 2, np.inf)
+                once = self._moved(frame, _SURE / 2, np.inf)
                 twice = None if once is None else self._moved(once[1], _SURE, _STEADY)
                 judged += [twice] if twice is not None else []
                 if twice is not None and twice[0] > _CERTAIN:
@@ -212,24 +217,6 @@ class _Search:
         if moved is None or seen.presence < surer or spread > steadier:
             return None
         return seen.presence - 5.0 * spread, moved
-
-
-def _look(scan: Scan) -> Look:
-    if not scan.is_cloud:
-        return surface_look(scan.points, scan.triangles, scan.colors)
-    assert scan.normals is not None  # of cleaned scans
-    spacing = cloud_normals(scan.points, 6).spacing
-    return disc_look(scan.points, scan.normals, 1.2 * spacing, scan.colors)
-
-
-def _at_end(places: FloatArray, ends: FloatArray, side: float) -> BoolArray:
-    """(68,) landmarks of the jaw where the surface ends."""
-    from scipy.spatial import cKDTree
-
-    near = np.zeros(len(places), bool)
-    if len(ends):
-        near[:_JAW] = cKDTree(ends).query(places[:_JAW])[0] < _END * side
-    return near
 
 
 def found_sigmas(*, colored: bool) -> FloatArray:

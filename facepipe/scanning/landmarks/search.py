@@ -86,14 +86,6 @@ def face_frame(landmarks: FloatArray) -> FaceFrame | None:
     return FaceFrame(middle=middle, axes=np.stack([x, y, z]), side=side)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """A crop that may show a face."""
-
-    presence: float
-    frame: FaceFrame
-
-
 def axis_views(middle: FloatArray, radius: float) -> list[Pinhole]:
     """Along the axes of the file, both ways: most scans stand upright in it."""
     views = []
@@ -115,13 +107,13 @@ def sphere_views(middle: FloatArray, radius: float) -> list[Pinhole]:
 
 def candidates(
     look: Look, views: Sequence[Pinhole], turns: int, draw: Draw, network: Network, size: int, most: int
-) -> list[Candidate]:
-    """The surest faces, at most `most`.
+) -> list[tuple[float, FaceFrame]]:
+    """The surest faces, at most `most`: their presence, and the frames of crops that may show them.
 
     :param turns: of crops in the picture's plane, evenly over the circle
     :param size: pixels a side of the network's crops
     """
-    faces: list[Candidate] = []
+    faces: list[tuple[float, FaceFrame]] = []
     for view in views:
         picture, depth = draw(look, view)
         matrices = _grid(np.isfinite(depth), turns, size)
@@ -141,7 +133,7 @@ def candidates(
             far[~np.isfinite(far)] = np.nan
             frame = face_frame(np.asarray(view.eye + far[:, None] * view.directions(where)))
             if frame is not None:
-                faces.append(Candidate(presence=float(present), frame=frame))
+                faces.append((float(present), frame))
     return _apart(faces, most)
 
 
@@ -180,18 +172,18 @@ def _grid(covered: FloatArray, turns: int, size: int, stride: float = _STRIDE) -
     return np.array(matrices).reshape(-1, 2, 3)
 
 
-def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
-    kept: list[Candidate] = []
-    for candidate in sorted(candidates, key=lambda each: -each.presence):
+def _apart(faces: list[tuple[float, FaceFrame]], most: int) -> list[tuple[float, FaceFrame]]:
+    kept: list[tuple[float, FaceFrame]] = []
+    for presence, frame in sorted(faces, key=lambda face: -face[0]):
         if len(kept) == most:
             break
-        for other in (one.frame for one in kept):
-            far = np.linalg.norm(candidate.frame.middle - other.middle) > _APART * other.side
-            turned = np.trace(candidate.frame.axes @ other.axes.T) < 1 + 2 * np.cos(0.6)
-            if not (far or turned or not 0.7 < candidate.frame.side / other.side < 1.4):
+        for _, other in kept:
+            far = np.linalg.norm(frame.middle - other.middle) > _APART * other.side
+            turned = np.trace(frame.axes @ other.axes.T) < 1 + 2 * np.cos(0.6)
+            if not (far or turned or not 0.7 < frame.side / other.side < 1.4):
                 break
         else:
-            kept.append(candidate)
+            kept.append((presence, frame))
     return kept
 
 

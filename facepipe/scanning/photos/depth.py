@@ -199,15 +199,6 @@ def _sampled(values: FloatArray, where: FloatArray) -> FloatArray:
     return np.where(inside & smooth, (corners * shares).sum(axis=0), np.nan)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Seen:
-    """Points that one photo shows, and that others confirm."""
-
-    points: FloatArray  # (n, 3)
-    pixels: IntArray  # (n, 2) column and row
-    apart: FloatArray  # (n,) median distance from the others' surfaces along the view, scan units
-
-
 def depth_maps(
     photos: Sequence[Photo],
     structure: Structure,
@@ -286,8 +277,10 @@ def confirmed(
     subject: Subject,
     agreement: float,
     support: int,
-) -> Seen:
-    """The points of one photo's depth map that lie in the subject and in `support` other depth maps or more."""
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """The points (n, 3) of one photo's depth map that lie in the subject and in `support` other depth maps or more,
+    their pixels (n, 2), column and row, and their median distance from the others' surfaces along the view (n,).
+    """
     camera, depth = cameras[number], maps[number]
     rows, columns = _EVERY * np.array(np.nonzero(np.isfinite(depth[::_EVERY, ::_EVERY])))
     pixels = np.stack([columns, rows], axis=1)
@@ -310,4 +303,4 @@ def confirmed(
     kept = near.sum(axis=0) >= support
     gaps = np.where(near, np.abs(gaps), np.nan)[:, kept]
     apart = np.nanmedian(gaps, axis=0) if gaps.shape[1] else np.zeros(0)
-    return Seen(points=points[kept], pixels=pixels[kept], apart=np.asarray(apart))
+    return points[kept], pixels[kept], np.asarray(apart)

@@ -207,7 +207,21 @@ class ScanPhotos:
         photos = read_photos(files, self.options.pixels, self.masks)
         warnings = [f"{name} is not a photo and was left out" for name in others if not name.endswith(".json")]
         step("cameras", 1)
-        known = None if self.cameras is None else _known(self.cameras, photos, folder)
+        known: dict[str, PhotoCamera] | None = None
+        if self.cameras is not None:  # as the photos are used
+            known = {}
+            for photo in photos:
+                camera = self.cameras.cameras.get(photo.name)
+                if camera is None:
+                    continue
+                if (camera.width, camera.height) != photo.full_size:
+                    size = f"{photo.full_size[0]} x {photo.full_size[1]}"
+                    what = f"{size} pixels, expected {camera.width} x {camera.height} of its camera"
+                    raise InputError(folder / photo.name, what)
+                known[photo.name] = camera.scaled(photo.width, photo.height)
+            if len(known) < FEWEST_PHOTOS:
+                what = f"{len(known)} photos have a known camera, expected {FEWEST_PHOTOS} or more"
+                raise InputError(folder, what)
         structure = find_structure(photos, self.options, known)
         made = self._scan(folder.name, [photo for photo in photos if photo.name in structure.cameras], structure, step)
         unused = tuple(photo.name for photo in photos if photo.name not in structure.cameras)
@@ -289,24 +303,3 @@ class ScanPhotos:
         }
         size = float(np.median([max(one.width, one.height) for one in photos]))
         return triangulate_all(seen, structure.cameras, _MARKED * size, 2)
-
-
-def _known(cameras: Cameras, photos: list[Photo], folder: Path) -> dict[str, PhotoCamera]:
-    """The cameras of the photos as they are used.
-
-    :raises InputError: fewer than 5 photos have one, or one is of another size than its photo
-    """
-    used = {}
-    for photo in photos:
-        camera = cameras.cameras.get(photo.name)
-        if camera is None:
-            continue
-        if (camera.width, camera.height) != photo.full_size:
-            size = f"{photo.full_size[0]} x {photo.full_size[1]}"
-            raise InputError(
-                folder / photo.name, f"{size} pixels, expected {camera.width} x {camera.height} of its camera"
-            )
-        used[photo.name] = camera.scaled(photo.width, photo.height)
-    if len(used) < FEWEST_PHOTOS:
-        raise InputError(folder, f"{len(used)} photos have a known camera, expected {FEWEST_PHOTOS} or more")
-    return used

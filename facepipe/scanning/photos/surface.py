@@ -33,6 +33,7 @@ _DEEPEST, _SHALLOWEST = 11, 6  # of the octree
 _WITHIN = 2.5  # distances of points a cell of the octree has, about
 _COLORED = 4  # nearest points that colour a point of the surface
 _VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("color", "u1", 3)])
+_FACE = np.dtype([("count", "<i4"), ("points", "<i4", 3)])  # of the surface, all triangles
 _PROPERTIES = ("x", "y", "z", "nx", "ny", "nz")
 _COLORS = ("red", "green", "blue")
 
@@ -71,11 +72,11 @@ def make_cloud(
     rows = []
     for number, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
         step()
-        seen = confirmed(number, maps, cameras, subject, options.agreement, options.support)
-        color = from_srgb(photo.pixels[seen.pixels[:, 1], seen.pixels[:, 0]] / 255.0)
-        towards = camera.eye - seen.points
+        points, pixels, off = confirmed(number, maps, cameras, subject, options.agreement, options.support)
+        color = from_srgb(photo.pixels[pixels[:, 1], pixels[:, 0]] / 255.0)
+        towards = camera.eye - points
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        rows.append(np.c_[seen.points, towards, color, seen.apart])
+        rows.append(np.c_[points, towards, color, off])
     values = np.concatenate(rows)
     if len(values) < _FEWEST:
         raise FitError(
@@ -180,28 +181,21 @@ def _poisson(cloud: Cloud) -> tuple[FloatArray, IntArray]:
         points.write_bytes("\n".join([*header, "end_header", ""]).encode() + rows.tobytes())
         try:
             pycolmap.poisson_meshing(points, mesh, options)
-            places, triangles = _read_mesh(mesh)
+            data = mesh.read_bytes()
+            end = data.index(b"end_header\n") + len(b"end_header\n")
+            counts, kinds, element = {}, [], ""
+            for line in data[:end].decode("ascii").splitlines():
+                words = line.split()
+                if words[0] == "element":
+                    element = words[1]
+                    counts[element] = int(words[2])
+                elif words[0] == "property" and element == "vertex":
+                    kinds.append((words[2], {"float": "<f4", "double": "<f8", "uchar": "u1"}[words[1]]))
+            places = np.frombuffer(data, np.dtype(kinds), counts["vertex"], end)
+            faces = np.frombuffer(data, _FACE, counts["face"], end + places.nbytes)
+            if (faces["count"] != 3).any():
+                raise ValueError("the surface has faces that are no triangles")
+            vertices = np.stack([places[axis] for axis in "xyz"], axis=1).astype(np.float64)
         except (RuntimeError, ValueError, OSError) as error:
             raise FitError("photos", f"Poisson reconstruction gave up: {str(error)[:200]}") from error
-    return places * extent + center, triangles
-
-
-def _read_mesh(path: Path) -> tuple[FloatArray, IntArray]:
-    """The mesh as Poisson reconstruction writes it: triangles, and points of floats."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    counts, kinds, element = {}, [], ""
-    for line in data[:end].decode("ascii").splitlines():
-        words = line.split()
-        if words[0] == "element":
-            element = words[1]
-            counts[element] = int(words[2])
-        elif words[0] == "property" and element == "vertex":
-            kinds.append((words[2], {"float": "<f4", "double": "<f8", "uchar": "u1"}[words[1]]))
-    vertex, face = np.dtype(kinds), np.dtype([("count", "<i4"), ("points", "<i4", 3)])
-    rows = np.frombuffer(data, vertex, counts["vertex"], end)
-    faces = np.frombuffer(data, face, counts["face"], end + rows.nbytes)
-    if (faces["count"] != 3).any():
-        raise ValueError("the surface has faces that are no triangles")
-    points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    return points, faces["points"].astype(np.int64)
+    return vertices * extent + center, faces["points"].astype(np.int64)

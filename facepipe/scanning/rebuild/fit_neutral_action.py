@@ -149,22 +149,18 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
         )
 
     def text(self, report: FitNeutralReport, out: Path) -> str:
-        from facepipe.scanning.rebuild.scan_fit import slid_text
+        from facepipe.scanning.rebuild.scan_fit import fit_rows, slid_text
 
-        fit, quality, photos = report.fit, report.quality, report.photos
+        fit, photos = report.fit, report.photos
         unit = f"{fit.mm_per_unit:.4g} mm" + (f" ({fit.unit})" if fit.unit and fit.unit != "mm" else "")
-        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
         besides = ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())
-        distance = f"mean {quality.surface_mean_mm:.3f} mm, 95 % below {quality.surface_p95_mm:.3f} mm"
         rows = [
             *([("photos", f"{len(photos['photos_used'])} used")] if photos else []),
-            ("distance from the scan", distance),
-            ("face area that the scan shows", f"{100 * quality.coverage:.1f} %"),
-            ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+            *fit_rows(fit),
             *([("slid along the surface", slid_text(fit.slid_mm))] if fit.slid_mm else []),
             *([("shows besides", besides)] if besides else []),
             ("beyond the model", f"mean {report.residual_mean_mm:.2f} mm, at most {report.residual_max_mm:.2f} mm"),
-            ("flipped triangles", f"{quality.flipped_triangles}"),
+            ("flipped triangles", f"{report.quality.flipped_triangles}"),
             ("a unit of the scan", unit),
             ("steps", f"{fit.steps}"),
             *([("skin in the scan's colours", f"{100 * report.colored:.1f} %")] if report.textures else []),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,6 @@ class Rebuild:
     ) -> None:
         self._project, self._template, self._began = project, template, began
         self._folder = WorkFolder(project.work)
-        self._known: FaceDatabase | None = None
         self._digests: dict[Path, str] = {}
         self._found: dict[Path, ScanLandmarks] = {}
         self._reused: list[str] = []
@@ -132,7 +131,7 @@ class Rebuild:
 
         :raises FacepipeError: what can't be read, fitted or written; the results of the steps before stay
         """
-        project, template, database = self._project, self._template, self._database()
+        project, template, database = self._project, self._template, self._database
         options, scans = project.options, project.expressions
         # All regions and shapes that a project names are asked for before the first fit, as fits take minutes.
         if options.refinement is not None:
@@ -192,7 +191,7 @@ class Rebuild:
         def compute() -> tuple[Arrays, Content]:
             scan, marks = self._read(project.neutral)
             options, weights = project.options.neutral, project.neutral.weights
-            fit, place, report = fit_neutral(self._template, scan, marks, self._database(), options, weights=weights)
+            fit, place, report = fit_neutral(self._template, scan, marks, self._database, options, weights=weights)
             return _neutral_arrays(fit), {"report": report.of_fit(), "place": place_json(place)}
 
         inputs = self._inputs(project.neutral, project.options.neutral, database=self._digest(project.database))
@@ -226,7 +225,7 @@ class Rebuild:
                 raw, marks = self._read(scans[name])
                 placed.append(ExpressionScan(scan=raw, landmarks=marks, weights=composite.weights, place=place))
             raw, marks = self._read(project.neutral)
-            given, database = replace(neutral, landmarks=marks), self._database()
+            given, database = replace(neutral, landmarks=marks), self._database
             fit, own_report, others, moved_mm = fit_together(
                 self._template, raw, given, coefficients, database, shapes, placed, options.neutral, options.expressions
             )
@@ -294,7 +293,7 @@ class Rebuild:
         options = project.options.template
 
         def compute() -> tuple[Arrays, Content]:
-            shapes = starting_shapes(self._template, neutral, self._database(), options)
+            shapes = starting_shapes(self._template, neutral, self._database, options)
             return shape_arrays(shapes), {"names": list(shapes)}
 
         inputs = {
@@ -412,11 +411,9 @@ class Rebuild:
             self._found[scan.scan] = landmarks_of(None, named)[0]
         return named, self._found[scan.scan]
 
+    @cached_property
     def _database(self) -> FaceDatabase:
-        """The project's, read once."""
-        if self._known is None:
-            self._known = load_database(self._project.database)
-        return self._known
+        return load_database(self._project.database)
 
     def _digest(self, path: Path | None) -> str:
         """Of a file with what it stands on, found once; empty where there is none."""

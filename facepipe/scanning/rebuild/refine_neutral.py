@@ -125,14 +125,9 @@ def _report(
     flipped: int,
     lines: tuple[str, ...],
 ) -> RefineNeutralReport:
-    """What changed.
+    """What changed: whole points (n, 3), and distances (m,), NaN where the scan shows none, are before and after.
 
-    :param names: of the landmarks
-    :param points: (n, 3) whole points before and after
     :param rows: (m,) how far skin may follow
-    :param distances: (m,) before and after, NaN where the scan doesn't show it
-    :param flipped: triangles that were turned over before
-    :param lines: warnings from before
     """
     # NaN, not 0, where a row may not follow: means are over what could change.
     free, shows, face = rows > 0.0, np.isfinite(distances[1]), template.face

@@ -31,11 +31,8 @@ from facepipe.kinds import Job, action
 from facepipe.scanning.rebuild.declared import RegisterScansOptions, ScanAction, landmark_file
 
 if TYPE_CHECKING:
-    from facepipe.scanning.rebuild.fit_neutral import NeutralScan
     from facepipe.scanning.rebuild.register_scans import RegisterScanReport
-    from facepipe.scanning.rebuild.template import Template
     from facepipe.stage import Face
-    from facepipe.verbs.whole_faces import WholeFace
 
 _STEPS = 18  # of a registration, at most
 _WEIGHTS: Any = {"parse": named_numbers, "metavar": "SHAPE=WEIGHT", "words": True}
@@ -107,12 +104,16 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
             raise InputError(f"--name {self.name}", "expected letters, digits and underscores, no digit first")
 
     def author(self, face: Face, job: Job) -> RegisterScanReport:
+        import numpy as np
+
+        from facepipe.core.tokens import SCANNED
         from facepipe.importers.scan_file import read_scan
         from facepipe.scanning.database import Quality, QualityLimits, misses
-        from facepipe.scanning.rebuild.expression_file import author_expression
-        from facepipe.scanning.rebuild.register_scans import ExpressionScan, register_scan
+        from facepipe.scanning.rebuild.fit_neutral import NeutralScan
+        from facepipe.scanning.rebuild.register_scans import ExpressionScan, placed_neutral, register_scan
         from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, landmarks_of, named
-        from facepipe.scanning.rebuild.template import Template, resolved
+        from facepipe.scanning.rebuild.template import Template, expression_of, resolved
+        from facepipe.verbs.author_neutral import AuthorNeutral
         from facepipe.verbs.whole_faces import whole_face
 
         parts = face.parts()
@@ -123,15 +124,25 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
         weights = resolved(self.weights, tuple(whole.deltas), where)
         scan = read_scan(self.scan)
         landmarks, landmark_notes = landmarks_of(self.landmarks, scan)
-        neutral, notes = self._neutral(template, whole)
+        neutral, notes, besides = NeutralScan(points=whole.points), tuple[str, ...](), None
+        if self.neutral_scan is not None:
+            if self.neutral_weights:
+                shown = resolved(self.neutral_weights, tuple(whole.deltas), "--neutral-weights")
+                besides = expression_of(whole.deltas, shown, len(whole.points))
+            own_scan = read_scan(self.neutral_scan)
+            own_landmarks, notes = landmarks_of(self.neutral_landmarks, own_scan)
+            with named(self.neutral_scan):
+                neutral = placed_neutral(template, whole.points, own_scan, own_landmarks, besides)
         given = ExpressionScan(scan=scan, landmarks=landmarks, weights=weights)
         with named(self.scan), job.watch("register", _STEPS) as bar:
             found, place, report = register_scan(
                 template, neutral, whole.deltas, given, self, lambda step: bar.update()
             )
         fit = report.fit
+        # What splitting asks for stands beside the shape: points that the scan showed, and in the recipe the weights.
         recipe = job.recipe(weights=found.weights, fit=asdict(fit))
-        authored = author_expression(face, self.name, whole.points, found, recipe)
+        shapes, seen = {self.name: found.points - whole.points}, {SCANNED: found.matched.astype(np.float32)}
+        authored = AuthorNeutral(shapes=shapes, primvars=seen)(face, whole.points, recipe=recipe)
         unused = ("markers are ignored without --neutral-scan",) if landmarks.markers and neutral.place is None else ()
         numbers = {name: getattr(fit, name) for name in ("surface_mean_mm", "surface_p95_mm", "coverage")}
         # triangles that turn over are counted of shapes, not of what is to be split into them
@@ -144,36 +155,15 @@ class RegisterScanAction(RegisterScansOptions, ScanAction["RegisterScanReport"])
             name=self.name,
         )
 
-    def _neutral(self, template: Template, whole: WholeFace) -> tuple[NeutralScan, tuple[str, ...]]:
-        """The neutral, with the place of its scan where one is given, and warnings."""
-        from facepipe.importers.scan_file import read_scan
-        from facepipe.scanning.rebuild.fit_neutral import NeutralScan
-        from facepipe.scanning.rebuild.register_scans import placed_neutral
-        from facepipe.scanning.rebuild.scan_fit import landmarks_of, named
-        from facepipe.scanning.rebuild.template import expression_of, resolved
-
-        if self.neutral_scan is None:
-            return NeutralScan(points=whole.points), ()
-        expression = None
-        if self.neutral_weights:
-            shown = resolved(self.neutral_weights, tuple(whole.deltas), "--neutral-weights")
-            expression = expression_of(whole.deltas, shown, len(whole.points))
-        scan = read_scan(self.neutral_scan)
-        landmarks, notes = landmarks_of(self.neutral_landmarks, scan)
-        with named(self.neutral_scan):
-            return placed_neutral(template, whole.points, scan, landmarks, expression), notes
-
     def text(self, report: RegisterScanReport, out: Path) -> str:
-        fit = report.fit
-        off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
+        from facepipe.scanning.rebuild.scan_fit import fit_rows
+
         beyond = f"mean {report.beyond_template_mean_mm:.2f} mm, at most {report.beyond_template_max_mm:.2f} mm"
         rows = [
             ("shape", report.name),
             ("weights", ", ".join(f"{shape} {weight:.2f}" for shape, weight in report.weights.items())),
-            ("distance from the scan", f"mean {fit.surface_mean_mm:.3f} mm, 95 % below {fit.surface_p95_mm:.3f} mm"),
-            ("face area that the scan shows", f"{100 * fit.coverage:.1f} %"),
-            ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+            *fit_rows(report.fit),
             ("from the personal template's", beyond),
-            ("steps", f"{fit.steps}"),
+            ("steps", f"{report.fit.steps}"),
         ]
         return "\n".join([str(out), table(rows)])

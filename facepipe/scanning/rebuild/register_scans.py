@@ -20,7 +20,6 @@ from facepipe.geometry.registration import (
     DeformableSurface,
     Registered,
     RegistrationOptions,
-    Shown,
     View,
     register,
     register_together,
@@ -105,17 +104,20 @@ def register_scan(
     name = expression.scan.name
     missing = [shape for shape in expression.weights if shape not in shapes]
     if missing:
-        near = suggestion(missing[0], shapes)
-        raise InputError(f"{name} -> {missing[0]}", f"no such shape in the personal template{near}")
+        what = f"no such shape in the personal template{suggestion(missing[0], shapes)}"
+        raise InputError(f"{name} -> {missing[0]}", what)
     surface = expression_surface(template, neutral, shapes, expression.weights, options)
     anchors = expression_anchors(template, neutral, expression)
     if len(anchors) < _FEWEST:
         raise InputError(f"{name} -> landmarks", f"{len(anchors)} and markers, expected {_FEWEST} or more")
     given = surface.points(surface.expected)
-    if mirrored(anchors.targets, anchors.places(given)):
-        what = "fit a mirrored face, expected left and right as the person has them"
-        raise InputError(f"{name} -> landmarks", what)
-    start, hold = _start(anchors, given, neutral)
+    places = anchors.places(given)
+    if mirrored(anchors.targets, places):
+        raise InputError(f"{name} -> landmarks", "fit a mirrored face, expected left and right as the person has them")
+    start, hold = robust_similarity(anchors.targets, places), False
+    if neutral.place is not None and abs(start.scale / neutral.place.scale - 1.0) <= _SAME_SIZE:
+        held = robust_similarity(anchors.targets * neutral.place.scale, places, scale=False)
+        start, hold = replace(held, scale=neutral.place.scale), True
     target, mended = scan_target(expression.scan)
     try:
         registered = register(surface, target, anchors, start, options.registration(scale=not hold), progress)
@@ -127,8 +129,8 @@ def register_scan(
     off = np.linalg.norm(registered.points - given, axis=1)[template.face]
     lines = [*expression.scan.warnings, *mended]
     if neutral.place is not None and not hold:
-        times = start.scale / neutral.place.scale
-        lines.append(f"{name}: 1 unit is {times:.4g} times that of the neutral's scan, fitted freely")
+        times = f"{start.scale / neutral.place.scale:.4g} times"
+        lines.append(f"{name}: 1 unit is {times} that of the neutral's scan, fitted freely")
     report = RegisterScanReport(
         fit=scan_fit(name, registered, template.face, anchors.names),
         weights=weights,
@@ -188,19 +190,6 @@ def expression_anchors(template: Template, neutral: NeutralScan, expression: Exp
         names=tuple(f"marker {marker}" for marker in common),
     )
     return anchors.with_more(markers)
-
-
-def _start(anchors: Anchors, points: FloatArray, neutral: NeutralScan) -> tuple[Similarity, bool]:
-    """About where the scan of an expression at `points` (m, 3) lies, and whether it has the scale of the neutral's."""
-    places = anchors.places(points)
-    free = robust_similarity(anchors.targets, places)
-    if neutral.place is None:
-        return free, False
-    size = neutral.place.scale
-    if abs(free.scale / size - 1.0) > _SAME_SIZE:
-        return free, False
-    held = robust_similarity(anchors.targets * size, places, scale=False)
-    return Similarity(rotation=held.rotation, translation=held.translation, scale=size), True
 
 
 def placed_neutral(
@@ -279,14 +268,12 @@ def fit_together(
 ) -> tuple[NeutralScan, FitNeutralReport, tuple[Registered, ...], float]:
     """The neutral, how it lies on its scan, what was found on each other, and how far its face has moved (mm, mean).
 
-    Identity coefficients and residual of one face, the weights of each scanned expression's shapes, and the place of
-    each scan are solved in one system. Each expression shows where its points would be at rest, as surely as people do
-    alike: with the variance of the noise, and of the person's own motion beyond the template's. So landmarks where it
-    hardly moves count like the neutral's own, and its surface where the neutral's scan shows none.
+    Identity coefficients and residual of one face, the weights of each expression's shapes, and each scan's place are
+    solved in one system. An expression shows where its points would be at rest with the variance of the noise, and of
+    the person's own motion beyond the template's. So landmarks where it hardly moves count like the neutral's own, and
+    its surface where the neutral's scan shows none.
 
-    :param scan: the neutral's
-    :param first: the neutral as fitted alone, with its place and landmarks
-    :param coefficients: (k,) of the identity model that it was fitted with, in standard deviations
+    :param first: the neutral as fitted to `scan` alone with `coefficients` (k,), and its place and landmarks
     :param shapes: name -> (n, 3) whole deltas of its personal template
     :param placed: expressions that were registered by themselves, with their places
     :raises InputError: no expression, a neutral without a place, or a scan that can't be used
@@ -296,51 +283,36 @@ def fit_together(
         raise InputError(scan.name, "no expressions or no place of it, expected both to fit together")
     surface = identity_surface(template, database.identity, options)
     residual = first.points[template.rows] - surface.points(coefficients)
-    target, mended = scan_target(scan)
+    (target, mended), solver = scan_target(scan), options.registration
     anchors = landmark_anchors(template, first.landmarks)
     besides = {} if first.expression is None else {"shown": first.expression}  # as one shape
     prior = shown_prior(template, besides, dict.fromkeys(besides, 1.0), _SHOWN_SIGMA)
-    name = f"{scan.name} -> scan"
-    views = [View(scan=target, anchors=anchors, start=first.place, shown=prior, name=name)]
-    views += (_view(template, first, shapes, one, options, expression_options) for one in placed)
-    points, solver = first.shown[template.rows], options.registration
+    views = [View(scan=target, anchors=anchors, start=first.place, shown=prior, name=f"{scan.name} -> scan")]
+    for one in placed:  # with how far its points may be from where they would be at rest
+        weights = shown_prior(template, shapes, one.weights, expression_options.weight_sigma)
+        assert one.place is not None
+        assert weights is not None
+        spread = expected_spread(weights.modes, weights.expected, expression_options)
+        marks = expression_anchors(template, first, one)
+        # Variances add: of the landmarks' noise, and of the person's own motion beyond the template's.
+        held = np.sqrt(marks.variances(options.landmark_sigma_mm) + marks.places(spread) ** 2)
+        view = View(
+            scan=scan_target(one.scan)[0],
+            anchors=replace(marks, sigmas=held),
+            start=one.place,
+            shown=weights,
+            sigmas=np.sqrt(solver.surface_sigma_mm**2 + _ALIKE * spread**2),
+            name=f"{one.scan.name} -> scan",
+        )
+        views.append(view)
+    points = first.shown[template.rows]
     normals = point_normals(points, template.triangles)
     shows = target.matches(points, normals, solver.reach_mm, solver.angle, first.place).kept
-    views = _balanced(views, shows, options)
-    found = register_together(surface, views, coefficients, residual, solver, progress)
+    found = register_together(surface, _balanced(views, shows, options), coefficients, residual, solver, progress)
     lines = (*scan.warnings, *mended)
     neutral, report = found_neutral(template, database.identity, scan.name, found[0], anchors.names, lines, besides)
-    face = template.rows[template.face]
-    moved = np.linalg.norm(neutral.points[face] - first.points[face], axis=1)
-    off = float(moved.mean()) if len(moved) else 0.0
-    return replace(neutral, landmarks=first.landmarks), report, found[1:], off
-
-
-def _view(
-    template: Template,
-    first: NeutralScan,
-    shapes: Mapping[str, FloatArray],
-    expression: ExpressionScan,
-    options: FitNeutralOptions,
-    expression_options: RegisterScansOptions,
-) -> View:
-    """An expression's scan, with how far its points may be from where they would be at rest."""
-    assert expression.place is not None
-    modes = np.stack([shapes[shape][template.rows] for shape in expression.weights])
-    expected = np.array([float(weight) for weight in expression.weights.values()])
-    spread = expected_spread(modes, expected, expression_options)
-    anchors = expression_anchors(template, first, expression)
-    # Variances add: of the landmarks' noise, and of the person's own motion beyond the template's.
-    held = np.sqrt(anchors.variances(options.landmark_sigma_mm) + anchors.places(spread) ** 2)
-    precision = np.full(len(expected), 1.0 / expression_options.weight_sigma**2)
-    return View(
-        scan=scan_target(expression.scan)[0],
-        anchors=replace(anchors, sigmas=held),
-        start=expression.place,
-        shown=Shown(modes=modes, expected=expected, precision=precision),
-        sigmas=np.sqrt(options.registration.surface_sigma_mm**2 + _ALIKE * spread**2),
-        name=f"{expression.scan.name} -> scan",
-    )
+    moved = np.linalg.norm((neutral.points - first.points)[template.rows[template.face]], axis=1)
+    return replace(neutral, landmarks=first.landmarks), report, found[1:], float(moved.mean()) if len(moved) else 0.0
 
 
 def _balanced(views: Sequence[View], shows: BoolArray, options: FitNeutralOptions) -> list[View]:

@@ -49,6 +49,16 @@ def slid_text(slid_mm: Mapping[str, float]) -> str:
     return ", ".join(f"{part} {off:.2f} mm" for part, off in slid_mm.items())
 
 
+def fit_rows(fit: ScanFit) -> list[tuple[str, str]]:
+    """How a face lies on a scan, for a table."""
+    off = f", {len(fit.outliers)} of them outliers" if fit.outliers else ""
+    return [
+        ("distance from the scan", f"mean {fit.surface_mean_mm:.3f} mm, 95 % below {fit.surface_p95_mm:.3f} mm"),
+        ("face area that the scan shows", f"{100 * fit.coverage:.1f} %"),
+        ("landmarks", f"{fit.landmark_mean_mm:.2f} mm off (mean){off}"),
+    ]
+
+
 # What is known of a scan: it, its landmarks, warnings, and what `facepipe scan` reports of its photos.
 Given = tuple[Scan, ScanLandmarks, tuple[str, ...], Mapping[str, Any]]
 

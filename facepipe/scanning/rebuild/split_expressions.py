@@ -1,28 +1,75 @@
-"""The actor's own shapes from registered expressions (document S16)."""
+"""The actor's own shapes from registered expressions (document S16), and how these are read from face stages.
+
+Splitting begins with the weights given, and finds them anew beside the shapes: those that registration found hold how
+much more or less than the template the person moves, which is the shapes' own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, SchemaError, TopologyError
 from facepipe.core.names import suggestion
 from facepipe.core.threads import one_thread
+from facepipe.core.tokens import SCANNED
 from facepipe.geometry.example_rigging import Split, SplitOptions, split_shapes
 from facepipe.geometry.polygons import flipped_triangles
 from facepipe.scanning.rebuild.declared import Judged, SplitExpressionsOptions
 from facepipe.scanning.rebuild.register_scans import Composite
-from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.rebuild.template import Template, resolved
+from facepipe.stage import open_face
+from facepipe.stage.recipes import recipe_of, source_digest
+from facepipe.verbs.whole_faces import WholeFace, whole_face
 
+_SAME_MM = 0.01  # neutrals that differ by less are one
 _OBSERVED = 0.05  # shapes seen less than this may stay as the template has them
 # And these do, if what was found is no more than what registered expressions are off by (mm, mean): with them 3 of 371
 # shapes of seven simulated people were worse than the template's, without none.
 _HARDLY, _SLIGHT_MM = 0.2, 0.25
 _USUAL = SplitExpressionsOptions()
+
+
+def read_expression(path: Path, personal: Path, base: WholeFace) -> tuple[str, Composite, tuple[str, ...]]:
+    """The expression that `facepipe register-scan` has left in `path`, to be split over `base`: its shape's name, what
+    it is, and warnings.
+
+    :param personal: file of the personal template, whose face is `base`
+    :raises InputError: no file, none of `facepipe register-scan`, or one over another neutral
+    :raises TopologyError: other meshes or faces
+    :raises SchemaError: a damaged recipe, or no shape of its name
+    """
+    (recipe, _), where = recipe_of(path, "register-scan"), f"{path} -> recipe"
+    options = recipe.options if isinstance(recipe.options, Mapping) else {}
+    name, asked = options.get("name"), options.get("weights")
+    if not isinstance(name, str) or not isinstance(asked, Mapping) or not asked:
+        raise SchemaError(where, "expected the expression's name and weights")
+    for shape, weight in asked.items():
+        if not isinstance(weight, int | float) or not abs(weight) < 1e300:  # NaN fails, and integers beyond any float
+            raise SchemaError(f"{where} -> weights -> {shape}", f"{weight!r:.40}, expected a finite number")
+    face = open_face(path)
+    whole = whole_face(face.parts(), str(path))
+    if whole.topology.digest != base.topology.digest:
+        raise TopologyError(path, f"other meshes or faces than {personal}, expected the same")
+    off = float(np.linalg.norm(whole.points - base.points, axis=1).max(initial=0.0))
+    if off > _SAME_MM:
+        raise InputError(path, f"stands on a neutral that is up to {off:.2f} mm from that of {personal}")
+    if name not in whole.deltas:
+        raise SchemaError(path, f"has no shape '{name}', expected that of its recipe")
+    weights = {str(shape): float(weight) for shape, weight in asked.items()}
+    composite = Composite(
+        points=base.points + whole.deltas[name],
+        weights=resolved(weights, tuple(base.deltas), f"{where} -> weights"),
+        matched=np.nan_to_num(face.primvar(SCANNED)) > 0.5,
+    )
+    known = dict(zip(recipe.sources, recipe.digests, strict=True)).get(str(options.get("personal")))
+    is_same = known == source_digest(personal)
+    return name, composite, () if is_same else (f"{personal.name} is not what {path.name} was registered with",)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,8 +43,7 @@ class SplitShapesAction(SplitExpressionsOptions, StageAction["SplitShapesReport"
 
     def author(self, face: Face, job: Job) -> SplitShapesReport:
         from facepipe.scanning.database import quality_from
-        from facepipe.scanning.rebuild.expression_file import read_expression
-        from facepipe.scanning.rebuild.split_expressions import split_expressions, turned_over
+        from facepipe.scanning.rebuild.split_expressions import read_expression, split_expressions, turned_over
         from facepipe.scanning.rebuild.template import Template
         from facepipe.verbs.author_neutral import AuthorNeutral
         from facepipe.verbs.whole_faces import whole_face

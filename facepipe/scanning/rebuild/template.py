@@ -360,7 +360,7 @@ def shown_prior(
         return None
     return Shown(
         modes=np.stack([deltas[name][template.rows] for name in weights]),
-        expected=np.array(list(weights.values())),
+        expected=np.array(list(weights.values()), np.float64),
         precision=np.full(len(weights), 1.0 / sigma**2),
     )
 
