@@ -11,6 +11,7 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import rasterise, screen_triangles
+from facepipe.geometry.vectors import unit_vectors
 from facepipe.networks.masks import FaceMask, face_mask
 from facepipe.parts import PhotoView
 from facepipe.pictures.lighting import PhotoLight, returned
@@ -183,7 +184,7 @@ def expose(skin: SkinSurface, view: PhotoView, pixels: Float32Array, points: Flo
     light = PhotoLight(view=view, hidden=whole.hidden[skin.span], arriving=whole.arriving[skin.span])
     local, own = everything[skin.span], normals[skin.span]
     places, depth = to_pixels(view, local)
-    facing = (own * _unit(-local)).sum(axis=1)
+    facing = (own * unit_vectors(-local)).sum(axis=1)
     trust = seen.confidence(places, depth, facing) * skin.outside
     white = whole.white(normals, whole.hidden, whole.arriving)
     return Exposure(
@@ -213,8 +214,8 @@ def observe(skin: SkinSurface, photo: Exposure, number: int, template: FloatArra
     place = np.flatnonzero((marked | beside)[texels.corners].any(axis=1))
     part = texels.taken(place)
     local = part.carried(photo.points)
-    normals = _unit(part.carried(photo.normals))
-    towards_eye = _unit(-local)
+    normals = unit_vectors(part.carried(photo.normals))
+    towards_eye = unit_vectors(-local)
     pixels, depth = to_pixels(photo.view, local)
     trust = photo.seen.confidence(pixels, depth, (normals * towards_eye).sum(axis=1))
     trust *= part.carried(skin.outside[:, None].astype(np.float32))[:, 0] > 0.999
@@ -254,7 +255,3 @@ def sampled(pixels: Float32Array, places: FloatArray, spacing: float) -> Float32
     at = np.stack([places[:, 1] - low[1] - 0.5, places[:, 0] - low[0] - 0.5]).astype(np.float32)
     channels = [map_coordinates(part[..., channel], at, order=3, mode="nearest") for channel in range(3)]
     return np.stack(channels, axis=1).astype(np.float32)
-
-
-def _unit(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

@@ -72,11 +72,17 @@ class PhotoColors:
         :raises InputError: a photo that can't be read
         """
         import cv2
+        from scipy.ndimage import minimum_filter
 
         levels = from_srgb(np.arange(256) / 255).astype(np.float32)
         total, weights = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
         for name, camera in self.cameras.items():
-            depth = self._depth(camera.scaled(*fitting((camera.width, camera.height), _LARGEST)))
+            small = camera.scaled(*fitting((camera.width, camera.height), _LARGEST))
+            ahead = small.to_camera(self.points)[:, 2]
+            flat = np.nan_to_num(small.project(self.points)) * ahead[:, None]
+            screen = screen_triangles(np.column_stack([flat, np.ones(len(ahead)), ahead]), self.triangles)
+            with np.errstate(divide="ignore"):  # infinite where there is no surface; drawn out at edges
+                depth = minimum_filter(1 / rasterise(screen, small.width, small.height).nearness, _EDGE)
             longer = max(camera.width, camera.height)
             width = float(np.median(camera.to_camera(self.points)[:, 2])) / camera.focal[0]
             most = int(np.ceil(longer * min(1.0, _FINER * width / spacing)))  # no pixels much finer than the places
@@ -91,17 +97,6 @@ class PhotoColors:
                     weights[start + seen] += weight
         with np.errstate(invalid="ignore"):
             return np.asarray(total / weights[:, None])
-
-    def _depth(self, camera: PhotoCamera) -> FloatArray:
-        """(h, w) of the nearest surface, drawn out at edges; infinite where there is none."""
-        from scipy.ndimage import minimum_filter
-
-        depth = camera.to_camera(self.points)[:, 2]
-        places = np.nan_to_num(camera.project(self.points)) * depth[:, None]
-        screen = np.column_stack([places, np.ones(len(depth)), depth])
-        nearness = rasterise(screen_triangles(screen, self.triangles), camera.width, camera.height).nearness
-        with np.errstate(divide="ignore"):
-            return np.asarray(minimum_filter(1 / nearness, _EDGE))
 
 
 def _seen(

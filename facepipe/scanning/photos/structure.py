@@ -269,9 +269,19 @@ def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> lis
     score = np.zeros(shared.shape)
     for i, a in enumerate(cameras):
         for j, b in enumerate(cameras):
-            if i != j and shared[i, j] >= _FEWEST_SHARED:
+            if i == j or shared[i, j] < _FEWEST_SHARED:
+                continue
+            to_a, to_b, line = a.eye - subject.center, b.eye - subject.center, b.eye - a.eye
+            cosine = float(to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b))
+            angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            if not _ANGLES[0] <= angle <= _ANGLES[1]:
+                continue
+            view = a.ahead + b.ahead
+            along = abs(float(line @ view)) / float(np.linalg.norm(line)) / float(np.linalg.norm(view))
+            if np.sqrt(max(0.0, 1.0 - along**2)) >= _ACROSS:
                 # The root: errors of means fall with the root of the number of points.
-                score[i, j] = _fitness(a, b, subject) * np.sqrt(shared[i, j])
+                fitness = float(np.exp(-(np.log(angle / _BEST_ANGLE) ** 2)))
+                score[i, j] = fitness * np.sqrt(shared[i, j])
     pairs = set()
     for i, row in enumerate(score):
         best = np.argsort(-row, kind="stable")[:neighbours]
@@ -282,22 +292,6 @@ def choose_pairs(structure: Structure, subject: Subject, neighbours: int) -> lis
             "photos", f"no two are {low:g} to {high:g} degrees apart and show the same: photos closer together"
         )
     return sorted(pairs)
-
-
-def _fitness(a: PhotoCamera, b: PhotoCamera, subject: Subject) -> float:
-    """How well depth can be found with two cameras, 0..1; 0: not at all."""
-    to_a, to_b = a.eye - subject.center, b.eye - subject.center
-    line = b.eye - a.eye
-    length = float(np.linalg.norm(line))
-    cosine = float(to_a @ to_b / np.linalg.norm(to_a) / np.linalg.norm(to_b))
-    angle = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    if not _ANGLES[0] <= angle <= _ANGLES[1]:
-        return 0.0
-    view = a.ahead + b.ahead
-    along = abs(float(line @ view)) / length / float(np.linalg.norm(view))
-    if np.sqrt(max(0.0, 1.0 - along**2)) < _ACROSS:
-        return 0.0
-    return float(np.exp(-(np.log(angle / _BEST_ANGLE) ** 2)))
 
 
 def upright(structure: Structure, subject: Subject, radius: float) -> tuple[Structure, Subject]:

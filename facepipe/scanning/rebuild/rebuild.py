@@ -200,23 +200,14 @@ class Rebuild:
 
     def _joint_neutral(self) -> FittedNeutral:
         """On all scans together, which begins with fits to each; on its scan alone where no other belongs."""
-        first = self._neutral(_ALONE)
-        points = first[0].points
-        shapes = self._starting_shapes(points, _ALONE)
-        found = {scan.name: self._expression(scan, first[0], shapes, _ALONE) for scan in self._project.expressions}
-        belonging = self._belonging(points, shapes, found)
-        return self._together(first, shapes, belonging) if belonging else self._neutral()
-
-    def _together(
-        self, first: FittedNeutral, shapes: Shapes, expressions: Mapping[str, FittedExpression]
-    ) -> FittedNeutral:
-        """The neutral refined on all scans, from fits to each alone.
-
-        :param shapes: the personal template of `first`
-        """
-        project, (neutral, first_place, alone) = self._project, first
-        options = project.options
+        project, options = self._project, self._project.options
         scans = {scan.name: scan for scan in project.expressions}
+        neutral, first_place, alone = self._neutral(_ALONE)
+        shapes = self._starting_shapes(neutral.points, _ALONE)
+        found = {name: self._expression(scan, neutral, shapes, _ALONE) for name, scan in scans.items()}
+        expressions = self._belonging(neutral.points, shapes, found)
+        if not expressions:
+            return self._neutral()
         coefficients = np.array(alone["coefficients"])
 
         def compute() -> tuple[Arrays, Content]:
@@ -250,8 +241,8 @@ class Rebuild:
         }
         inputs["expressions"] = {}
         for name, (composite, place, _) in expressions.items():
-            found = {"weights": dict(composite.weights), "place": place_json(place)}
-            inputs["expressions"][name] = self._inputs(scans[name], options.expressions, **found)
+            given = {"weights": dict(composite.weights), "place": place_json(place)}
+            inputs["expressions"][name] = self._inputs(scans[name], options.expressions, **given)
         return self._fitted_neutral("neutral", inputs, compute)
 
     def _fitted_neutral(self, name: str, inputs: Content, compute: Compute) -> FittedNeutral:

@@ -264,7 +264,6 @@ def fit_together(
     placed: Sequence[ExpressionScan],
     options: FitNeutralOptions = _USUAL_NEUTRAL,
     expression_options: RegisterScansOptions = _USUAL,
-    progress: Callable[[int], None] = lambda step: None,
 ) -> tuple[NeutralScan, FitNeutralReport, tuple[Registered, ...], float]:
     """The neutral, how it lies on its scan, what was found on each other, and how far its face has moved (mm, mean).
 
@@ -308,7 +307,7 @@ def fit_together(
     points = first.shown[template.rows]
     normals = point_normals(points, template.triangles)
     shows = target.matches(points, normals, solver.reach_mm, solver.angle, first.place).kept
-    found = register_together(surface, _balanced(views, shows, options), coefficients, residual, solver, progress)
+    found = register_together(surface, _balanced(views, shows, options), coefficients, residual, solver)
     lines = (*scan.warnings, *mended)
     neutral, report = found_neutral(template, database.identity, scan.name, found[0], anchors.names, lines, besides)
     moved = np.linalg.norm((neutral.points - first.points)[template.rows[template.face]], axis=1)

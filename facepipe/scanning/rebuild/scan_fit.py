@@ -130,10 +130,7 @@ def scan_target(scan: Scan) -> tuple[ScanTarget, tuple[str, ...]]:
 
 def unit_of(mm_per_unit: float) -> str | None:
     """The unit that a scale is nearest to, within 15 %."""
-    for name, size in UNITS.items():
-        if abs(mm_per_unit / size - 1.0) <= _ALIKE:
-            return name
-    return None
+    return next((name for name, size in UNITS.items() if abs(mm_per_unit / size - 1.0) <= _ALIKE), None)
 
 
 def scan_fit(scan: str, registered: Registered, face: BoolArray, names: tuple[str, ...]) -> ScanFit:

@@ -82,11 +82,6 @@ class ShapeReport:
     scans: tuple[str, ...]  # that show it
     alike: tuple[str, ...]  # shapes that the scans can't separate from it
 
-    @property
-    def is_template(self) -> bool:
-        """It is the template's."""
-        return self.observed < _OBSERVED and self.change_mm == 0.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class SplitShapesReport(Judged):
@@ -202,7 +197,11 @@ def _report(split: Split, names: tuple[str, ...], scans: tuple[str, ...]) -> Spl
         residual_mean_mm=dict(zip(scans, map(float, split.residual_means), strict=True)),
         residual_p95_mm=dict(zip(scans, map(float, split.residual_p95), strict=True)),
         rank=split.rank,
-        unseen=tuple(name for name in shapes if shapes[name].is_template and name not in undecided),
+        unseen=tuple(
+            name
+            for name, one in shapes.items()
+            if one.observed < _OBSERVED and one.change_mm == 0.0 and name not in undecided
+        ),
         undecided=undecided,
         warnings=split.warnings,
     )

@@ -54,30 +54,23 @@ def seen_from_outside(points: FloatArray, triangles: IntArray) -> BoolArray:
     width = np.sqrt(1.0 - height**2)
     for towards in np.stack([width * np.cos(turn), height, width * np.sin(turn)], axis=1):
         facing = np.flatnonzero((normals @ towards > _FACING_COSINE) & ~seen)
-        if len(facing):
-            seen[facing] = _in_front(points[facing], samples, towards, size)
+        across = np.eye(3)[np.abs(towards).argmin()]
+        right = np.cross(across, towards)
+        axes = np.stack([right, np.cross(towards, right)], axis=1) / np.linalg.norm(right)
+        flat = samples @ axes
+        low, cell = flat.min(axis=0), size / _CELLS_ACROSS
+        shape = np.floor((flat.max(axis=0) - low) / cell).astype(np.int64) + 1
+        # the depth map's cells of the samples, and of the points
+        of_samples, of_points = (
+            np.clip(np.floor((values - low) / cell).astype(np.int64), 0, shape - 1) @ [shape[1], 1]
+            for values in (flat, points[facing] @ axes)
+        )
+        nearest = np.full(int(shape.prod()), -np.inf)
+        np.maximum.at(nearest, of_samples, samples @ towards)
+        seen[facing] = points[facing] @ towards >= nearest[of_points] - _DEPTH_SLACK * size
     used = np.zeros(len(points), bool)
     used[triangles.ravel()] = True
     return seen & used
-
-
-def _in_front(points: FloatArray, samples: FloatArray, towards: FloatArray, size: float) -> BoolArray:
-    """(m,) points with nothing before them."""
-    across = np.eye(3)[np.abs(towards).argmin()]
-    right = np.cross(across, towards)
-    axes = np.stack([right, np.cross(towards, right)], axis=1) / np.linalg.norm(right)
-    flat = samples @ axes
-    low = flat.min(axis=0)
-    cell = size / _CELLS_ACROSS
-    shape = np.floor((flat.max(axis=0) - low) / cell).astype(np.int64) + 1
-
-    def cells(values: FloatArray) -> IntArray:
-        row, column = np.clip(np.floor((values - low) / cell).astype(np.int64), 0, shape - 1).T
-        return np.asarray(row * shape[1] + column)
-
-    nearest = np.full(int(shape.prod()), -np.inf)
-    np.maximum.at(nearest, cells(flat), samples @ towards)
-    return np.asarray(points @ towards >= nearest[cells(points @ axes)] - _DEPTH_SLACK * size)
 
 
 @dataclass(frozen=True, kw_only=True)
