@@ -25,7 +25,8 @@ from facepipe.geometry.similarity import fit_similarity
 from facepipe.kinds import found_of
 from facepipe.performing import read_kept
 from facepipe.scanning.database import create_database, save_database
-from facepipe.scanning.rebuild import FitNeutralOptions
+from facepipe.scanning.rebuild import FitNeutral, FitNeutralOptions, Template
+from facepipe.scanning.rebuild.fit_neutral import fit_neutral
 from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
 from facepipe.scans import Scan, ScanLandmarks
 from facepipe.stage import save_parts
@@ -44,6 +45,18 @@ def truth() -> np.ndarray:
 
 def fitted(files: Files) -> np.ndarray:
     return whole_points(facepipe.open(files["out.usda"]).parts())
+
+
+def test_the_class_of_0_1_0_still_fits() -> None:
+    template, (scan, landmarks) = Template.of(scan_domes.face(), "head.usda"), scan_domes.scan(PERSON)
+    options, steps = FitNeutralOptions(unit="cm"), list[int]()
+    given = (template, scan, landmarks, scan_domes.database())
+    former = FitNeutral(options=options)(*given, steps.append)
+    neutral, place, report = fit_neutral(*given, options)
+    assert (former.report.quality, former.place.scale) == (report.quality, place.scale)
+    np.testing.assert_array_equal(former.points, neutral.points)
+    assert not former.expression.any()
+    assert steps
 
 
 def test_a_person_is_found_on_a_scan(files: Files, capsys: pytest.CaptureFixture[str]) -> None:
