@@ -46,7 +46,18 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     """
     parents = skeleton.parents
     local = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), parents < 0)
-    unholdable = _unholdable(skeleton, space, local, person)
+    turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
+    at_rest = decompose(turned)
+    sizes = np.abs(at_rest.scale)
+    uneven = np.ptp(sizes, axis=-1) > _UNEVEN * sizes.max(axis=-1)
+    linear = space.placement[:3, :3]
+    rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
+    unholdable: dict[int, FloatArray] = {}  # joints that need a node above them, with the matrix that it must take
+    for joint, parent in enumerate(parents):
+        if at_rest.sheared[joint] or (person and uneven[joint]):
+            unholdable[joint] = local[joint]
+        elif parent < 0 and not rigid:
+            unholdable[joint] = space.placement
     above = np.tile(np.eye(4), (len(local), 1, 1))
     for joint, matrix in unholdable.items():
         # T U S of ``matrix = T U S V``: what is left of it is the rotation V, so both are TRS
@@ -94,23 +105,6 @@ def _has_shear(worlds: FloatArray) -> FloatArray:
     axes = linear / np.where(length == 0, 1.0, length)
     gram = np.abs(np.swapaxes(axes, -1, -2) @ axes) * (1 - np.eye(3))
     return np.asarray(gram.max(axis=(-1, -2)) > _INHERITED_SHEAR_TOLERANCE)
-
-
-def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray, person: bool) -> dict[int, FloatArray]:
-    """Joints that need a node above them, with the matrix that it must take."""
-    turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
-    at_rest = decompose(turned)
-    sizes = np.abs(at_rest.scale)
-    uneven = np.ptp(sizes, axis=-1) > _UNEVEN * sizes.max(axis=-1)
-    linear = space.placement[:3, :3]
-    rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
-    result = {}
-    for joint, parent in enumerate(skeleton.parents):
-        if at_rest.sheared[joint] or (person and uneven[joint]):
-            result[joint] = local[joint]
-        elif parent < 0 and not rigid:
-            result[joint] = space.placement
-    return result
 
 
 def _node(name: str, trs: Trs, i: int) -> Json:

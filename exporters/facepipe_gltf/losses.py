@@ -56,7 +56,18 @@ def check(parts: FaceParts) -> None:
     for mesh in parts.meshes:
         _mesh(f"{parts.name} -> {mesh.name}", mesh, len(parts.skeleton.joints))
     for animation in parts.animations:
-        _animation(f"{parts.name} -> {animation.name}", animation)
+        where, count = f"{parts.name} -> {animation.name}", animation.samples
+        moved, shapes = len(animation.joints), len(animation.shapes)
+        for name, width in (("translations", 3), ("rotations", 4), ("scales", 3), ("coefficients", 9)):
+            _array(f"{where} -> {name}", getattr(animation, name), (count, moved, width))
+        if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
+            raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
+        _array(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
+        if animation.times is not None:
+            _finite(f"{where} -> times", animation.times)
+            if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
+                what = "not ascending in float32, expected at least one time, each later"
+                raise ExportError(f"{where} -> times", what)
     for material in parts.materials:
         for name, value in vars(material).items():
             numbers = (*value.scale, *value.bias) if isinstance(value, TextureInput) else value
@@ -111,21 +122,6 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
 def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ...]) -> None:
     for name, array in (("offsets", sculpt.offsets), ("normalOffsets", sculpt.normal_offsets)):
         _array(f"{where} -> {name}", array, expected)
-
-
-def _animation(where: str, animation: Animation) -> None:
-    count = animation.samples
-    joints, shapes = len(animation.joints), len(animation.shapes)
-    widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3), "coefficients": (joints, 9)}
-    for name, width in widths.items():
-        _array(f"{where} -> {name}", getattr(animation, name), (count, *width))
-    if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
-        raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
-    _array(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
-    if animation.times is not None:
-        _finite(f"{where} -> times", animation.times)
-        if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
-            raise ExportError(f"{where} -> times", "not ascending in float32, expected at least one time, each later")
 
 
 def _finite(where: str, values: Any) -> None:

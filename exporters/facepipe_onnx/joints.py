@@ -28,7 +28,14 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
     angles = nodes.slice(rows, 1, 3, 6)
     waves = nodes.concat([nodes.add("Sin", angles), nodes.add("Cos", angles)], 1)
     # the products i k m j that are not zero: R[i, j] sums Rz[i, k] Rx[k, m] Ry[m, j]
-    turns = [_axis_rotation(axis) for axis in _ORDER]
+    turns = []
+    for axis in _ORDER:  # a rotation about it is ``[sin x y z, cos x y z] @ linear + fixed``
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        linear, fixed = np.zeros((6, 3, 3)), np.zeros((3, 3))
+        linear[axis, after, last], linear[axis, last, after] = -1.0, 1.0
+        linear[3 + axis, after, after] = linear[3 + axis, last, last] = 1.0
+        fixed[axis, axis] = 1.0
+        turns.append((linear, fixed))
     first, second, third = (np.abs(linear).sum(axis=0) + fixed != 0 for linear, fixed in turns)
     indices = itertools.product(range(3), repeat=4)
     products = [(i, k, m, j) for i, k, m, j in indices if first[i, k] and second[k, m] and third[m, j]]
@@ -46,16 +53,6 @@ def _local_nodes(nodes: Nodes, coefficients: str, rest: FloatArray, batch: int) 
     corner = nodes.constant("corner", np.eye(16)[15])
     matrices = nodes.add("Gemm", product, nodes.constant("entries", entries), corner)
     return nodes.add("MatMul", nodes.constant("rest", rest), nodes.reshape(matrices, batch, count, 4, 4))
-
-
-def _axis_rotation(axis: int) -> tuple[FloatArray, FloatArray]:
-    """(6, 3, 3) and (3, 3): a rotation about `axis` is ``[sin x y z, cos x y z] @ linear + fixed``."""
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    linear, fixed = np.zeros((6, 3, 3)), np.zeros((3, 3))
-    linear[axis, first, second], linear[axis, second, first] = -1.0, 1.0
-    linear[3 + axis, first, first] = linear[3 + axis, second, second] = 1.0
-    fixed[axis, axis] = 1.0
-    return linear, fixed
 
 
 def tree_order(parents: IntArray) -> tuple[IntArray, IntArray]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -137,24 +136,22 @@ def _meshes(
     options: Options,
     warnings: list[str],
 ) -> tuple[Mesh, ...]:
-    pieces = [_Piece("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
+    pieces = [("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
     objects, of_corner = np.unique(neutral.face_object), np.repeat(neutral.face_object, neutral.face_vertex_counts)
     points = [np.unique(neutral.face_vertex_indices[of_corner == number]) for number in objects]
     # objects that share points stay one mesh: their border would open as either moves
     if len(objects) > 1 and sum(map(len, points)) == len(np.unique(neutral.face_vertex_indices)):
         pieces = [
-            _Piece(
-                neutral.objects[number] if number >= 0 else "Head", own, np.flatnonzero(neutral.face_object == number)
-            )
+            (neutral.objects[number] if number >= 0 else "Head", own, np.flatnonzero(neutral.face_object == number))
             for number, own in zip(objects, points, strict=True)
         ]
-    names = handles([piece.name for piece in pieces], "Mesh")
-    used = sum(len(piece.points) for piece in pieces)
+    names = handles([name for name, _, _ in pieces], "Mesh")
+    used = sum(len(own) for _, own, _ in pieces)
     if used < len(neutral.points):
         warnings.append(f"{len(neutral.points) - used} points belong to no face of an object, left out")
     meshes = tuple(
-        _mesh(neutral, piece._replace(name=name), shapes, materials, landmarks, options.threshold)
-        for name, piece in zip(names, pieces, strict=True)
+        _mesh(neutral, name, own, faces, shapes, materials, landmarks, options.threshold)
+        for name, (_, own, faces) in zip(names, pieces, strict=True)
     )
     moved = {shape.name for mesh in meshes for shape in mesh.blendshapes}
     still = [name for name in shapes if name not in moved]
@@ -166,21 +163,16 @@ def _meshes(
     return meshes
 
 
-class _Piece(NamedTuple):
-    name: str
-    points: IntArray
-    faces: IntArray
-
-
 def _mesh(
     neutral: Obj,
-    piece: _Piece,
+    name: str,
+    points: IntArray,
+    faces: IntArray,
     shapes: Mapping[str, FloatArray],
     materials: list[str],
     landmarks: Mapping[str, Landmarks],
     threshold: float,
 ) -> Mesh:
-    name, points, faces = piece
     corners = face_corners(neutral.face_vertex_counts, faces)
     uv_sets = (compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else ()
     return Mesh(

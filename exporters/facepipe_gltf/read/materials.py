@@ -52,11 +52,6 @@ def read_materials(document: Document, names: list[str], used: Iterable[str | No
     return tuple(read)
 
 
-def is_double_sided(document: Document, index: int) -> bool:
-    """Whether material `index` shows both sides."""
-    return document.entries("materials")[index].get_or("doubleSided", False).flag()
-
-
 class _Textures:
     """Texture inputs of one document; an image is read once and its file name is unique."""
 
@@ -133,7 +128,6 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     opacity, threshold = _opacity(textures, value, surface, base[3])
     ior = value.extension("KHR_materials_ior") or empty
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
-    coat = value.extension("KHR_materials_clearcoat") or empty
     label = given_name(value)
     # in this order: images are numbered as they are first asked for
     diffuse = _color(textures, surface.get("baseColorTexture"), base)
@@ -153,6 +147,13 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     if bumped is not None:
         scale = _factor(bumped, "scale")  # ``(2 texel - 1) * (scale, scale, 1)``
         normal = textures.input(bumped, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
+    clearcoat: dict[str, float | TextureInput] = {}
+    coat = value.extension("KHR_materials_clearcoat") or empty
+    if (factor := _factor(coat, "clearcoatFactor", 0.0)) != 0:  # its roughness doesn't count without
+        coat_rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
+        clearcoat["clearcoat"] = _scalar(textures, coat.get("clearcoatTexture"), "r", factor)
+        rough_picture = coat.get("clearcoatRoughnessTexture")
+        clearcoat["clearcoat_roughness"] = _scalar(textures, rough_picture, "g", coat_rough)
     return Material(
         name=name,
         label=label if label != name else None,
@@ -165,20 +166,8 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         occlusion=1.0 if occlusion is None else occlusion,
         normal=normal,
         ior=_factor(ior, "ior", 1.5),
-        **_clearcoat(textures, coat),
+        **clearcoat,
     )
-
-
-def _clearcoat(textures: _Textures, coat: Value) -> dict[str, float | TextureInput]:
-    """Nothing where there is none: its roughness doesn't count then."""
-    factor = _factor(coat, "clearcoatFactor", 0.0)
-    if factor == 0:
-        return {}
-    rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
-    return {
-        "clearcoat": _scalar(textures, coat.get("clearcoatTexture"), "r", factor),
-        "clearcoat_roughness": _scalar(textures, coat.get("clearcoatRoughnessTexture"), "g", rough),
-    }
 
 
 def _color(textures: _Textures, reference: Value | None, factor: tuple[float, ...]) -> Color | TextureInput:
