@@ -23,7 +23,7 @@ from facepipe.parts import (
 )
 from facepipe.rig.trs import accumulate
 from facepipe_gltf.baking import Baked
-from facepipe_gltf.encoding import LOST, merge
+from facepipe_gltf.buffers import LOST, merge
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Space
 from facepipe_gltf.record_format import NONE

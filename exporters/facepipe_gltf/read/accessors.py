@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Document, Value
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

@@ -18,10 +18,9 @@ from facepipe.rig.animation import ON_FRAME, TICK, between, local_transforms, wh
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Value, given_name
 from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.skins import Joints, Nodes, local_trs
-from facepipe_gltf.read.values import Value, given_name
 
 _RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at
 _TOLERANCE = {"translation": 5e-5, "rotation": 5e-4, "scale": 5e-4, "weights": 5e-4}  # of curves: metres, radians, 1

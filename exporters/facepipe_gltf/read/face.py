@@ -21,14 +21,13 @@ from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.recipes import Imported, import_recipe, with_units
 from facepipe_gltf.read import meshes, primitives
 from facepipe_gltf.read.animations import read_animations
-from facepipe_gltf.read.document import Document, open_document
+from facepipe_gltf.read.document import Document, Names, Value, given_name, open_document, quote
 from facepipe_gltf.read.materials import material_names, read_materials
 from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
-from facepipe_gltf.read.values import Names, Value, given_name, quote
 
 _KINDS = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "images", "samplers", "cameras")
 _READ = ("facepipe", "targetNames")  # keys of extras

@@ -12,9 +12,8 @@ from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, uri_name
+from facepipe_gltf.read.document import Document, Names, Value, file_name, given_name, uri_name
 from facepipe_gltf.read.meshes import uv_name
-from facepipe_gltf.read.values import Names, Value, file_name, given_name
 from facepipe_gltf.record_format import image_digest
 
 Channels = Literal["rgb", "r", "g", "b", "a"]

@@ -21,9 +21,8 @@ from facepipe.core.names import identifier
 from facepipe.geometry.polygons import distinct_rows
 from facepipe.parts import Blendshape, Inbetween, Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe_gltf.read.accessors import Deltas
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Names, Value
 from facepipe_gltf.read.primitives import Geometry, Target, Vertices
-from facepipe_gltf.read.values import Names, Value
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from facepipe_gltf.encoding import MESHOPT
+from facepipe_gltf.buffers import MESHOPT
 
 Bytes = npt.NDArray[np.uint8]
 

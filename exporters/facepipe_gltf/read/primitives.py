@@ -15,8 +15,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Document, Value
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]

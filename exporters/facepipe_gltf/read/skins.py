@@ -16,8 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Skeleton, identity
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read import accessors
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Names, Value, given_name, joint_identifier
+from facepipe_gltf.read.document import Document, Names, Value, given_name, joint_identifier
 
 _SAME = 1e-5
 
@@ -161,7 +160,15 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
     """
     values = document.entries("skins")
-    listed = [_joint_nodes(document, value) for value in values]
+    listed = []
+    for value in values:
+        joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
+        if not joints:
+            raise value.error("no joints, expected at least one")
+        node, times = Counter(joints).most_common(1)[0]
+        if times > 1:
+            raise value.error(f"lists nodes[{node}] {times} times, expected once")
+        listed.append(joints)
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     order = _parent_first(nodes, [node for skin in listed for node in skin])
     of_node = {node: joint for joint, node in enumerate(order)}
@@ -199,16 +206,6 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     leaves = zip(given, skeleton.names, strict=True)
     skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
     return Joints(skeleton, of_node, above, tuple(skins))
-
-
-def _joint_nodes(document: Document, value: Value) -> list[int]:
-    joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
-    if not joints:
-        raise value.error("no joints, expected at least one")
-    node, times = Counter(joints).most_common(1)[0]
-    if times > 1:
-        raise value.error(f"lists nodes[{node}] {times} times, expected once")
-    return joints
 
 
 def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:
