@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
-from facepipe.hosting.host_face import faces_on, neural_rig_of
+from facepipe.hosting.host_face import Face, faces_on, neural_rig_of
 
 from .armature import bone_matrices
 from .face_objects import MESH, RECORD, Kept, keep, record_of
@@ -29,15 +29,7 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
     warnings: list[str] = []
     for face in faces_on(stage):
         parts = face.parts()  # read whole before anything changes
-        armature, objects = None, {}
-        for path, ids in made.items():
-            prim = face.stage.GetPrimAtPath(path)
-            if prim and prim.IsA(UsdSkel.Skeleton) and path.startswith(f"{face.prim.GetPath()}/"):
-                armature = _object(ids, "ARMATURE")
-        for mesh in face.meshes:
-            obj = _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH")
-            if obj is not None:
-                objects[mesh.name] = obj
+        armature, objects = _objects(face, made)
         if not objects:
             continue
         missing = [mesh.name for mesh in parts.meshes if mesh.name not in objects]
@@ -89,6 +81,17 @@ def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
             named.remove(candidates[0])
             made[str(prim.GetPath())] = candidates[:1]
     return made
+
+
+def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> tuple[Any, dict[str, Any]]:
+    """The armature and, by mesh, the objects that Blender made of a face."""
+    armature = None
+    for path, ids in made.items():
+        prim = face.stage.GetPrimAtPath(path)
+        if prim and prim.IsA(UsdSkel.Skeleton) and path.startswith(f"{face.prim.GetPath()}/"):
+            armature = _object(ids, "ARMATURE")
+    found = {mesh.name: _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH") for mesh in face.meshes}
+    return armature, {name: obj for name, obj in found.items() if obj is not None}
 
 
 def _object(ids: Sequence[Any], kind: str) -> Any:

@@ -27,7 +27,6 @@ class Nodes:
 
     values: list[Value]
     parents: list[int]  # -1: root
-    order: list[int]  # parents first
     locals: FloatArray  # (n, 4, 4)
     worlds: FloatArray  # (n, 4, 4)
     shown: list[int]  # nodes of the scene, depth first
@@ -68,8 +67,21 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     finite = np.isfinite(worlds).all(axis=(1, 2))
     if not finite.all():
         raise values[int(np.argmin(finite))].error("its world transform is not finite")
-    shown = _depth_first(_scene_roots(document, scene, roots, parents), children)
-    return Nodes(values, parents, order, locals_, worlds, shown)
+    scenes, default = document.entries("scenes"), document.root.get("scene")
+    if scene is not None and not 0 <= scene < len(scenes):
+        raise document.root.error(f"scene {scene}, but there are {len(scenes)}")
+    if default is not None:
+        document.index("scenes", default)
+    listed: dict[int, None] = {}
+    if scenes:
+        chosen = scene if scene is not None else (default.integer() if default is not None else 0)
+        for reference in scenes[chosen].get_or("nodes", []).items():
+            node = document.index("nodes", reference)
+            if parents[node] >= 0 or node in listed:
+                raise reference.error(f"nodes[{node}] is not a root or is listed twice")
+            listed[node] = None
+    shown = _depth_first(list(listed) if scenes else roots, children)
+    return Nodes(values, parents, locals_, worlds, shown)
 
 
 def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -105,25 +117,6 @@ def _depth_first(roots: list[int], children: list[list[int]]) -> list[int]:
         order.append(node)
         stack.extend(reversed(children[node]))
     return order
-
-
-def _scene_roots(document: Document, scene: int | None, roots: list[int], parents: list[int]) -> list[int]:
-    scenes = document.entries("scenes")
-    if scene is not None and not 0 <= scene < len(scenes):
-        raise document.root.error(f"scene {scene}, but there are {len(scenes)}")
-    default = document.root.get("scene")
-    if default is not None:
-        document.index("scenes", default)
-    if not scenes:
-        return roots
-    chosen = scene if scene is not None else (default.integer() if default is not None else 0)
-    listed: dict[int, None] = {}
-    for reference in scenes[chosen].get_or("nodes", []).items():
-        node = document.index("nodes", reference)
-        if parents[node] >= 0 or node in listed:
-            raise reference.error(f"nodes[{node}] is not a root or is listed twice")
-        listed[node] = None
-    return list(listed)
 
 
 @dataclass(frozen=True)
