@@ -16,9 +16,7 @@ from facepipe.parts import (
     FaceParts,
     Inbetween,
     Mesh,
-    PhotoView,
     Skeleton,
-    Slider,
     TextureInput,
 )
 from facepipe.rig.trs import accumulate
@@ -185,15 +183,14 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     subsets = {one.name: one.point_subsets.keys() - other.point_subsets.keys() for one, other in pairs}
     lines += _per_mesh("point subset", subsets)
     flat = [name for name, one in there.items() if not len(one.face_vertex_counts)]
-    lines += _counted(
-        "mesh whose polygons become triangles: some repeat a point",
-        "meshes whose polygons become triangles: some repeat a point",
-        flat,
-    )
-    lines += _counted("slider", "sliders", _missing(parts.sliders, kept.sliders))
+    become = "whose polygons become triangles: some repeat a point"
+    lines += _counted(f"mesh {become}", f"meshes {become}", flat)
+    sliders, photos = {one.name for one in kept.sliders}, {one.name for one in kept.photos}
+    lines += _counted("slider", "sliders", [one.name for one in parts.sliders if one.name not in sliders])
     if parts.slider_network is not None and kept.slider_network is None:
         lines.append("learned network of the sliders")
-    lines += _counted("camera of a photo", "cameras of photos", _missing(parts.photos, kept.photos))
+    unkept = [one.name for one in parts.photos if one.name not in photos]
+    lines += _counted("camera of a photo", "cameras of photos", unkept)
     used = {name for baked in meshes for name in _materials(baked.mesh)} | {one.name for one in kept.materials}
     unused = [material.name for material in parts.materials if material.name not in used]
     lines += _counted("material that no mesh uses", "materials that no mesh uses", unused)
@@ -208,11 +205,6 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     if parts.skeleton.joints and options.mode != "morph" and not any(mesh.skin for mesh in parts.meshes):
         lines.append(f"{parts.skeleton.name}: {len(parts.skeleton.joints)} joints, no mesh is skinned to them")
     return tuple(lines)
-
-
-def _missing(own: Sequence[Slider] | Sequence[PhotoView], kept: Sequence[Slider] | Sequence[PhotoView]) -> list[str]:
-    there = {one.name for one in kept}
-    return [one.name for one in own if one.name not in there]
 
 
 def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:
