@@ -137,11 +137,13 @@ FIELDS = (
         _FOUND,
     ),
     # other formats
-    FileField("glTF", "buffers uri, images uri", "facepipe_gltf.read.document:_beside", "check_copied", _BELOW),
+    FileField(
+        "glTF", "buffers uri, images uri", "facepipe_gltf.read.document:Document.content", "check_copied", _BELOW
+    ),
     FileField(
         "glTF that is written",
         "names of its buffers and images",
-        "facepipe_gltf.writer:_write_gltf",
+        "facepipe_gltf.writer:save",
         "check_written",
         _WITHIN,
     ),
@@ -162,7 +164,7 @@ FIELDS = (
         "scan of a project", "*.landmarks.json", "facepipe.scanning.rebuild.project:_scan", "file_beside", _FOUND
     ),
     FileField("network", "*.onnx.json", "facepipe.networks.onnx_file:describe", "file_beside", _FOUND),
-    FileField("graph", "*.onnx.json", "facepipe_onnx.read:_sidecar_problems", "file_beside", _FOUND),
+    FileField("graph", "*.onnx.json", "facepipe_onnx.read:validate", "file_beside", _FOUND),
     FileField("graph that is shown", "*.onnx.json", "facepipe_web.viewer:_entry", "check_found", _FOUND),
     # where results go, with what is written beside them
     FileField("result", "files, and folders of reports", "facepipe.core.atomic:_real", "check_written", _WITHIN),

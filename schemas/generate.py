@@ -37,38 +37,6 @@ _DECLARED = "\n@action("  # in the text of files that declare actions
 _PATH = "str | os.PathLike[str]"
 
 
-def _generate_schema(out: Path) -> None:
-    """Run usdGenSchema on schema.usda and write both files into `out`."""
-    command = [sys.executable, "-m", "pxr.Usd.usdGenSchema", str(_SCHEMAS / "schema.usda"), str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(
-            f"{_SCHEMAS / 'schema.usda'}: usdGenSchema failed: {done.stderr.strip() or done.stdout.strip()}"
-        )
-    plug_info = out / "plugInfo.json"
-    text = plug_info.read_text()
-    # the plugin description without the build system's placeholders: a resource plugin in its own folder
-    info: dict[str, object] = json.loads(re.sub(r"^#.*$", "", text, flags=re.MULTILINE))
-    for plugin in info["Plugins"]:  # type: ignore[attr-defined]
-        plugin.update(Type="resource", Root=".", LibraryPath="", ResourcePath=".")
-    plug_info.write_text(json.dumps(info, indent=4, sort_keys=True) + "\n")
-    generated = out / "generatedSchema.usda"
-    # put the full documentation back: usdGenSchema keeps only first sentences, hosts show what is in this file
-    from pxr import Sdf
-
-    source, target = Sdf.Layer.FindOrOpen(str(_SCHEMAS / "schema.usda")), Sdf.Layer.FindOrOpen(str(generated))
-    for prim in target.rootPrims:
-        written = source.GetPrimAtPath(prim.path)
-        prim.documentation = written.documentation
-        prim.ClearInfo("customData")
-        for attribute in prim.properties:
-            # a multiple-apply schema's properties gain the namespace and instance name in front
-            own = [one for one in written.properties if attribute.name.split(":")[-1] == one.name.split(":")[-1]]
-            attribute.documentation = own[0].documentation
-            attribute.ClearInfo("customData")
-    target.Save()
-
-
 def made() -> dict[Path, str]:
     """File -> its text."""
     kinds = actions()
@@ -239,7 +207,36 @@ def _literal(value: object) -> str:
 def main() -> int:
     """Write the files, or compare them."""
     with tempfile.TemporaryDirectory() as folder:
-        _generate_schema(Path(folder))
+        out = Path(folder)
+        # run usdGenSchema on schema.usda and write both files into `out`
+        command = [sys.executable, "-m", "pxr.Usd.usdGenSchema", str(_SCHEMAS / "schema.usda"), str(out)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SystemExit(
+                f"{_SCHEMAS / 'schema.usda'}: usdGenSchema failed: {done.stderr.strip() or done.stdout.strip()}"
+            )
+        plug_info = out / "plugInfo.json"
+        text = plug_info.read_text()
+        # the plugin description without the build system's placeholders: a resource plugin in its own folder
+        info: dict[str, object] = json.loads(re.sub(r"^#.*$", "", text, flags=re.MULTILINE))
+        for plugin in info["Plugins"]:  # type: ignore[attr-defined]
+            plugin.update(Type="resource", Root=".", LibraryPath="", ResourcePath=".")
+        plug_info.write_text(json.dumps(info, indent=4, sort_keys=True) + "\n")
+        generated = out / "generatedSchema.usda"
+        # put the full documentation back: usdGenSchema keeps only first sentences, hosts show what is in this file
+        from pxr import Sdf
+
+        source, target = Sdf.Layer.FindOrOpen(str(_SCHEMAS / "schema.usda")), Sdf.Layer.FindOrOpen(str(generated))
+        for prim in target.rootPrims:
+            written = source.GetPrimAtPath(prim.path)
+            prim.documentation = written.documentation
+            prim.ClearInfo("customData")
+            for attribute in prim.properties:
+                # a multiple-apply schema's properties gain the namespace and instance name in front
+                own = [one for one in written.properties if attribute.name.split(":")[-1] == one.name.split(":")[-1]]
+                attribute.documentation = own[0].documentation
+                attribute.ClearInfo("customData")
+        target.Save()
         files = {_SCHEMAS / name: Path(folder, name).read_text(encoding="utf-8") for name in _SCHEMA_FILES}
     files |= made()
     stale = [file for file, text in files.items() if not file.exists() or file.read_text(encoding="utf-8") != text]

@@ -41,10 +41,22 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     :raises InputError, SchemaError: a face that can't be written
     """
     view, objects = StageView(stage), list(objects)
-    faces, warnings = _on_stage(view, objects)
+    faces: list[FaceObjects] = []
+    warnings: list[str] = []
+    for face in faces_among(objects):
+        shown = replace(face, meshes=tuple(mesh for mesh in face.meshes if view.prim(mesh) is not None))
+        if not shown.meshes or not shown.is_face:
+            continue
+        if face.armature is not None and view.prim(face.armature) is None:
+            name = shown.meshes[0].name
+            warnings.append(f"{face.armature.name}: hidden or not chosen, without it {name} is exported as no face")
+            continue
+        away = [mesh.name for mesh in face.meshes if mesh not in shown.meshes]
+        warnings += [f"{name}: hidden or not chosen, left out of the face of {face.first.name}" for name in away]
+        faces.append(shown)
     if not faces:
-        return warnings
-    faces = tuple(sorted(faces, key=lambda one: active not in (one.armature, *one.meshes)))
+        return tuple(warnings)
+    faces.sort(key=lambda one: active not in (one.armature, *one.meshes))
     # on a copy: an error halfway leaves Blender's stage as it was
     work = Sdf.Layer.CreateAnonymous(".usda")
     work.TransferContent(stage.GetRootLayer())
@@ -68,23 +80,6 @@ def export_faces(stage: Usd.Stage, objects: Iterable[Any], active: Any = None) -
     _finish(work, built, empty=empty, alone=alone)
     stage.GetRootLayer().TransferContent(work)
     return (*warnings, *(line for one in built for line in one.warnings))
-
-
-def _on_stage(view: StageView, objects: Sequence[Any]) -> tuple[tuple[FaceObjects, ...], tuple[str, ...]]:
-    """The faces that Blender wrote, and a line for each of their objects that it left out."""
-    faces, warnings = [], []
-    for face in faces_among(objects):
-        there = replace(face, meshes=tuple(mesh for mesh in face.meshes if view.prim(mesh) is not None))
-        if not there.meshes or not there.is_face:
-            continue
-        if face.armature is not None and view.prim(face.armature) is None:
-            name = there.meshes[0].name
-            warnings.append(f"{face.armature.name}: hidden or not chosen, without it {name} is exported as no face")
-            continue
-        away = [mesh.name for mesh in face.meshes if mesh not in there.meshes]
-        warnings += [f"{name}: hidden or not chosen, left out of the face of {face.first.name}" for name in away]
-        faces.append(there)
-    return tuple(faces), tuple(warnings)
 
 
 def _remove(layer: Sdf.Layer, faces: set[Sdf.Path], others: set[Sdf.Path]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import bpy
 import numpy as np
@@ -16,13 +16,6 @@ from facepipe.hosting.host_face import Face, faces_on, neural_rig_of
 from .armature import bone_matrices
 from .face_objects import MESH, RECORD, Kept, keep, record_of
 from .write_mesh import write_mesh
-
-
-class ImportedObjects(NamedTuple):
-    """The objects that Blender made of a face."""
-
-    armature: Any
-    meshes: dict[str, Any]
 
 
 def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tuple[str, ...]:
@@ -36,14 +29,14 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
     warnings: list[str] = []
     for face in faces_on(stage):
         parts = face.parts()  # read whole before anything changes
-        objects = _objects(face, made)
-        if not objects.meshes:
+        armature, objects = _objects(face, made)
+        if not objects:
             continue
-        missing = [mesh.name for mesh in parts.meshes if mesh.name not in objects.meshes]
+        missing = [mesh.name for mesh in parts.meshes if mesh.name not in objects]
         if missing:
             warnings.append(f"{face.where}: meshes {', '.join(missing[:3])} were not imported")
         for mesh in parts.meshes:
-            obj = objects.meshes.get(mesh.name)
+            obj = objects.get(mesh.name)
             if obj is not None and len(obj.data.vertices) == len(mesh.points):
                 write_mesh(obj, mesh)
             elif obj is not None:
@@ -51,24 +44,24 @@ def import_faces(stage: Usd.Stage, prim_map: Mapping[Any, Sequence[Any]]) -> tup
                 warnings.append(f"{obj.name}: {what}: shapes and regions left out")
         file = Path(stage.GetRootLayer().realPath).as_posix() if stage.GetRootLayer().realPath else ""
         bpy.context.view_layer.update()
-        names = [mesh.name for mesh in parts.meshes if mesh.name in objects.meshes]
-        first = objects.armature or min(objects.meshes.values(), key=lambda obj: str(obj.name))
+        names = [mesh.name for mesh in parts.meshes if mesh.name in objects]
+        first = armature or min(objects.values(), key=lambda obj: str(obj.name))
         back = np.linalg.inv(np.array(first.matrix_world, dtype=np.float64))
         text = bpy.data.texts.new(f"facepipe {parts.name}")
         keep(
             Kept(
                 parts=parts,
-                bones=bone_matrices(objects.armature),
-                places={name: back @ np.array(objects.meshes[name].matrix_world, np.float64) for name in names},
+                bones=bone_matrices(armature),
+                places={name: back @ np.array(objects[name].matrix_world, np.float64) for name in names},
                 file=file,
                 neural_rig=neural_rig_of(face),
             ),
             text,
         )
-        for obj in (objects.armature, *objects.meshes.values()):
+        for obj in (armature, *objects.values()):
             if obj is not None:
                 obj[RECORD] = text
-        for name, obj in objects.meshes.items():
+        for name, obj in objects.items():
             obj[MESH] = name
     return tuple(warnings)
 
@@ -90,18 +83,15 @@ def objects_by_name(stage: Usd.Stage) -> dict[str, list[Any]]:
     return made
 
 
-def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> ImportedObjects:
+def _objects(face: Face, made: Mapping[str, Sequence[Any]]) -> tuple[Any, dict[str, Any]]:
+    """The armature and, by mesh, the objects that Blender made of a face."""
     armature = None
     for path, ids in made.items():
         prim = face.stage.GetPrimAtPath(path)
         if prim and prim.IsA(UsdSkel.Skeleton) and path.startswith(f"{face.prim.GetPath()}/"):
             armature = _object(ids, "ARMATURE")
-    meshes = {}
-    for mesh in face.meshes:
-        obj = _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH")
-        if obj is not None:
-            meshes[mesh.name] = obj
-    return ImportedObjects(armature, meshes)
+    found = {mesh.name: _object(made.get(str(face.mesh_prim(mesh.name).GetPath()), ()), "MESH") for mesh in face.meshes}
+    return armature, {name: obj for name, obj in found.items() if obj is not None}
 
 
 def _object(ids: Sequence[Any], kind: str) -> Any:

@@ -90,7 +90,40 @@ class FACEPIPE_OT_blend(bpy.types.Operator):  # noqa: N801
         """Blend, then write on the objects."""
         try:
             face = face_of(context.active_object, context.scene.objects)
-            warnings = _blend_again(face, Path(bpy.path.abspath(self.filepath)) if self.filepath else None)
+            file = Path(bpy.path.abspath(self.filepath)) if self.filepath else None
+            # blend again and write points, shapes, regions and bones; on an error nothing is written
+            if face.record is None:
+                raise InputError(
+                    face.first.name, "was not imported from a face of facepipe, expected one that blend wrote"
+                )
+            kept = kept_in(face.record)
+            path = file or Path(kept.file)
+            blended, warnings = reblended(path)
+            objects = {str(obj.get(MESH, "")): obj for obj in face.meshes}
+            meshes = {mesh.name: mesh for mesh in blended.meshes}
+            # all is checked before the first point moves: half a face of the new blend would be one of neither
+            if meshes.keys() != objects.keys():
+                raise TopologyError(path, f"meshes {', '.join(meshes)}, expected {', '.join(objects)} as in Blender")
+            for name, mesh in meshes.items():
+                there = len(objects[name].data.vertices)
+                if there != len(mesh.points):
+                    raise TopologyError(
+                        f"{path} -> {name}", f"{len(mesh.points)} points, expected {there} as in Blender"
+                    )
+            old, new = kept.parts.skeleton, blended.skeleton
+            if old.joints != new.joints or {*bone_matrices(face.armature)} != {*old.joints}:
+                raise TopologyError(f"{path} -> {new.name}", "other joints than in Blender, expected the same")
+            bones = {path: name for name, path in joint_paths(face.armature).items()}
+            for name, mesh in meshes.items():
+                write_mesh(objects[name], mesh)
+                if mesh.skin is not None:
+                    write_skin(objects[name], mesh.skin, [bones[joint] for joint in new.joints])
+                if mesh.normals is not None and len(mesh.normals) == len(mesh.points):
+                    objects[name].data.normals_split_custom_set_from_vertices(mesh.normals.tolist())
+            if face.armature is not None:
+                move_bones(face.armature, old, new)
+            again = replace(kept, parts=blended, bones=bone_matrices(face.armature), file=path.as_posix())
+            keep(again, face.record)
         except FacepipeError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -132,45 +165,6 @@ def _deliver(context: Any, face: FaceObjects, folder: Path, name: str, **options
         if FaceHook.failure is not None:
             raise FaceHook.failure
         return deliver(stage, folder, name, **options)
-
-
-def _blend_again(face: FaceObjects, file: Path | None) -> tuple[str, ...]:
-    """Blend again and write points, shapes, regions and bones; on an error nothing is written.
-
-    :param file: what `facepipe blend` wrote; None for the file that the face was imported from
-    :returns: one line for each source that has changed since
-    :raises InputError: a face that was not imported, no recipe of a blend, or a source that is gone
-    :raises TopologyError: other points or joints than in Blender
-    """
-    if face.record is None:
-        raise InputError(face.first.name, "was not imported from a face of facepipe, expected one that blend wrote")
-    kept = kept_in(face.record)
-    path = file or Path(kept.file)
-    blended, changes = reblended(path)
-    objects = {str(obj.get(MESH, "")): obj for obj in face.meshes}
-    meshes = {mesh.name: mesh for mesh in blended.meshes}
-    # all is checked before the first point moves: half a face of the new blend would be one of neither
-    if meshes.keys() != objects.keys():
-        raise TopologyError(path, f"meshes {', '.join(meshes)}, expected {', '.join(objects)} as in Blender")
-    for name, mesh in meshes.items():
-        there = len(objects[name].data.vertices)
-        if there != len(mesh.points):
-            raise TopologyError(f"{path} -> {name}", f"{len(mesh.points)} points, expected {there} as in Blender")
-    old, new = kept.parts.skeleton, blended.skeleton
-    if old.joints != new.joints or {*bone_matrices(face.armature)} != {*old.joints}:
-        raise TopologyError(f"{path} -> {new.name}", "other joints than in Blender, expected the same")
-    bones = {path: name for name, path in joint_paths(face.armature).items()}
-    for name, mesh in meshes.items():
-        write_mesh(objects[name], mesh)
-        if mesh.skin is not None:
-            write_skin(objects[name], mesh.skin, [bones[joint] for joint in new.joints])
-        if mesh.normals is not None and len(mesh.normals) == len(mesh.points):
-            objects[name].data.normals_split_custom_set_from_vertices(mesh.normals.tolist())
-    if face.armature is not None:
-        move_bones(face.armature, old, new)
-    again = replace(kept, parts=blended, bones=bone_matrices(face.armature), file=path.as_posix())
-    keep(again, face.record)
-    return changes
 
 
 class FACEPIPE_PT_face(bpy.types.Panel):  # noqa: N801  (Blender's way to name panels)

@@ -13,8 +13,8 @@ from facepipe.parts import Animation, Skeleton, exact
 from facepipe.records import Json
 from facepipe.rig.animation import TICK, local_transforms
 from facepipe.rig.trs import Trs, accumulate, decompose
+from facepipe_gltf.baking import Sculpt
 from facepipe_gltf.buffers import Buffers
-from facepipe_gltf.morphs import Sculpt
 from facepipe_gltf.placement import Space, numbers
 
 _INHERITED_SHEAR_TOLERANCE = 1e-4
@@ -46,7 +46,18 @@ def joint_nodes(skeleton: Skeleton, space: Space, first: int, *, person: bool = 
     """
     parents = skeleton.parents
     local = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), parents < 0)
-    unholdable = _unholdable(skeleton, space, local, person)
+    turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
+    at_rest = decompose(turned)
+    sizes = np.abs(at_rest.scale)
+    uneven = np.ptp(sizes, axis=-1) > _UNEVEN * sizes.max(axis=-1)
+    linear = space.placement[:3, :3]
+    rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
+    unholdable: dict[int, FloatArray] = {}  # joints that need a node above them, with the matrix that it must take
+    for joint, parent in enumerate(parents):
+        if at_rest.sheared[joint] or (person and uneven[joint]):
+            unholdable[joint] = local[joint]
+        elif parent < 0 and not rigid:
+            unholdable[joint] = space.placement
     above = np.tile(np.eye(4), (len(local), 1, 1))
     for joint, matrix in unholdable.items():
         # T U S of ``matrix = T U S V``: what is left of it is the rotation V, so both are TRS
@@ -96,23 +107,6 @@ def _has_shear(worlds: FloatArray) -> FloatArray:
     return np.asarray(gram.max(axis=(-1, -2)) > _INHERITED_SHEAR_TOLERANCE)
 
 
-def _unholdable(skeleton: Skeleton, space: Space, local: FloatArray, person: bool) -> dict[int, FloatArray]:
-    """Joints that need a node above them, with the matrix that it must take."""
-    turned = space.local(np.asarray(skeleton.rest_transforms, dtype=np.float64), np.zeros(len(local), np.bool_))
-    at_rest = decompose(turned)
-    sizes = np.abs(at_rest.scale)
-    uneven = np.ptp(sizes, axis=-1) > _UNEVEN * sizes.max(axis=-1)
-    linear = space.placement[:3, :3]
-    rigid = np.allclose(linear.T @ linear, np.eye(3), rtol=0, atol=1e-9) and np.linalg.det(linear) > 0
-    result = {}
-    for joint, parent in enumerate(skeleton.parents):
-        if at_rest.sheared[joint] or (person and uneven[joint]):
-            result[joint] = local[joint]
-        elif parent < 0 and not rigid:
-            result[joint] = space.placement
-    return result
-
-
 def _node(name: str, trs: Trs, i: int) -> Json:
     node: Json = {"name": name}
     if trs.translation[i].any():
@@ -146,8 +140,34 @@ class AnimationWriter:
         result: Json = {"name": exact(animation), "channels": [], "samplers": []}
         if self.joints is not None and animation.joints:
             self._joint_channels(result, animation, times, self.joints)
+        column = {shape: i for i, shape in enumerate(animation.shapes)}
+        weights = np.asarray(animation.shape_weights, dtype=np.float64)
         for node, sculpts in self.targets.items():
-            self._weight_channel(result, animation, times, node, sculpts)
+            if animation.shape_weights is None or not any(one.shape in column for one in sculpts):
+                continue
+            # between the keys activations bend where a shape passes an inbetween: keys there too
+            all_keys = [times]
+            for sculpt in sculpts:
+                if sculpt.is_inbetween and sculpt.shape in column:
+                    track = weights[:, column[sculpt.shape]]
+                    before, after = track[:-1], track[1:]
+                    for knot, _ in sculpt.knots[1:-1]:
+                        crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
+                        part = (knot - before[crossed]) / (after[crossed] - before[crossed])
+                        all_keys.append(times[crossed] + part * np.diff(times)[crossed])
+            keys = np.concatenate(all_keys)
+            keys = keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
+            values = np.zeros((len(keys), len(sculpts)))
+            for i, sculpt in enumerate(sculpts):
+                if sculpt.shape in column:
+                    # the target's activation at its shape's weights: piecewise linear, the ends extended
+                    at_keys = np.interp(keys, times, weights[:, column[sculpt.shape]])
+                    x, y = np.array(sculpt.knots, dtype=np.float64).T
+                    piece = np.clip(np.searchsorted(x, at_keys, side="right") - 1, 0, len(x) - 2)
+                    slope = (y[piece + 1] - y[piece]) / (x[piece + 1] - x[piece])
+                    values[:, i] = y[piece] + slope * (at_keys - x[piece])
+            keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
+            _channel(result, self.buffers, keys, keyed, values, node, "weights")
         return result if result["channels"] else None
 
     def _joint_channels(self, result: Json, animation: Animation, times: FloatArray, joints: JointNodes) -> None:
@@ -199,37 +219,6 @@ class AnimationWriter:
             for path, name in enumerate(("translation", "rotation", "scale")):
                 if changed[i, path]:
                     _channel(result, self.buffers, times, keyed, values[path][:, i], joints.of_joint[joint], name)
-
-    def _weight_channel(
-        self, result: Json, animation: Animation, times: FloatArray, node: int, sculpts: Sequence[Sculpt]
-    ) -> None:
-        column = {shape: i for i, shape in enumerate(animation.shapes)}
-        if animation.shape_weights is None or not any(one.shape in column for one in sculpts):
-            return
-        weights = np.asarray(animation.shape_weights, dtype=np.float64)
-        # between the keys activations bend where a shape passes an inbetween: keys there too
-        all_keys = [times]
-        for sculpt in sculpts:
-            if sculpt.is_inbetween and sculpt.shape in column:
-                track = weights[:, column[sculpt.shape]]
-                before, after = track[:-1], track[1:]
-                for knot, _ in sculpt.knots[1:-1]:
-                    crossed = np.flatnonzero((before - knot) * (after - knot) < 0)
-                    part = (knot - before[crossed]) / (after[crossed] - before[crossed])
-                    all_keys.append(times[crossed] + part * np.diff(times)[crossed])
-        keys = np.concatenate(all_keys)
-        keys = keys[np.unique(keys.astype(np.float32), return_index=True)[1]]
-        values = np.zeros((len(keys), len(sculpts)))
-        for i, sculpt in enumerate(sculpts):
-            if sculpt.shape in column:
-                # the target's activation at its shape's weights: piecewise linear, the ends extended
-                at_keys = np.interp(keys, times, weights[:, column[sculpt.shape]])
-                x, y = np.array(sculpt.knots, dtype=np.float64).T
-                piece = np.clip(np.searchsorted(x, at_keys, side="right") - 1, 0, len(x) - 2)
-                slope = (y[piece + 1] - y[piece]) / (x[piece + 1] - x[piece])
-                values[:, i] = y[piece] + slope * (at_keys - x[piece])
-        keyed = self.buffers.add(keys.astype(np.float32), "keys", bounds=True)
-        _channel(result, self.buffers, keys, keyed, values, node, "weights")
 
 
 def _channel(

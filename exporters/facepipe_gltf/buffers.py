@@ -1,4 +1,4 @@
-"""The binary side of a glTF document: accessors, buffer views and the buffer."""
+"""How arrays are stored in a glTF file: few influences, KHR_mesh_quantization, accessors and buffer views."""
 
 from __future__ import annotations
 
@@ -10,17 +10,138 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import ExportError
+from facepipe.parts import Skin
 from facepipe.records import Json
 
 Array = npt.NDArray[Any]
 Chunk = bytes | memoryview
 Use = Literal["vertex", "index", "matrices", "keys"]
 
+MESHOPT = "EXT_meshopt_compression"
+_ROUNDING = 2e-7  # that a sum of float32 weights may be off
+LOST = 1e-6  # weight that counts as left out
+_SHORT = 32767
+_BYTE = 127
+_USHORT = 65535
 _COMPONENT = {"b": 5120, "B": 5121, "h": 5122, "H": 5123, "I": 5125, "L": 5125, "f": 5126}
 _TYPE = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _TARGET = {"vertex": 34962, "index": 34963}
 _ALIGNMENT = 4
+
+
+class Influences(NamedTuple):
+    """Joints (n, k) int64 and weights (n, k) of every point, largest first; unused ones are joint 0, weight 0."""
+
+    joints: IntArray
+    weights: FloatArray
+    lost: FloatArray  # (n,) part of the weight that went with the influences left out
+
+    @property
+    def any_lost(self) -> bool:
+        """Whether influences of some point were left out."""
+        return bool((self.lost > LOST).any())
+
+
+def limit(skin: Skin, most: int, where: str) -> Influences:
+    """The `most` largest influences of every point, renormalised in float64.
+
+    :raises ExportError: a negative weight, or a point without any
+    """
+    joints, weights = merge(skin)
+    if weights.size and weights.min() < 0:
+        point = int(np.argmin(weights.min(axis=1)))
+        raise ExportError(where, f"point {point} has a negative skin weight, expected 0..1")
+    total = weights.sum(axis=1)
+    if len(total) and total.min() <= 1e-9:
+        raise ExportError(where, f"point {int(np.argmin(total))} has no skin weight, expected weights that sum to 1")
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :most]
+    joints = np.take_along_axis(joints, order, axis=1)
+    weights = np.take_along_axis(weights, order, axis=1)
+    kept = weights.sum(axis=1)
+    lost = 1.0 - kept / total
+    kept[np.abs(kept - 1.0) <= _ROUNDING] = 1.0  # normalised before: their bits stay
+    return Influences(np.where(weights > 0, joints, 0), weights / kept[:, None], lost)
+
+
+def merge(skin: Skin, points: IntArray | slice = slice(None)) -> tuple[IntArray, FloatArray]:
+    """Joint indices and weights (n, k) of `points` with every joint once a point: repeated ones are summed."""
+    joints = np.asarray(skin.joint_indices)[points].astype(np.int64)
+    order = np.argsort(joints, axis=1, kind="stable")
+    joints = np.take_along_axis(joints, order, axis=1)
+    weights = np.take_along_axis(np.asarray(skin.joint_weights)[points].astype(np.float64), order, axis=1)
+    for column in range(1, joints.shape[1]):
+        repeated = joints[:, column] == joints[:, column - 1]
+        weights[repeated, column] += weights[repeated, column - 1]
+        weights[repeated, column - 1] = 0.0
+    return joints, weights
+
+
+class Encoded(NamedTuple):
+    """An array as stored, and whether its integers stand for fractions of their range."""
+
+    array: npt.NDArray[Any]
+    normalized: bool
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """Stores attributes: as float32, or quantised so that no node and no inverse bind has to scale them back.
+
+    Points therefore stay float32, and integer offsets are fractions of one metre.
+    """
+
+    quantize: bool = False
+
+    def positions(self, points: FloatArray) -> Encoded:
+        """(n, 3) points in metres."""
+        return Encoded(points.astype(np.float32), False)
+
+    def offsets(self, offsets: FloatArray) -> Encoded:
+        """(k, 3) morph offsets in metres; quantised where all lie in -1..1."""
+        if not self.quantize or (offsets.size and np.abs(offsets).max() > 1):
+            return Encoded(offsets.astype(np.float32, copy=False), False)
+        return _signed(offsets, _SHORT)
+
+    def directions(self, vectors: FloatArray) -> Encoded:
+        """(n, 3 or 4) unit normals or tangents."""
+        return _signed(vectors, _BYTE) if self.quantize else Encoded(vectors.astype(np.float32), False)
+
+    def uvs(self, uvs: FloatArray) -> Encoded:
+        """(n, 2) texture coordinates; quantised where all lie in 0..1."""
+        if not self.quantize or (uvs.size and (uvs.min() < 0 or uvs.max() > 1)):
+            return Encoded(uvs.astype(np.float32), False)
+        return Encoded(np.rint(uvs.astype(np.float64) * _USHORT).astype(np.uint16), True)
+
+    def colors(self, colors: FloatArray) -> Encoded:
+        """(n, 3) linear colours 0..1."""
+        clipped = np.clip(colors, 0, 1)
+        if not self.quantize:
+            return Encoded(clipped.astype(np.float32), False)
+        return Encoded(np.rint(np.asarray(clipped, np.float64) * _USHORT).astype(np.uint16), True)
+
+    def weights(self, weights: FloatArray) -> Encoded:
+        """(n, k) skin weights, largest first: it takes up the rounding of the others, so that the exact sum is 1."""
+        if self.quantize:
+            steps = np.rint(weights * _USHORT).astype(np.int64)
+            steps[:, 0] += _USHORT - steps.sum(axis=1)
+            return Encoded(steps.astype(np.uint16), True)
+        rounded = weights.astype(np.float32)
+        rounded[:, 0] = 1.0 - rounded[:, 1:].sum(axis=1, dtype=np.float64)
+        return Encoded(rounded, False)
+
+
+def decode(encoded: Encoded) -> FloatArray:
+    """What a reader gets."""
+    if not encoded.normalized:
+        return encoded.array.astype(np.float64)
+    return np.maximum(encoded.array.astype(np.float64) / np.iinfo(encoded.array.dtype).max, -1.0)
+
+
+def _signed(values: FloatArray, steps: int) -> Encoded:
+    kind = np.int16 if steps == _SHORT else np.int8
+    return Encoded(np.clip(np.rint(np.asarray(values, np.float64) * steps), -steps, steps).astype(kind), True)
 
 
 class Extent(NamedTuple):
@@ -52,16 +173,6 @@ class _View:
     number: int
     chunks: list[Chunk] = field(default_factory=list)
     size: int = 0
-
-    def append(self, data: Chunk) -> int:
-        """Add `data`, aligned; its offset in the view."""
-        offset = self.size
-        padding = -len(data) % _ALIGNMENT
-        self.chunks.append(data)
-        if padding:
-            self.chunks.append(bytes(padding))
-        self.size += len(data) + padding
-        return offset
 
 
 _SPARSE = _Key("sparse", 0, "")
@@ -174,8 +285,12 @@ class Buffers:
         return accessor
 
     def _append(self, key: _Key, data: Chunk) -> tuple[int, int]:
+        """Add `data`, aligned: the number of its view, and its offset there."""
         view = self._views.setdefault(key, _View(len(self._views)))
-        return view.number, view.append(data)
+        offset, padding = view.size, -len(data) % _ALIGNMENT
+        view.chunks += [data, bytes(padding)] if padding else [data]
+        view.size += len(data) + padding
+        return view.number, offset
 
     def _push(self, accessor: Json) -> int:
         self.accessors.append(accessor)

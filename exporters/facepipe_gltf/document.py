@@ -14,18 +14,17 @@ import numpy as np
 
 from facepipe.core import __version__
 from facepipe.core.errors import ExportError, InputError
+from facepipe.core.names import select
 from facepipe.core.policy.children import find_program
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, HasLevels, HasParts, exact
 from facepipe.records import Json
 from facepipe.rig.linear_skinning import linear_skinning_notes
 from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
-from facepipe_gltf.baking import Baked, bake, storage_error, weight_error
-from facepipe_gltf.buffers import Buffers, Chunk
-from facepipe_gltf.encoding import MESHOPT, Encoding
+from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, weight_error
+from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
 from facepipe_gltf.losses import check, dropped, influence_error, listed_meshes, skin_warnings
 from facepipe_gltf.materials import Image, MaterialWriter
-from facepipe_gltf.morphs import Sculpt, chosen_shapes, extras
 from facepipe_gltf.options import Options, check_engine, engine_warnings
 from facepipe_gltf.placement import space_of
 from facepipe_gltf.primitives import PrimitiveWriter, by_material
@@ -223,7 +222,7 @@ class _Writer:
         self.space = space_of(parts)
         self.buffers = Buffers(dense=options.is_dense, apart=options.meshopt)
         self.materials = MaterialWriter(parts.materials, self.tangents)
-        shapes = () if options.mode == "skin" else chosen_shapes(parts, options.shapes)
+        shapes = () if options.mode == "skin" else select(list(parts.shapes), options.shapes, "shapes")
         meshes = self._meshes(parts, shapes)
         scene = list(range(len(self.nodes)))
         # lower levels are in no scene: readers without MSFT_lod would show them all at once

@@ -16,14 +16,12 @@ from facepipe.parts import (
     FaceParts,
     Inbetween,
     Mesh,
-    PhotoView,
     Skeleton,
-    Slider,
     TextureInput,
 )
 from facepipe.rig.trs import accumulate
 from facepipe_gltf.baking import Baked
-from facepipe_gltf.encoding import LOST, merge
+from facepipe_gltf.buffers import LOST, merge
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Space
 from facepipe_gltf.record_format import NONE
@@ -56,7 +54,18 @@ def check(parts: FaceParts) -> None:
     for mesh in parts.meshes:
         _mesh(f"{parts.name} -> {mesh.name}", mesh, len(parts.skeleton.joints))
     for animation in parts.animations:
-        _animation(f"{parts.name} -> {animation.name}", animation)
+        where, count = f"{parts.name} -> {animation.name}", animation.samples
+        moved, shapes = len(animation.joints), len(animation.shapes)
+        for name, width in (("translations", 3), ("rotations", 4), ("scales", 3), ("coefficients", 9)):
+            _array(f"{where} -> {name}", getattr(animation, name), (count, moved, width))
+        if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
+            raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
+        _array(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
+        if animation.times is not None:
+            _finite(f"{where} -> times", animation.times)
+            if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
+                what = "not ascending in float32, expected at least one time, each later"
+                raise ExportError(f"{where} -> times", what)
     for material in parts.materials:
         for name, value in vars(material).items():
             numbers = (*value.scale, *value.bias) if isinstance(value, TextureInput) else value
@@ -111,21 +120,6 @@ def _mesh(where: str, mesh: Mesh, joint_count: int) -> None:
 def _offsets(where: str, sculpt: Blendshape | Inbetween, expected: tuple[int, ...]) -> None:
     for name, array in (("offsets", sculpt.offsets), ("normalOffsets", sculpt.normal_offsets)):
         _array(f"{where} -> {name}", array, expected)
-
-
-def _animation(where: str, animation: Animation) -> None:
-    count = animation.samples
-    joints, shapes = len(animation.joints), len(animation.shapes)
-    widths = {"translations": (joints, 3), "rotations": (joints, 4), "scales": (joints, 3), "coefficients": (joints, 9)}
-    for name, width in widths.items():
-        _array(f"{where} -> {name}", getattr(animation, name), (count, *width))
-    if animation.rotations is not None and (np.linalg.norm(animation.rotations, axis=-1) < 1e-6).any():
-        raise ExportError(f"{where} -> rotations", "a quaternion of length 0, expected unit length")
-    _array(f"{where} -> shape weights", animation.shape_weights, (count, shapes))
-    if animation.times is not None:
-        _finite(f"{where} -> times", animation.times)
-        if count == 0 or (np.diff(np.asarray(animation.times, dtype=np.float32)) <= 0).any():
-            raise ExportError(f"{where} -> times", "not ascending in float32, expected at least one time, each later")
 
 
 def _finite(where: str, values: Any) -> None:
@@ -189,15 +183,14 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     subsets = {one.name: one.point_subsets.keys() - other.point_subsets.keys() for one, other in pairs}
     lines += _per_mesh("point subset", subsets)
     flat = [name for name, one in there.items() if not len(one.face_vertex_counts)]
-    lines += _counted(
-        "mesh whose polygons become triangles: some repeat a point",
-        "meshes whose polygons become triangles: some repeat a point",
-        flat,
-    )
-    lines += _counted("slider", "sliders", _missing(parts.sliders, kept.sliders))
+    become = "whose polygons become triangles: some repeat a point"
+    lines += _counted(f"mesh {become}", f"meshes {become}", flat)
+    sliders, photos = {one.name for one in kept.sliders}, {one.name for one in kept.photos}
+    lines += _counted("slider", "sliders", [one.name for one in parts.sliders if one.name not in sliders])
     if parts.slider_network is not None and kept.slider_network is None:
         lines.append("learned network of the sliders")
-    lines += _counted("camera of a photo", "cameras of photos", _missing(parts.photos, kept.photos))
+    unkept = [one.name for one in parts.photos if one.name not in photos]
+    lines += _counted("camera of a photo", "cameras of photos", unkept)
     used = {name for baked in meshes for name in _materials(baked.mesh)} | {one.name for one in kept.materials}
     unused = [material.name for material in parts.materials if material.name not in used]
     lines += _counted("material that no mesh uses", "materials that no mesh uses", unused)
@@ -212,11 +205,6 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
     if parts.skeleton.joints and options.mode != "morph" and not any(mesh.skin for mesh in parts.meshes):
         lines.append(f"{parts.skeleton.name}: {len(parts.skeleton.joints)} joints, no mesh is skinned to them")
     return tuple(lines)
-
-
-def _missing(own: Sequence[Slider] | Sequence[PhotoView], kept: Sequence[Slider] | Sequence[PhotoView]) -> list[str]:
-    there = {one.name for one in kept}
-    return [one.name for one in own if one.name not in there]
 
 
 def skin_warnings(meshes: Sequence[Baked], most: int) -> list[str]:

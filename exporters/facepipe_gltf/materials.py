@@ -62,7 +62,18 @@ class Textures:
             self._unreadable(texture, error)
             return None
         if texture.data.startswith(_PNG):
-            return self._image(Image(_stem(texture), "image/png", _without_ignored_chunks(texture.data)))
+            # without colour profile, chromaticities and pixel aspect ratio: glTF itself defines the colour space of
+            # every texture; pixel bytes stay untouched, and so does a file that has none of these chunks
+            kept, position = [_PNG], len(_PNG)
+            while position + 8 <= len(texture.data):
+                length, kind = struct.unpack_from(">I4s", texture.data, position)
+                end = position + 12 + length
+                body = texture.data[position + 8 : end]
+                uneven = kind == b"pHYs" and body[:4] != body[4:8]
+                if kind not in (b"cHRM", b"iCCP") and not uneven:
+                    kept.append(texture.data[position:end])
+                position = end
+            return self._image(Image(_stem(texture), "image/png", b"".join(kept)))
         if texture.data.startswith(_JPEG):
             return self._image(Image(_stem(texture), "image/jpeg", texture.data))
         pixels = self.pixels(texture)
@@ -122,24 +133,6 @@ def _place(entries: list[Json], entry: Json) -> int:
 def _stem(texture: Texture) -> str:
     name = texture.name.replace("\\", "/").rpartition("/")[2]
     return name.rpartition(".")[0] or name or "image"
-
-
-def _without_ignored_chunks(data: bytes) -> bytes:
-    """The same picture without colour profile, chromaticities and pixel aspect ratio.
-
-    glTF defines the colour space of every texture itself. Pixel bytes stay untouched; a file that has none of these
-    chunks is returned as it is.
-    """
-    kept, position = [_PNG], len(_PNG)
-    while position + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, position)
-        end = position + 12 + length
-        body = data[position + 8 : end]
-        uneven = kind == b"pHYs" and body[:4] != body[4:8]
-        if kind not in (b"cHRM", b"iCCP") and not uneven:
-            kept.append(data[position:end])
-        position = end
-    return b"".join(kept)
 
 
 class Channel(NamedTuple):
@@ -211,7 +204,32 @@ class MaterialWriter:
         pbr = result["pbrMetallicRoughness"]
         diffuse, opacity = material.diffuse_color, material.opacity
         factor = self._factors(material, "diffuseColor", diffuse, range(3)) + self._factor(material, "opacity", opacity)
-        image, source = self._base_image(material)
+        # the base colour image with opacity in its alpha channel, and the input that says how it is read
+        source = diffuse if isinstance(diffuse, TextureInput) else None
+        if source is None:
+            channels = [Channel()] * 3
+        elif source.channels != "rgb":
+            channels = [Channel(source, _CHANNEL[source.channels])] * 3
+        else:
+            channels = [Channel(source, i) for i in range(3)]
+        image = None
+        if not isinstance(opacity, TextureInput):
+            if source is not None:
+                whole = source.channels == "rgb"
+                image = self.textures.whole(source.texture) if whole else self._merge(material, "diffuse", channels)
+        elif source is not None and (source.channels, opacity.channels, source.texture) == (
+            "rgb",
+            "a",
+            opacity.texture,
+        ):
+            image = self.textures.whole(source.texture)
+        elif source is not None and not _same_reading(source, opacity):
+            # glTF has no opacity texture, only the alpha of the base colour: one image, so one set of UVs for both
+            self.textures.warn(f"{material.name}: opacity texture left out, its UVs are not those of the diffuse one")
+            image = self.textures.whole(source.texture)
+        else:
+            channels.append(Channel(opacity, _CHANNEL.get(opacity.channels, 0)))
+            image, source = self._merge(material, "base", channels), source or opacity
         if image is not None and source is not None:
             pbr["baseColorTexture"] = self.textures.info(image, source, uv_names)
         if factor != [1.0, 1.0, 1.0, 1.0]:
@@ -220,31 +238,6 @@ class MaterialWriter:
             result |= {"alphaMode": "MASK", "alphaCutoff": material.opacity_threshold}
         elif isinstance(opacity, TextureInput) or opacity < 1:
             result["alphaMode"] = "BLEND"
-
-    def _base_image(self, material: Material) -> tuple[int | None, TextureInput | None]:
-        """The base colour image with opacity in its alpha channel, and the input that says how it is read."""
-        diffuse, opacity = material.diffuse_color, material.opacity
-        if isinstance(diffuse, TextureInput) and diffuse.channels != "rgb":
-            channels = [Channel(diffuse, _CHANNEL[diffuse.channels])] * 3
-        elif isinstance(diffuse, TextureInput):
-            channels = [Channel(diffuse, i) for i in range(3)]
-        else:
-            channels = [Channel()] * 3
-        if not isinstance(opacity, TextureInput):
-            if not isinstance(diffuse, TextureInput):
-                return None, None
-            if diffuse.channels == "rgb":
-                return self.textures.whole(diffuse.texture), diffuse
-            return self._merge(material, "diffuse", channels), diffuse
-        same = isinstance(diffuse, TextureInput) and diffuse.channels == "rgb" and opacity.channels == "a"
-        if same and isinstance(diffuse, TextureInput) and diffuse.texture == opacity.texture:
-            return self.textures.whole(diffuse.texture), diffuse
-        # glTF has no opacity texture, only the alpha of the base colour: one image, so one set of UVs for both
-        if isinstance(diffuse, TextureInput) and not _same_reading(diffuse, opacity):
-            self.textures.warn(f"{material.name}: opacity texture left out, its UVs are not those of the diffuse one")
-            return self.textures.whole(diffuse.texture), diffuse
-        channels.append(Channel(opacity, _CHANNEL.get(opacity.channels, 0)))
-        return self._merge(material, "base", channels), diffuse if isinstance(diffuse, TextureInput) else opacity
 
     def _metallic_roughness(self, pbr: Json, material: Material, uv_names: tuple[str, ...]) -> None:
         metallic, roughness = material.metallic, material.roughness

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.records import Json
-from facepipe_gltf.encoding import MESHOPT
+from facepipe_gltf.buffers import MESHOPT
 from facepipe_gltf.raw import RawDocument, as_list, as_object, children, is_index, local_matrix, parents, world_matrices
 
 Problem = tuple[str, str]  # JSON path, message

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.rig.trs import rest_worlds
-from facepipe_gltf.encoding import merge
+from facepipe_gltf.buffers import merge
 
 _UNIT = 2e-7
 

@@ -8,11 +8,9 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.records import Json
-from facepipe_gltf.baking import Baked
-from facepipe_gltf.buffers import Buffers, Rows
-from facepipe_gltf.encoding import Encoded, Encoding
+from facepipe_gltf.baking import Baked, Vertices, rows_of, table_of, vertices_of, without_small
+from facepipe_gltf.buffers import Buffers, Encoded, Encoding, Rows
 from facepipe_gltf.materials import Surface
-from facepipe_gltf.morphs import Vertices, rows_of, table_of, vertices_of, without_small
 from facepipe_gltf.options import Options
 from facepipe_gltf.record_format import material_groups
 

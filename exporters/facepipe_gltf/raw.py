@@ -13,8 +13,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.records import Json
 from facepipe.rig.trs import rotation_matrices
 from facepipe_gltf.read.accessors import Accessor, accessor, numbers
-from facepipe_gltf.read.document import Document, read_document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Document, Value, read_document
 
 _FREE_NUMBERS, _NUMBERS_PER_BYTE = 1 << 29, 256  # that checks look at: these, and as many for each byte of the buffers
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from subprocess import CompletedProcess
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -61,10 +61,19 @@ def _check_khronos(path: Path) -> list[Finding]:
 
     One note where it is not installed or gave no report.
     """
-    node = find_program("node")
-    report = _report(node, path) if node else None
-    if isinstance(report, str):
-        return [Finding(check="khronos:Report", severity="info", where=path.name, message=report)]
+    node, report, failure = find_program("node"), None, ""
+    try:
+        done = run_node(node, _PROGRAM, str(path.resolve())) if node else None
+        if done is not None and done.returncode:
+            failure = f"no report of the Khronos validator: {done.stderr.decode(errors='replace').strip()[-200:]}"
+        elif done is not None:
+            report = json.loads(done.stdout)  # null where it is not installed
+    except subprocess.TimeoutExpired as error:
+        failure = f"no report of the Khronos validator within {error.timeout:g} seconds"
+    except OSError as error:
+        failure = f"node can't be run: {error.strerror or error}"
+    if failure:
+        return [Finding(check="khronos:Report", severity="info", where=path.name, message=failure)]
     if report is None:
         message = "gltf-validator for node is not installed: the Khronos validator was not run"
         return [Finding(check="khronos:NotInstalled", severity="info", where=path.name, message=message)]
@@ -85,19 +94,6 @@ def _check_khronos(path: Path) -> list[Finding]:
                 )
             )
     return findings
-
-
-def _report(node: str, path: Path) -> Any:
-    """Its report, None where it is not installed, or a line that says why there is none."""
-    try:
-        done = run_node(node, _PROGRAM, str(path.resolve()))
-    except subprocess.TimeoutExpired as error:
-        return f"no report of the Khronos validator within {error.timeout:g} seconds"
-    except OSError as error:
-        return f"node can't be run: {error.strerror or error}"
-    if done.returncode:
-        return f"no report of the Khronos validator: {done.stderr.decode(errors='replace').strip()[-200:]}"
-    return json.loads(done.stdout)
 
 
 # its name, the check (places and messages), how bad what it finds is

@@ -8,11 +8,11 @@ import os
 import re
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from facepipe.core.atomic import discard_stale, replacing, together, write_bytes
 from facepipe.core.errors import ExportError, InputError
@@ -67,22 +67,15 @@ def _changed(document: Json, on_document: OnDocument | None, target: Path, binar
     return result
 
 
-class _Field(NamedTuple):
-    """Of a pygltflib class."""
-
-    name: str
-    empty: Callable[[], object] | None  # what it is where nothing is stated; None: None
-    inner: Any  # the pygltflib class of its value or of the items in it, if any
-
-
 @cache
-def _fields(kind: Any) -> tuple[_Field, ...]:
+def _fields(kind: Any) -> tuple[tuple[str, Callable[[], object] | None, Any], ...]:
+    """Of each field of a pygltflib class: name, what makes it where nothing is stated, and the class in its value."""
     described = []
     hints = get_type_hints(kind)
     for field in fields(kind):
         inner = next((part for part in _parts(hints[field.name]) if part.__module__ == kind.__module__), None)
         empty: Any = field.default_factory if field.default_factory in (list, dict) else None
-        described.append(_Field(field.name, empty, inner))
+        described.append((field.name, empty, inner))
     return tuple(described)
 
 
@@ -118,7 +111,7 @@ def _stated(value: Any) -> Json:
         raise TypeError(f"{kind.__name__} {str(value)[:40]!r}")
     if not _is_dataclass(kind):
         return {name: one for name, one in vars(value).items() if one is not None}
-    stated = {field.name: getattr(value, field.name) for field in _fields(kind)}
+    stated = {name: getattr(value, name) for name, _, _ in _fields(kind)}
     return {
         name: one for name, one in stated.items() if one is not None and not (isinstance(one, list | dict) and not one)
     }
@@ -205,7 +198,26 @@ def save(document: Document, path: str | os.PathLike[str], *, on_document: OnDoc
         images.append({"name": entry["name"], "uri": name})
     if images:
         result["images"] = images
-    return _write_gltf(target, _changed(_sealed(result), on_document, target, document.binary), sidecars)
+    finished = _changed(_sealed(result), on_document, target, document.binary)
+    with together(target):  # all or none, and then without the sidecars of the file that was there before
+        # stale are those that this writer has named, and no others: the file may refer to a user's own
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
+        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
+        try:
+            before: Json = read_json_object(target, _MOST_BYTES)
+            uris = [entry.get("uri", "") for entry in [*before.get("buffers", []), *before.get("images", [])]]
+        except (InputError, AttributeError, TypeError):
+            uris = []
+        stale = {uri for uri in uris if isinstance(uri, str) and own.fullmatch(uri)} - set(sidecars)
+        for name, data in sidecars.items():
+            sidecar = target.with_name(name)
+            check_written(sidecar)
+            if not (sidecar.is_file() and sidecar.read_bytes() == data):
+                write_bytes(sidecar, data)
+        write_bytes(target, _json_bytes(finished))
+        for name in sorted(stale):
+            discard_stale(target.with_name(name))
+    return [target, *(target.with_name(name) for name in sidecars)]
 
 
 def _target(path: str | os.PathLike[str]) -> Path:
@@ -266,29 +278,6 @@ def _sidecar_name(target: Path, data: bytes, label: str, extension: str) -> str:
     """
     parts = [re.sub(r"[^A-Za-z0-9_-]+", "_", part) for part in (target.stem, label) if part]
     return ".".join([*parts, hashlib.sha256(data).hexdigest()[:8]]) + extension
-
-
-def _write_gltf(target: Path, document: Json, sidecars: Mapping[str, bytes]) -> list[Path]:
-    """Write .gltf and sidecars, all or none, then remove the sidecars of the file that was there before."""
-    with together(target):
-        # stale are those that this writer has named, and no others: the file may refer to a user's own
-        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", target.stem)
-        own = re.compile(rf"{re.escape(stem)}(\.[A-Za-z0-9_-]+)?\.[0-9a-f]{{8}}\.(bin|png|jpg)")
-        try:
-            before: Json = read_json_object(target, _MOST_BYTES)
-            uris = [entry.get("uri", "") for entry in [*before.get("buffers", []), *before.get("images", [])]]
-        except (InputError, AttributeError, TypeError):
-            uris = []
-        stale = {uri for uri in uris if isinstance(uri, str) and own.fullmatch(uri)} - set(sidecars)
-        for name, data in sidecars.items():
-            path = target.with_name(name)
-            check_written(path)
-            if not (path.is_file() and path.read_bytes() == data):
-                write_bytes(path, data)
-        write_bytes(target, _json_bytes(document))
-        for name in sorted(stale):
-            discard_stale(target.with_name(name))
-    return [target, *(target.with_name(name) for name in sidecars)]
 
 
 def _sealed(document: Json) -> Json:

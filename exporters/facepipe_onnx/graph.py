@@ -32,8 +32,9 @@ from facepipe_onnx.deform import (
     partition,
     skin_nodes,
     skinning_nodes,
+    tree_order,
+    world_nodes,
 )
-from facepipe_onnx.joints import tree_order, world_nodes
 from facepipe_onnx.options import Options
 
 

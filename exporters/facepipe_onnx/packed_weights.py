@@ -151,9 +151,26 @@ def product_nodes(nodes: PackedNodes, value: str, names: tuple[str, str], matrix
         # the matrix that maps packed samples as nearly as possible to what `matrix` makes of the whole ones
         steps = packed[1:] - packed[0]
         missing = (whole[1:] - whole[0]) @ matrix - steps @ matrix
-        made, stored = _stored(
-            nodes, names[0], np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing)), packed
-        )
+        wanted = np.asarray(matrix + np.linalg.solve(_products(steps), steps.T @ missing))
+        if nodes.weights == "float16":
+            stored = rounded(wanted, packed, lambda row: row.astype(np.float16))
+            made = nodes.add("Cast", nodes.constant(names[0], stored, np.float16), to=_FLOAT)
+        else:
+            # scales of rows and columns that bring the matrix to -127..127, made like by turns: the root of the largest
+            rows, columns = np.ones((len(wanted), 1)), np.ones((1, wanted.shape[1]))
+            for _ in range(_ROUNDS):
+                for axis, own in ((1, rows), (0, columns)):
+                    own *= np.sqrt(_largest(wanted / (rows * columns), axis))
+            columns *= _largest(wanted / (rows * columns), 0) / _LEVELS
+            rows, columns = (scale.astype(np.float32).astype(np.float64) for scale in (rows, columns))
+            scaled, of_rows = wanted / (rows * columns), packed * rows.T
+            numbers = rounded(scaled, of_rows, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
+            made = nodes.add("Cast", nodes.constant(names[0], numbers, np.int8), to=_FLOAT)
+            factors = [
+                nodes.constant(f"{names[0]}_{side}", one) for side, one in (("rows", rows), ("columns", columns))
+            ]
+            made = nodes.add("Mul", nodes.add("Mul", made, factors[0]), factors[1])
+            stored = numbers * rows * columns
         moved = bias + whole[0] @ matrix - packed[0] @ stored
         found = nodes.add("Gemm", value, made, nodes.constant(names[1], moved))
         nodes.samples[found] = (whole @ matrix + bias, packed @ stored + moved)
@@ -166,24 +183,6 @@ def _products(steps: FloatArray) -> FloatArray:
     mean = float(np.mean(np.diag(products)))
     products[np.diag_indices(len(products))] += _DAMPING * mean if mean > 0 else 1.0
     return np.asarray(products)
-
-
-def _stored(nodes: PackedNodes, name: str, matrix: FloatArray, samples: FloatArray) -> tuple[str, FloatArray]:
-    """The float32 matrix in the graph, and its numbers."""
-    if nodes.weights == "float16":
-        half = rounded(matrix, samples, lambda row: row.astype(np.float16))
-        return nodes.add("Cast", nodes.constant(name, half, np.float16), to=_FLOAT), half
-    # scales of rows and columns that bring the matrix to -127..127, made like by turns: the root of the largest of each
-    rows, columns = np.ones((len(matrix), 1)), np.ones((1, matrix.shape[1]))
-    for _ in range(_ROUNDS):
-        for axis, own in ((1, rows), (0, columns)):
-            own *= np.sqrt(_largest(matrix / (rows * columns), axis))
-    columns *= _largest(matrix / (rows * columns), 0) / _LEVELS
-    rows, columns = (scale.astype(np.float32).astype(np.float64) for scale in (rows, columns))
-    whole = rounded(matrix / (rows * columns), samples * rows.T, lambda row: np.rint(row).clip(-_LEVELS, _LEVELS))
-    cast = nodes.add("Cast", nodes.constant(name, whole, np.int8), to=_FLOAT)
-    factors = [nodes.constant(f"{name}_{side}", one) for side, one in (("rows", rows), ("columns", columns))]
-    return nodes.add("Mul", nodes.add("Mul", cast, factors[0]), factors[1]), whole * rows * columns
 
 
 def _largest(values: FloatArray, axis: int) -> FloatArray:

@@ -197,7 +197,15 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     model = read(file)
     faults = list(problems(model))
     if not faults:
-        faults = list(_sidecar_problems(file, model))
+        beside = sidecar_path(file)
+        try:
+            if file_beside(file, beside.name) is None:
+                what = "no such file, expected the metadata beside the model"
+                faults.append(Problem("OnnxSidecarMissing", beside.name, what))
+            elif parse_json(read_bytes(beside, MAX_BYTES), beside.name) != model_metadata(model):
+                faults.append(Problem("OnnxSidecar", beside.name, "differs from the metadata in the model"))
+        except InputError as error:
+            faults.append(Problem("OnnxSidecar", error.where, error.what))
     return tuple(
         Finding(
             check=f"facepipe:{problem.check}",
@@ -207,18 +215,3 @@ def validate(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
         )
         for problem in faults
     )
-
-
-def _sidecar_problems(file: Path, model: Any) -> Iterator[Problem]:
-    beside = sidecar_path(file)
-    try:
-        if file_beside(file, beside.name) is None:
-            yield Problem("OnnxSidecarMissing", beside.name, "no such file, expected the metadata beside the model")
-            return
-        text = read_bytes(beside, MAX_BYTES)
-        same = parse_json(text, beside.name) == model_metadata(model)
-    except InputError as error:
-        yield Problem("OnnxSidecar", error.where, error.what)
-        return
-    if not same:
-        yield Problem("OnnxSidecar", beside.name, "differs from the metadata in the model")

@@ -23,9 +23,8 @@ from facepipe.rig import CHANNELS, Rig, rest_coefficients, slide
 from facepipe.rig.slider_network import ACTIVATIONS
 from facepipe.rig.slider_network import kept as kept_outputs
 from facepipe.rig.sliders import kept
-from facepipe_onnx.deform import Ends, activation_nodes, normal_nodes
+from facepipe_onnx.deform import Ends, activation_nodes, chain_nodes, chains_of, end_nodes, normal_nodes, tree_order
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
-from facepipe_onnx.joints import chain_nodes, chains_of, end_nodes, tree_order
 from facepipe_onnx.options import Options
 from facepipe_onnx.packed_weights import (
     PackedNodes,
@@ -117,25 +116,22 @@ def _joints(nodes: PackedNodes, rig: Rig, ramps: Ramps, risen: str, options: Opt
     joint_gains = np.concatenate([ramps.gains.reshape(count, -1, 9), np.zeros((count, 1, 9))], axis=1)
     joint_base = np.concatenate([ramps.base.reshape(-1, 9), rest_coefficients(1)])
     gains, base = joint_gains[:, chains.joints].reshape(count, -1), joint_base[chains.joints].ravel()
-    coefficients = nodes.reshape(_product(nodes, risen, gains, base, options.batch), options.batch, rows, 9)
+    moved = gains.any(axis=0)
+    if gains.size < _LARGE or 2 * moved.sum() > len(base):
+        product = product_nodes(nodes, risen, ("gains", "base"), gains, base)
+    else:  # of large gains without the columns that are 0, where they are many
+        columns, (still, numbers) = np.flatnonzero(moved), np.unique(base[~moved], return_inverse=True)
+        place = np.empty(len(base), dtype=np.int64)
+        place[columns], place[~moved] = np.arange(len(columns)), len(columns) + numbers
+        own_product = product_nodes(nodes, risen, ("gains", "base"), gains[:, columns], base[columns])
+        both = nodes.concat([own_product, nodes.constant("still", np.tile(still, (options.batch, 1)))], 1)
+        product = nodes.gather(both, 1, place)
+    coefficients = nodes.reshape(product, options.batch, rows, 9)
     nodes.add("Gather", coefficients, nodes.indices(chains.rows), axis=1, name="coefficients")
     worlds = chain_nodes(nodes, chains, coefficients, parent=options.parent, batch=options.batch)
     end_nodes(nodes, chains, worlds, rig.inverse_bind, np.arange(len(rig.joints)), name="skinning_matrices")
     order = tree_order(rig.parents)[0]
     return lambda constants: end_nodes(nodes, chains, worlds, constants, order)
-
-
-def _product(nodes: PackedNodes, risen: str, gains: FloatArray, base: FloatArray, batch: int) -> str:
-    """[batch, columns] ``base + risen @ gains``; of large gains without the columns that are 0, where they are many."""
-    moved = gains.any(axis=0)
-    if gains.size < _LARGE or 2 * moved.sum() > len(base):
-        return product_nodes(nodes, risen, ("gains", "base"), gains, base)
-    columns, (still, numbers) = np.flatnonzero(moved), np.unique(base[~moved], return_inverse=True)
-    place = np.empty(len(base), dtype=np.int64)
-    place[columns], place[~moved] = np.arange(len(columns)), len(columns) + numbers
-    own = product_nodes(nodes, risen, ("gains", "base"), gains[:, columns], base[columns])
-    both = nodes.concat([own, nodes.constant("still", np.tile(still, (batch, 1)))], 1)
-    return nodes.gather(both, 1, place)
 
 
 def signature(

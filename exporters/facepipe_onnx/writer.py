@@ -79,19 +79,11 @@ def _affine(nodes: Nodes, value: str, name: str, matrix: Any, bias: Any) -> str:
     return nodes.add("Add", product, nodes.constant(f"{name}_bias", bias))
 
 
-class _Norm:
-    """Adds the nodes of tokens less their mean, over the root of their variance."""
-
-    def __init__(self, nodes: Nodes, width: int) -> None:
-        self._nodes = nodes
-        self._mean = nodes.constant("mean", np.full((width, 1), 1.0 / width))
-        self._epsilon = nodes.constant("epsilon", np.array(EPSILON))
-
-    def __call__(self, tokens: str) -> str:
-        add = self._nodes.add
-        centred = add("Sub", tokens, add("MatMul", tokens, self._mean))
-        variance = add("MatMul", add("Mul", centred, centred), self._mean)
-        return add("Div", centred, add("Sqrt", add("Add", variance, self._epsilon)))
+def _norm(nodes: Nodes, tokens: str, mean: str, epsilon: str) -> str:
+    """Tokens less their mean, over the root of their variance."""
+    centred = nodes.add("Sub", tokens, nodes.add("MatMul", tokens, mean))
+    variance = nodes.add("MatMul", nodes.add("Mul", centred, centred), mean)
+    return nodes.add("Div", centred, nodes.add("Sqrt", nodes.add("Add", variance, epsilon)))
 
 
 def _attention(nodes: Nodes, tokens: str, layer: EncoderLayer, heads: int) -> str:
@@ -121,14 +113,8 @@ def _in_own_units(nodes: Nodes, encoder: NeuralEncoder, value: str) -> None:
     nodes.add("Add", scaled, nodes.constant("middle", (high + low) / 2.0), name="controls")
 
 
-def _describe(
-    encoder: NeuralEncoder, operators: list[str], meshes: Mapping[str, int], name: str = "face"
-) -> dict[str, Any]:
-    """The metadata of the graph of `_build`.
-
-    :param operators: the operators of the graph, sorted
-    :param meshes: name -> points, in the order of the face
-    """
+def _describe(encoder: NeuralEncoder, operators: list[str], meshes: Mapping[str, int], name: str) -> dict[str, Any]:
+    """The metadata of the graph; `operators` are sorted, `meshes` (name -> points) in the order of the face."""
     controls, first, outputs = encoder.controls, 0, []
     for mesh, count in meshes.items():
         outputs.append({"name": mesh, "first": first, "count": count})
@@ -190,10 +176,11 @@ def export_encoder(
     features = _affine(nodes, nodes.add("Tanh", hidden), "feature", encoder.feature, encoder.feature_bias)
     rows = nodes.reshape(features, tokens, len(encoder.token))
     value = _affine(nodes, rows, "token", encoder.token, encoder.places)
-    norm = _Norm(nodes, encoder.token.shape[1])
+    width = encoder.token.shape[1]
+    norm = (nodes.constant("mean", np.full((width, 1), 1.0 / width)), nodes.constant("epsilon", np.array(EPSILON)))
     for layer in encoder.layers:
-        value = nodes.add("Add", value, _attention(nodes, norm(value), layer, encoder.heads))
-        wide = nodes.add("Relu", _affine(nodes, norm(value), "widen", layer.widen, layer.widen_bias))
+        value = nodes.add("Add", value, _attention(nodes, _norm(nodes, value, *norm), layer, encoder.heads))
+        wide = nodes.add("Relu", _affine(nodes, _norm(nodes, value, *norm), "widen", layer.widen, layer.widen_bias))
         value = nodes.add("Add", value, _affine(nodes, wide, "narrow", layer.narrow, layer.narrow_bias))
     flat = nodes.reshape(value, 1, len(encoder.reduce))
     reduced = nodes.add("Tanh", _affine(nodes, flat, "reduce", encoder.reduce, encoder.reduce_bias))

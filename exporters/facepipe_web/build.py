@@ -48,7 +48,13 @@ def build() -> None:
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         raise RuntimeError("needs node (20 or newer) and npm on the PATH")
-    if not _has_packages():
+    try:
+        present = _locked(HERE / "node_modules" / ".package-lock.json")
+    except (OSError, ValueError):
+        present = {}
+    wanted = _locked(HERE / "package-lock.json")  # of optional ones, other machines' are left out
+    needed = {name: entry["version"] for name, entry in wanted.items() if name and not entry.get("optional")}
+    if any(present.get(name, {}).get("version") != version for name, version in needed.items()):
         _run([npm, "ci", "--no-audit", "--no-fund", "--ignore-scripts"])
     # beside it, then in its place: a server that runs meanwhile gives out no half of a page
     digest, temporary, former = sources_digest(), DIST.with_name("dist.new"), DIST.with_name("dist.former")
@@ -74,17 +80,6 @@ def main() -> int:
     total = sum(file.stat().st_size for file in DIST.rglob("*") if file.is_file())
     sys.stdout.write(f"{DIST}: {total:,} bytes\n")
     return 0
-
-
-def _has_packages() -> bool:
-    """Whether node_modules holds what the lock file says; of optional ones, other machines' are left out."""
-    try:
-        present = _locked(HERE / "node_modules" / ".package-lock.json")
-    except (OSError, ValueError):
-        return False
-    wanted = _locked(HERE / "package-lock.json")
-    needed = {name: entry["version"] for name, entry in wanted.items() if name and not entry.get("optional")}
-    return all(present.get(name, {}).get("version") == version for name, version in needed.items())
 
 
 def _locked(path: Path) -> dict[str, Any]:

@@ -175,7 +175,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.rfile = whole
 
     def _answer(self, find: Callable[[], tuple[int, str, bytes]]) -> None:
-        refused = self._refused()
+        # a request that is not from our own page
+        hosts, origins, lengths = (self.headers.get_all(one, []) for one in ("Host", "Origin", "Content-Length"))
+        own = {f"{host}:{self.server.server_port}" for host in (HOST, "localhost")}
+        refused: tuple[int, str, bytes] | None = None
+        if len(hosts) != 1 or max(len(origins), len(lengths)) > 1 or "Transfer-Encoding" in self.headers:
+            refused = 400, "text/plain", b"expected one Host, and at most one Origin and Content-Length\n"
+        elif hosts[0] not in own or not {*origins} <= {f"http://{one}" for one in own}:
+            refused = 403, "text/plain", b"not for other sites\n"  # a name that others point here
         status, kind, content = refused or find()
         if refused or (self.command != "POST" and "Content-Length" in self.headers):
             self.close_connection = True  # what was sent is not read
@@ -187,16 +194,6 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(content)
         self.server.went_on(self.connection, waiting=True)
-
-    def _refused(self) -> tuple[int, str, bytes] | None:
-        """The answer to a request that is not from our own page."""
-        hosts, origins, lengths = (self.headers.get_all(one, []) for one in ("Host", "Origin", "Content-Length"))
-        if len(hosts) != 1 or max(len(origins), len(lengths)) > 1 or "Transfer-Encoding" in self.headers:
-            return 400, "text/plain", b"expected one Host, and at most one Origin and Content-Length\n"
-        own = {f"{host}:{self.server.server_port}" for host in (HOST, "localhost")}
-        if hosts[0] not in own or not {*origins} <= {f"http://{one}" for one in own}:
-            return 403, "text/plain", b"not for other sites\n"  # a name that others point here
-        return None
 
     def _file(self) -> tuple[int, str, bytes]:
         file = self.server.files.get(self.path.partition("?")[0])

@@ -381,35 +381,29 @@ _BLEND = 0.35  # cm
 _Spot = int | tuple[float, float, float]  # a landmark's position in the list of 68, or a place in cm
 
 
-class _Bundle(NamedTuple):
-    """Polylines and their radius in centimetres."""
-
-    radius: float
-    lines: tuple[tuple[_Spot, ...], ...]
-
-
-_BUNDLES: dict[str, _Bundle] = {
-    "forehead": _Bundle(
+# region -> radius in cm, and polylines
+_BUNDLES: dict[str, tuple[float, tuple[tuple[_Spot, ...], ...]]] = {
+    "forehead": (
         8.0,
         (((0.0, 7.6, 2.2), (0.0, 6.0, -1.0), (0.0, 4.0, -1.8)),),
     ),
-    "eyebrows": _Bundle(0.85, ((17, 18, 19, 20, 21), (26, 25, 24, 23, 22))),
-    "eyes": _Bundle(1.0, ((36, 37, 38, 39, 40, 41, 36), (42, 43, 44, 45, 46, 47, 42), (36, 39), (42, 45))),
-    "nose": _Bundle(1.0, ((27, 28, 29, 30, 33), (31, 30, 35), (31, 33, 35))),
-    "mouth": _Bundle(0.9, ((48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 48), (60, 64))),
-    "cheek": _Bundle(
+    "eyebrows": (0.85, ((17, 18, 19, 20, 21), (26, 25, 24, 23, 22))),
+    "eyes": (1.0, ((36, 37, 38, 39, 40, 41, 36), (42, 43, 44, 45, 46, 47, 42), (36, 39), (42, 45))),
+    "nose": (1.0, ((27, 28, 29, 30, 33), (31, 30, 35), (31, 33, 35))),
+    "mouth": (0.9, ((48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 48), (60, 64))),
+    "cheek": (
         1.9,
         (
             ((-4.4, -0.6, 9.0), (-4.6, -3.0, 8.4), (-5.0, -5.0, 6.5), (-6.2, -2.0, 4.6), (-6.4, 0.4, 4.6)),
             ((4.4, -0.6, 9.0), (4.6, -3.0, 8.4), (5.0, -5.0, 6.5), (6.2, -2.0, 4.6), (6.4, 0.4, 4.6)),
         ),
     ),
-    "chin": _Bundle(1.1, ((6, 7, 8, 9, 10), ((0.0, -6.0, 10.2), (0.0, -7.0, 9.8)))),
-    "ears": _Bundle(
+    "chin": (1.1, ((6, 7, 8, 9, 10), ((0.0, -6.0, 10.2), (0.0, -7.0, 9.8)))),
+    "ears": (
         1.6,
         (((-8.0, 2.0, -0.6), (-7.8, -0.5, 0.4)), ((8.0, 2.0, -0.6), (7.8, -0.5, 0.4))),
     ),
-    "neck": _Bundle(
+    "neck": (
         6.2,
         (((0.0, -12.0, 0.0), (0.0, -20.0, 0.0)), ((0.0, -7.0, -3.0), (0.0, -14.0, -2.0))),
     ),
@@ -426,10 +420,10 @@ def head_regions(neutral: FloatArray) -> dict[str, FloatArray]:
     count = max(part.points[1] for part in PARTS if part.mesh == "Head")
     landmarks = neutral[list(LANDMARKS)]
     distances = np.empty((len(_BUNDLES), count))
-    for own, bundle in zip(distances, _BUNDLES.values(), strict=True):
-        places = [[landmarks[at] if isinstance(at, int) else np.array(at) for at in line] for line in bundle.lines]
+    for own, (radius, lines) in zip(distances, _BUNDLES.values(), strict=True):
+        places = [[landmarks[at] if isinstance(at, int) else np.array(at) for at in line] for line in lines]
         segments = [segment for line in places for segment in itertools.pairwise(line)]
-        own[:] = np.min([to_segment(neutral[:count], *segment) for segment in segments], axis=0) - bundle.radius
+        own[:] = np.min([to_segment(neutral[:count], *segment) for segment in segments], axis=0) - radius
     # exp(-d / blend) of the distance beyond that of the nearest region: half as much after 0.24 cm
     masks = np.exp(-(distances - distances.min(axis=0)) / _BLEND)
     masks[masks < 0.01] = 0.0  # far regions are exactly absent

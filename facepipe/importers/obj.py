@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.core.reading import file_beside, files_in, read_json
@@ -137,25 +136,40 @@ def _meshes(
     options: Options,
     warnings: list[str],
 ) -> tuple[Mesh, ...]:
-    pieces = [_Piece("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
+    pieces = [("Head", np.arange(len(neutral.points)), np.arange(len(neutral.face_vertex_counts)))]
     objects, of_corner = np.unique(neutral.face_object), np.repeat(neutral.face_object, neutral.face_vertex_counts)
     points = [np.unique(neutral.face_vertex_indices[of_corner == number]) for number in objects]
     # objects that share points stay one mesh: their border would open as either moves
     if len(objects) > 1 and sum(map(len, points)) == len(np.unique(neutral.face_vertex_indices)):
         pieces = [
-            _Piece(
-                neutral.objects[number] if number >= 0 else "Head", own, np.flatnonzero(neutral.face_object == number)
-            )
+            (neutral.objects[number] if number >= 0 else "Head", own, np.flatnonzero(neutral.face_object == number))
             for number, own in zip(objects, points, strict=True)
         ]
-    names = handles([piece.name for piece in pieces], "Mesh")
-    used = sum(len(piece.points) for piece in pieces)
+    names = handles([name for name, _, _ in pieces], "Mesh")
+    used = sum(len(own) for _, own, _ in pieces)
     if used < len(neutral.points):
         warnings.append(f"{len(neutral.points) - used} points belong to no face of an object, left out")
-    meshes = tuple(
-        _mesh(neutral, piece._replace(name=name), shapes, materials, landmarks, options.threshold)
-        for name, piece in zip(names, pieces, strict=True)
-    )
+    meshes = []
+    for name, (_, own, faces) in zip(names, pieces, strict=True):
+        corners = face_corners(neutral.face_vertex_counts, faces)
+        uv_sets = (compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else ()
+        meshes.append(
+            Mesh(
+                name=name,
+                points=neutral.points[own],
+                face_vertex_counts=neutral.face_vertex_counts[faces],
+                face_vertex_indices=np.searchsorted(own, neutral.face_vertex_indices[corners]).astype(np.int32),
+                uv_sets=uv_sets,
+                colors=np.clip(neutral.colors[own], 0.0, 1.0) if neutral.colors is not None else None,
+                blendshapes=sparse_shapes(shapes, own, options.threshold),
+                landmarks={
+                    scheme: replace(marks, indices=np.searchsorted(own, marks.indices).astype(np.int32))
+                    for scheme, marks in landmarks.items()
+                    if np.isin(marks.indices, own).all()
+                },
+                material_faces=material_faces(materials, neutral.face_material[faces]),
+            )
+        )
     moved = {shape.name for mesh in meshes for shape in mesh.blendshapes}
     still = [name for name in shapes if name not in moved]
     if still:
@@ -163,38 +177,4 @@ def _meshes(
     lost = [scheme for scheme in landmarks if not any(scheme in mesh.landmarks for mesh in meshes)]
     if lost:
         warnings.append(f"landmarks that lie on several meshes, left out: {', '.join(lost)}")
-    return meshes
-
-
-class _Piece(NamedTuple):
-    name: str
-    points: IntArray
-    faces: IntArray
-
-
-def _mesh(
-    neutral: Obj,
-    piece: _Piece,
-    shapes: Mapping[str, FloatArray],
-    materials: list[str],
-    landmarks: Mapping[str, Landmarks],
-    threshold: float,
-) -> Mesh:
-    name, points, faces = piece
-    corners = face_corners(neutral.face_vertex_counts, faces)
-    uv_sets = (compact_uvs(neutral.uvs, neutral.uv_indices[corners]),) if neutral.uv_indices is not None else ()
-    return Mesh(
-        name=name,
-        points=neutral.points[points],
-        face_vertex_counts=neutral.face_vertex_counts[faces],
-        face_vertex_indices=np.searchsorted(points, neutral.face_vertex_indices[corners]).astype(np.int32),
-        uv_sets=uv_sets,
-        colors=np.clip(neutral.colors[points], 0.0, 1.0) if neutral.colors is not None else None,
-        blendshapes=sparse_shapes(shapes, points, threshold),
-        landmarks={
-            scheme: replace(marks, indices=np.searchsorted(points, marks.indices).astype(np.int32))
-            for scheme, marks in landmarks.items()
-            if np.isin(marks.indices, points).all()
-        },
-        material_faces=material_faces(materials, neutral.face_material[faces]),
-    )
+    return tuple(meshes)

@@ -66,15 +66,7 @@ def rename_of(given: str) -> Rename:
     if not Path(given).suffix:
         near = did_you_mean(given, CONVENTIONS) or f", expected one of {' '.join(CONVENTIONS)}"
         raise InputError(f"--rename {given}", f"no convention{near}")
-    return Rename(given=given, table=_read_table(Path(given)))
-
-
-def _read_table(path: Path) -> dict[str, str]:
-    """Old name -> new one.
-
-    :raises InputError: another suffix, no such table, a name that is empty or holds a NUL, an old name twice, or two
-        with one new name
-    """
+    path = Path(given)
     rows: list[tuple[str, object, str]] = []
     if path.suffix.lower() == ".json":
         rows = [(old, new, f"'{old[:60]}'") for old, new in read_json_object(path, MAX_BYTES).items()]
@@ -105,4 +97,4 @@ def _read_table(path: Path) -> dict[str, str]:
         owners[new] = old
     if not names:
         raise InputError(path, "no names, expected pairs of old and new")
-    return names
+    return Rename(given=given, table=names)

@@ -166,8 +166,8 @@ def _read_face(path: Path) -> Scan:
 
 def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> Scan:
     """All meshes in world space as one scan; points that no face uses are left out."""
-    points, triangles, colors, start = [], [], [], 0
-    textured = _Textured()
+    points, triangles, colors, textured, start = [], [], [], [], 0
+    pictures: list[ScanPicture] = []
     for mesh in meshes:
         corners = point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices).astype(np.int64)
         used, corners = np.unique(corners, return_inverse=True)
@@ -176,62 +176,52 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
         # a mirroring transform turns triangles round
         order = (0, 1, 2) if np.linalg.det(mesh.transform[:3, :3]) >= 0 else (0, 2, 1)
         triangles.append(corners.reshape(-1, 3)[:, order] + start)
-        textured.add(mesh, materials, order)
+        textured.append(_textured(mesh, materials, order, pictures))
         own = _point_colors(mesh, materials)
         colors.append(np.full((len(used), 3), 0.18) if own is None else own[used])  # mid grey beside others' colours
         start += len(used)
-    joined = np.concatenate(colors)
+    joined, texture = np.concatenate(colors), None
+    if pictures:
+        uvs, numbers = map(np.concatenate, zip(*textured, strict=True))
+        texture = ScanTexture(uvs=uvs, picture=numbers, pictures=tuple(pictures))
     return Scan(
         name=name,
         points=np.concatenate(points),
         triangles=np.concatenate(triangles).astype(np.int32),
         colors=None if np.ptp(joined, axis=0).max() < _PLAIN else joined,
-        texture=textured.texture(),
+        texture=texture,
     )
 
 
-class _Textured:
-    """The pictures on the triangles of meshes."""
+def _textured(
+    mesh: Mesh, materials: dict[str, Material], order: tuple[int, int, int], pictures: list[ScanPicture]
+) -> tuple[FloatArray, IntArray]:
+    """UVs (t, 3, 2) of a mesh's triangles, and the number (t,) of the picture that each shows, -1 for none.
 
-    def __init__(self) -> None:
-        self._uvs: list[FloatArray] = []
-        self._numbers: list[IntArray] = []
-        self._pictures: list[ScanPicture] = []
-
-    def add(self, mesh: Mesh, materials: dict[str, Material], order: tuple[int, int, int]) -> None:
-        """The next mesh, with the corners of its triangles in this order."""
-        corners, faces = triangulate(mesh.face_vertex_counts)
-        uvs, numbers = np.zeros((len(corners), 3, 2)), np.full(len(corners), -1)
-        names = [mesh.material, *(bound.material for bound in mesh.material_faces)]
-        shown = np.zeros(len(mesh.face_vertex_counts), np.int64)  # which of these each face has
-        for number, bound in enumerate(mesh.material_faces, 1):
-            shown[bound.faces] = number
-        for number, name in enumerate(names):
-            color = materials[name].diffuse_color if name in materials else None
-            uv_set = None
-            if isinstance(color, TextureInput) and mesh.colors is None:
-                uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
-            chosen = shown[faces] == number
-            if uv_set is None or not isinstance(color, TextureInput) or not chosen.any():
-                continue
-            rows = np.asarray(mesh.face_vertex_indices if uv_set.indices is None else uv_set.indices)
-            uvs[chosen] = np.asarray(uv_set.values)[rows[corners[chosen]]]
-            numbers[chosen] = self._number(color)
-        self._uvs.append(uvs[:, order])
-        self._numbers.append(numbers)
-
-    def _number(self, color: TextureInput) -> int:
+    :param order: of the corners of a triangle
+    :param pictures: gets those that it does not have yet
+    """
+    corners, faces = triangulate(mesh.face_vertex_counts)
+    uvs, numbers = np.zeros((len(corners), 3, 2)), np.full(len(corners), -1)
+    names = [mesh.material, *(bound.material for bound in mesh.material_faces)]
+    shown = np.zeros(len(mesh.face_vertex_counts), np.int64)  # which of these each face has
+    for number, bound in enumerate(mesh.material_faces, 1):
+        shown[bound.faces] = number
+    for number, name in enumerate(names):
+        color = materials[name].diffuse_color if name in materials else None
+        uv_set = None
+        if isinstance(color, TextureInput) and mesh.colors is None:
+            uv_set = next((one for one in mesh.uv_sets if one.name == color.uv_set), None)
+        chosen = shown[faces] == number
+        if uv_set is None or not isinstance(color, TextureInput) or not chosen.any():
+            continue
+        rows = np.asarray(mesh.face_vertex_indices if uv_set.indices is None else uv_set.indices)
+        uvs[chosen] = np.asarray(uv_set.values)[rows[corners[chosen]]]
         picture = ScanPicture(data=color.texture.data, gain=color.scale[:3], bias=color.bias[:3])
-        if picture not in self._pictures:
-            self._pictures.append(picture)
-        return self._pictures.index(picture)
-
-    def texture(self) -> ScanTexture | None:
-        """On all triangles; None where no mesh has a picture."""
-        if not self._pictures:
-            return None
-        uvs, numbers = np.concatenate(self._uvs), np.concatenate(self._numbers)
-        return ScanTexture(uvs=uvs, picture=numbers, pictures=tuple(self._pictures))
+        if picture not in pictures:
+            pictures.append(picture)
+        numbers[chosen] = pictures.index(picture)
+    return uvs[:, order], numbers
 
 
 READERS: dict[str, Callable[[Path], Scan]] = {
@@ -294,17 +284,14 @@ def _material_colors(mesh: Mesh, material: Material, points: IntArray, corners: 
     factor = int(np.sqrt(image.width * image.height / max(most, 1)))
     texels = from_srgb(pixels(image, "RGB", where, max(factor, 1)) / 255.0)
     values = np.asarray(uv_set.values, dtype=np.float64)
-    texel = _sampled(texels, values[points] if uv_set.indices is None else values[uv_set.indices[corners]])
-    return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))
-
-
-def _sampled(pixels: FloatArray, uv: FloatArray) -> FloatArray:
-    """(k, 3) bilinear values at UVs (k, 2), v up; textures repeat."""
-    height, width = pixels.shape[:2]
-    x, y = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
+    u, v = (values[points] if uv_set.indices is None else values[uv_set.indices[corners]]).T
+    # bilinear, v up; textures repeat
+    height, width = texels.shape[:2]
+    x, y = u % 1.0 * width - 0.5, (1.0 - v) % 1.0 * height - 0.5
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     across, down = (x - left)[:, None], (y - top)[:, None]
     columns, rows = (left % width, (left + 1) % width), (top % height, (top + 1) % height)
-    upper = pixels[rows[0], columns[0]] * (1 - across) + pixels[rows[0], columns[1]] * across
-    lower = pixels[rows[1], columns[0]] * (1 - across) + pixels[rows[1], columns[1]] * across
-    return np.asarray(upper * (1 - down) + lower * down)
+    upper = texels[rows[0], columns[0]] * (1 - across) + texels[rows[0], columns[1]] * across
+    lower = texels[rows[1], columns[0]] * (1 - across) + texels[rows[1], columns[1]] * across
+    texel = upper * (1 - down) + lower * down
+    return np.asarray(texel * np.array(color.scale[:3]) + np.array(color.bias[:3]))

@@ -243,7 +243,19 @@ def read_ply(path: Path) -> Scan:
     if points is None:
         raise InputError(f"{path} -> vertex", "lacks x, y or z, expected all three")
     _check(f"{path} -> vertex", points)
-    triangles = _triangles(path, elements, len(points))
+    triangles, faces = no_triangles(), elements.get("face")
+    if "tristrips" in elements:
+        raise InputError(f"{path} -> tristrips", "triangle strips, expected faces: save it as triangles")
+    if faces is not None and faces.count:
+        lists = next((faces.values[name] for name in _FACES if name in faces.values), None)
+        if not isinstance(lists, Lists):
+            raise InputError(f"{path} -> face", "no list vertex_indices, expected the corners of each face")
+        used = lists.values
+        if len(used) and (used.min() < 0 or used.max() >= len(points)):
+            at = int(np.argmax((used < 0) | (used >= len(points))))
+            face = int(np.searchsorted(np.cumsum(lists.counts), at, side="right"))
+            raise InputError(f"{path} -> face {face}", f"vertex {used[at]}, expected 0 to {len(points) - 1}")
+        triangles = np.asarray(point_triangles(lists.counts, used.astype(np.int64)), np.int32)
     normals, colors = _columns(vertices, ("nx", "ny", "nz")), None
     if normals is not None:
         _check(f"{path} -> vertex normals", normals)
@@ -291,23 +303,6 @@ def _written(values: FloatArray, names: str) -> list[tuple[str, str, FloatArray 
     with np.errstate(over="ignore"):
         narrow = np.asarray(values, np.float32)
     return [(name, "float", narrow[:, i]) for i, name in enumerate(names.split())]
-
-
-def _triangles(path: Path, elements: dict[str, Element], count: int) -> IntArray:
-    if "tristrips" in elements:
-        raise InputError(f"{path} -> tristrips", "triangle strips, expected faces: save it as triangles")
-    faces = elements.get("face")
-    if faces is None or faces.count == 0:
-        return no_triangles()
-    lists = next((faces.values[name] for name in _FACES if name in faces.values), None)
-    if not isinstance(lists, Lists):
-        raise InputError(f"{path} -> face", "no list vertex_indices, expected the corners of each face")
-    used = lists.values
-    if len(used) and (used.min() < 0 or used.max() >= count):
-        at = int(np.argmax((used < 0) | (used >= count)))
-        face = int(np.searchsorted(np.cumsum(lists.counts), at, side="right"))
-        raise InputError(f"{path} -> face {face}", f"vertex {used[at]}, expected 0 to {count - 1}")
-    return np.asarray(point_triangles(lists.counts, used.astype(np.int64)), np.int32)
 
 
 def _scalars(element: Element, names: tuple[str, ...]) -> list[Columns] | None:

@@ -56,6 +56,12 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
         raise InputError(
             path, f"{weights[-1].shape[0]} rows in the last layer, expected one for each of {len(outputs)}"
         )
+    try:
+        info = json.loads(str(arrays["info"]), parse_constant=lambda word: None) if "info" in arrays else {}
+    except (ValueError, RecursionError):
+        info = None
+    if not isinstance(info, dict):
+        raise InputError(f"{path} -> info", "no JSON object, expected one")
     network = SliderNetwork(
         sliders=tuple(str(one) for one in arrays["sliders"]),
         channels=tuple(one for one in found if isinstance(one, tuple)),
@@ -63,7 +69,7 @@ def read_network(path: Path, joints: Sequence[str], shapes: Sequence[str]) -> Sl
         weights=(*(weight.astype(np.float32) for weight in weights[:-1]), weights[-1][order].astype(np.float32)),
         biases=(*(biase.astype(np.float32) for biase in biases[:-1]), biases[-1][order].astype(np.float32)),
         activation=str(arrays["activation"]) if "activation" in arrays else "tanh",  # type: ignore[arg-type]
-        info=_info(path, str(arrays["info"]) if "info" in arrays else "{}"),
+        info=info,
     )
     fault = network_fault(network)
     if fault:
@@ -85,13 +91,3 @@ def _output(path: Path, name: str, joints: Sequence[str], shapes: Sequence[str])
             where, "expected JOINT:CHANNEL, of a joint of the face and one of its 9 channels, or shape:NAME"
         )
     return matches[0], channel
-
-
-def _info(path: Path, text: str) -> dict[str, object]:
-    try:
-        info = json.loads(text, parse_constant=lambda word: None)
-    except (ValueError, RecursionError):
-        info = None
-    if not isinstance(info, dict):
-        raise InputError(f"{path} -> info", "no JSON object, expected one")
-    return info

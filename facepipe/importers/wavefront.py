@@ -73,11 +73,7 @@ class _Lines:
     """Line numbers (1-based) and the text after the keyword, by keyword."""
 
     path: Path
-    numbers: dict[str, list[int]] = field(default_factory=dict)
-    texts: dict[str, list[str]] = field(default_factory=dict)
-
-    def records(self, keyword: str) -> tuple[list[int], list[str]]:
-        return self.numbers.get(keyword, []), self.texts.get(keyword, [])
+    records: dict[str, tuple[list[int], list[str]]]
 
     def fail(self, number: int, what: str) -> NoReturn:
         raise InputError(f"{self.path}:{number}", what)
@@ -110,7 +106,7 @@ def read_obj(path: Path) -> Obj:
         face_object=face_object,
         materials=materials,
         face_material=face_material,
-        libraries=tuple(dict.fromkeys(text.strip() for text in lines.records("mtllib")[1] if text.strip())),
+        libraries=tuple(dict.fromkeys(text.strip() for text in lines.records["mtllib"][1] if text.strip())),
     )
 
 
@@ -131,8 +127,7 @@ def read_text(path: Path) -> str:
 
 
 def _split(path: Path, text: str) -> _Lines:
-    rows = text.split("\n")
-    start = -1
+    rows, start = text.split("\n"), -1
     for i, row in enumerate(rows if "\\\n" in text else ()):
         # continued lines move up to where they start, and leave blank ones, so that line numbers stay true
         if start >= 0:
@@ -142,20 +137,18 @@ def _split(path: Path, text: str) -> _Lines:
             start, rows[i] = i, row.removesuffix("\\")
         if not row.endswith("\\"):
             start = -1
-    lines = _Lines(path)
-    for keyword in ("v", "vt", "f", "o", "usemtl", "mtllib"):
-        lines.numbers[keyword], lines.texts[keyword] = [], []
+    lines = _Lines(path, {keyword: ([], []) for keyword in ("v", "vt", "f", "o", "usemtl", "mtllib")})
     for number, row in enumerate(rows, 1):
         words = row.split(None, 1)
-        if words and words[0] in lines.texts:
-            lines.numbers[words[0]].append(number)
-            lines.texts[words[0]].append(words[1].partition("#")[0] if len(words) > 1 else "")
+        if words and words[0] in lines.records:
+            lines.records[words[0]][0].append(number)
+            lines.records[words[0]][1].append(words[1].partition("#")[0] if len(words) > 1 else "")
     return lines
 
 
 def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = None) -> FloatArray:
     """(lines, columns) float64 of `keyword`, zeros where a line has fewer; None: as many as every line has."""
-    numbers, texts = lines.records(keyword)
+    numbers, texts = lines.records[keyword]
     words = [text.split() for text in texts]
     widths = list(map(len, words))
     if min(widths, default=at_least) < at_least:
@@ -178,7 +171,7 @@ def _numbers(lines: _Lines, keyword: str, at_least: int, columns: int | None = N
 
 def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
     """Corner counts, point numbers and UV numbers as written (1-based or negative)."""
-    numbers, texts = lines.records("f")
+    numbers, texts = lines.records["f"]
     words = [text.split() for text in texts]
     counts = np.array(list(map(len, words)), dtype=np.int32)
     if len(counts) and counts.min() < 3:
@@ -208,10 +201,10 @@ def _faces(lines: _Lines) -> tuple[IntArray, IntArray, IntArray | None]:
 
 def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, available: int) -> IntArray:
     """0-based int32 indices; negative ones count back from the last `keyword` line before the face."""
-    face_lines = np.array(lines.records("f")[0], dtype=np.int64)
+    face_lines = np.array(lines.records["f"][0], dtype=np.int64)
     result = indices - 1
     if len(indices) and indices.min() < 0:
-        before = np.searchsorted(np.array(lines.records(keyword)[0], dtype=np.int64), face_lines)
+        before = np.searchsorted(np.array(lines.records[keyword][0], dtype=np.int64), face_lines)
         result = np.where(indices < 0, np.repeat(before, counts) + indices, result)
     bad = (result < 0) | (result >= available) | (indices == 0)
     if bad.any():
@@ -223,11 +216,11 @@ def _resolved(lines: _Lines, keyword: str, counts: IntArray, indices: IntArray, 
 
 def _groups(lines: _Lines, keyword: str) -> tuple[tuple[str, ...], IntArray]:
     """Distinct names in order of appearance, and the number (f,) of the one in force at each face, -1 for none."""
-    numbers, texts = lines.records(keyword)
+    numbers, texts = lines.records[keyword]
     stripped = [text.strip() for text in texts]
     index: dict[str, int] = {}
     of_line = np.array([-1, *(index.setdefault(text, len(index)) for text in stripped)], dtype=np.int32)
-    face_lines = np.array(lines.records("f")[0], dtype=np.int64)
+    face_lines = np.array(lines.records["f"][0], dtype=np.int64)
     return tuple(index), of_line[np.searchsorted(np.array(numbers, dtype=np.int64), face_lines)]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failed
-from facepipe_gltf.encoding import Encoding
+from facepipe_gltf.buffers import Encoding
 from facepipe_gltf.options import ENGINES
 from faces import replace_mesh, tiny_face
 from gltf_export import (

@@ -6,8 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from facepipe_gltf.read.document import open_document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Value, open_document
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget, same_file

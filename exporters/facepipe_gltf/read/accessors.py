@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Document, Value
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -69,14 +68,32 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
         if stride is not None and step < size:
             raise stride.error(f"{step} bytes, expected at least the element's {size}")
         base = _strided(document, value, view, count, components, dtype, step)
+    normalized = value.get_or("normalized", False).flag()
+    sparse, replaced = value.get("sparse"), None
+    if sparse is not None:
+        entries = sparse.require("count").integer(1)
+        if entries > count:
+            raise sparse.error(f"{entries} entries of {count} elements")
+        document.budget.spend(8 * entries, sparse.error)
+        at = sparse.require("indices")
+        index_dtype = _dtype(at.require("componentType"))
+        if index_dtype.kind != "u":
+            raise at.error("signed or float indices, expected unsigned integers")
+        indices = _packed(document, at, entries, 1, index_dtype)[:, 0].astype(np.int64)
+        if indices[-1] >= count or indices.max() >= count:
+            raise at.error(f"index {int(indices.max())} of {count} elements")
+        # glTF asks for it: an index twice would give an element two values
+        if np.any(np.diff(indices) <= 0):
+            raise at.error("indices are not strictly ascending")
+        replaced = indices, _packed(document, sparse.require("values"), entries, components, dtype)
     return Accessor(
         value=value,
         count=count,
         components=components,
         dtype=dtype,
-        normalized=value.get_or("normalized", False).flag(),
+        normalized=normalized,
         base=base,
-        sparse=_sparse(document, value, count, components, dtype),
+        sparse=replaced,
     )
 
 
@@ -171,29 +188,6 @@ def _strided(
     if end > length:
         raise value.error(f"{count} elements end at byte {end} of a bufferView of {length}")
     return np.ndarray((count, components), dtype, data, start + offset, (step, dtype.itemsize))
-
-
-def _sparse(
-    document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]
-) -> tuple[IntArray, RawArray] | None:
-    sparse = value.get("sparse")
-    if sparse is None:
-        return None
-    entries = sparse.require("count").integer(1)
-    if entries > count:
-        raise sparse.error(f"{entries} entries of {count} elements")
-    document.budget.spend(8 * entries, sparse.error)
-    at = sparse.require("indices")
-    index_dtype = _dtype(at.require("componentType"))
-    if index_dtype.kind != "u":
-        raise at.error("signed or float indices, expected unsigned integers")
-    indices = _packed(document, at, entries, 1, index_dtype)[:, 0].astype(np.int64)
-    if indices[-1] >= count or indices.max() >= count:
-        raise at.error(f"index {int(indices.max())} of {count} elements")
-    # glTF asks for it: an index twice would give an element two values
-    if np.any(np.diff(indices) <= 0):
-        raise at.error("indices are not strictly ascending")
-    return indices, _packed(document, sparse.require("values"), entries, components, dtype)
 
 
 def _packed(document: Document, value: Value, count: int, components: int, dtype: np.dtype[np.generic]) -> RawArray:

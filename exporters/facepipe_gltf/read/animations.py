@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,10 +18,9 @@ from facepipe.rig.animation import ON_FRAME, TICK, between, local_transforms, wh
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Value, given_name
 from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.skins import Joints, Nodes, local_trs
-from facepipe_gltf.read.values import Value, given_name
 
 _RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at
 _TOLERANCE = {"translation": 5e-5, "rotation": 5e-4, "scale": 5e-4, "weights": 5e-4}  # of curves: metres, radians, 1
@@ -77,34 +75,6 @@ class Channel:
         return np.asarray(quaternions / length)
 
 
-def _on_frames(times: FloatArray, rate: float) -> FloatArray:
-    """`times`, rounded to whole frames where float32 makes no difference; unchanged where two would become one."""
-    found = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
-    return found if (np.diff(found) > 0).all() else times
-
-
-def _read_channel(document: Document, value: Value, node: int, path: str, width: int) -> Channel:
-    """The channel of a node's property, by the sampler at `value` of `width` numbers a key.
-
-    :raises InputError: times that don't ascend, or keys that don't fit them
-    """
-    mode = value.get_or("interpolation", "LINEAR").text()
-    if mode not in ("STEP", "LINEAR", "CUBICSPLINE"):
-        raise value.error(f"interpolation {ascii(mode)[:40]}, expected STEP, LINEAR or CUBICSPLINE")
-    times = accessors.floats(document, value.require("input"), "SCALAR")[:, 0].astype(np.float64)
-    if np.any(np.diff(times) <= 0.0):
-        raise value.require("input").error("key times that don't ascend")
-    output = value.require("output")
-    read = accessors.floats(document, output, _TYPES.get(path, "SCALAR")).astype(np.float64)
-    rows = 3 if mode == "CUBICSPLINE" else 1
-    if read.size != len(times) * width * rows:
-        raise output.error(f"{read.size} numbers for {len(times)} keys, expected {len(times) * width * rows}")
-    # a cubic key is three rows: in-tangent, value, out-tangent
-    keys = read.reshape(len(times), rows, width)
-    tangents = (keys[:, 0], keys[:, 2]) if rows == 3 else None
-    return Channel(node, path, value, mode, times, keys[:, rows // 2], tangents)
-
-
 def lines_error(channels: Sequence[Channel], times: FloatArray) -> str:
     """Largest distances of the lines between samples at `times` from the channels, as text."""
     largest: dict[str, float] = {}
@@ -117,18 +87,6 @@ def lines_error(channels: Sequence[Channel], times: FloatArray) -> str:
 
 def _frames_off(times: FloatArray, rate: float) -> FloatArray:
     return np.asarray(np.abs(times * rate - np.rint(times * rate)))
-
-
-def _bends(channel: Channel) -> FloatArray:
-    """Times between keys that make lines of each curve, more where it bends more."""
-    start, end = channel.times[:-1], channel.times[1:]
-    added: list[FloatArray] = [np.zeros(0)]
-    lines = 1
-    while len(start) and lines < _MOST:
-        bent = _deviation(channel, start, end, lines) > _TOLERANCE[channel.path]
-        start, end, lines = start[bent], end[bent], 2 * lines
-        added.append((start[:, None] + (end - start)[:, None] * (np.arange(1, lines) / lines)).ravel())
-    return np.concatenate(added)
 
 
 def _deviation(channel: Channel, start: FloatArray, end: FloatArray, lines: int) -> FloatArray:
@@ -157,26 +115,16 @@ def _deviation(channel: Channel, start: FloatArray, end: FloatArray, lines: int)
     return np.concatenate(distances)
 
 
-class Animations(NamedTuple):
-    """What a file animates, and the frames per second that its keys fall on."""
-
-    all: tuple[Animation, ...]
-    frames_per_second: float
-
-    @property
-    def first_clip(self) -> str | None:
-        """Name of the first animation that is more than a pose."""
-        return next((one.name for one in self.all if one.times is not None), None)
-
-
 def read_animations(
     document: Document,
     nodes: Nodes,
     joints: Joints,
     shapes: Mapping[int, Sequence[Role]],
     fps: float | None = None,
-) -> Animations:
-    """All animations that move joints or shapes; one with a single key is a pose.
+) -> tuple[tuple[Animation, ...], float]:
+    """All animations that move joints or shapes, and the frames per second that their keys fall on.
+
+    One with a single key is a pose.
 
     :param shapes: roles of the morph targets of every node that shows a mesh with some
     :param fps: frames per second to sample at; None: the keys, as they are
@@ -193,12 +141,16 @@ def read_animations(
     fitting = (rate for rate in _RATES if _frames_off(every, rate).max(initial=0.0) < ON_FRAME)
     rate = fps or next(fitting, _RATES[0])
     names = handles([given_name(value) or "" for value, _ in read], "Animation")
-    animations = [
-        _animation(document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps))
-        for name, (value, channels) in zip(names, read, strict=True)
-    ]
-    at_rate = (one if one.times is None else replace(one, times=_on_frames(one.times, rate)) for one in animations)
-    return Animations(tuple(at_rate), rate)
+    animations = []
+    for name, (value, channels) in zip(names, read, strict=True):
+        sampled = _times(document, value, channels, fps)
+        animation = _animation(document, value, name, channels, nodes, joints, shapes, sampled)
+        if (times := animation.times) is not None:
+            # whole frames where float32 makes no difference, unless two times would become one
+            rounded = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
+            animation = replace(animation, times=rounded if (np.diff(rounded) > 0).all() else times)
+        animations.append(animation)
+    return tuple(animations), rate
 
 
 def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
@@ -221,7 +173,13 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
         changes = (np.diff(channel.keys, axis=0) != 0).any(axis=1)
         span = np.diff(channel.times)
         times_of_all.append((channel.times[1:] - np.minimum(TICK, span / 2))[changes])
-    times = np.concatenate(times_of_all + [_bends(channel) for channel in curves])
+    for channel in curves:  # keys that make lines of each curve, more where it bends more
+        start, end, lines = channel.times[:-1], channel.times[1:], 1
+        while len(start) and lines < _MOST:
+            bent = _deviation(channel, start, end, lines) > _TOLERANCE[channel.path]
+            start, end, lines = start[bent], end[bent], 2 * lines
+            times_of_all.append((start[:, None] + (end - start)[:, None] * (np.arange(1, lines) / lines)).ravel())
+    times = np.concatenate(times_of_all)
     times = times[np.unique(times.astype(np.float32), return_index=True)[1]]  # the first of those alike: a key
     document.budget.spend(8 * len(times), value.error)
     if held:
@@ -251,7 +209,22 @@ def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[
         if number >= len(samplers):
             raise reference.error(f"{number}, but there are {len(samplers)} samplers")
         width = len(shapes[index]) if path == "weights" else int(_TYPES[path][-1])
-        channels[index, path] = _read_channel(document, samplers[number], index, path, width)
+        sampler = samplers[number]
+        mode = sampler.get_or("interpolation", "LINEAR").text()
+        if mode not in ("STEP", "LINEAR", "CUBICSPLINE"):
+            raise sampler.error(f"interpolation {ascii(mode)[:40]}, expected STEP, LINEAR or CUBICSPLINE")
+        times = accessors.floats(document, sampler.require("input"), "SCALAR")[:, 0].astype(np.float64)
+        if np.any(np.diff(times) <= 0.0):
+            raise sampler.require("input").error("key times that don't ascend")
+        output = sampler.require("output")
+        read = accessors.floats(document, output, _TYPES.get(path, "SCALAR")).astype(np.float64)
+        rows = 3 if mode == "CUBICSPLINE" else 1
+        if read.size != len(times) * width * rows:
+            raise output.error(f"{read.size} numbers for {len(times)} keys, expected {len(times) * width * rows}")
+        # a cubic key is three rows: in-tangent, value, out-tangent
+        keys = read.reshape(len(times), rows, width)
+        tangents = (keys[:, 0], keys[:, 2]) if rows == 3 else None
+        channels[index, path] = Channel(index, path, sampler, mode, times, keys[:, rows // 2], tangents)
     if left_out:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
     return list(channels.values())

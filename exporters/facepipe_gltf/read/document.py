@@ -1,5 +1,7 @@
 """A glTF 2.0 document: its container, JSON and buffers, checked before anything is believed.
 
+JSON is read as values that know their place, so that every error names its trail.
+
 The reader goes from JSON and bytes straight to numpy views instead of through `pygltflib`: that library fills
 dataclasses without checking types or ranges, so that hostile files fail far from their cause, or not at all, and
 it copies buffers. It stays what we write with.
@@ -11,25 +13,31 @@ from __future__ import annotations
 
 import base64
 import binascii
+import json
 import re
 import struct
+import unicodedata
+from collections import Counter
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Any, NoReturn
 from urllib.parse import unquote
 
+from facepipe.core import names
 from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget, same_file
 from facepipe.core.policy.paths import check_copied
-from facepipe.core.reading import read_bytes
-from facepipe_gltf.encoding import MESHOPT
+from facepipe.core.reading import check_values, read_bytes
+from facepipe_gltf.buffers import MESHOPT
 from facepipe_gltf.read.meshopt import decode
-from facepipe_gltf.read.values import Value, parse, quote
 
+LARGEST = 1e18  # number that is believed: products of two still fit in float32, which files and engines hold
+_LONGEST = 80  # characters of a name that is made of another
+_TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or false", type(None): "null"}
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
-
 _SUPPORTED_EXTENSIONS = frozenset(
     {
         MESHOPT,
@@ -41,11 +49,212 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_emissive_strength",
     }
 )
-_MAX_FILE_BYTES = 2**32
-"""Largest file read; a GLB can't be longer, as its header counts in 32 bits."""
+_MAX_FILE_BYTES = 2**32  # a GLB can't be longer, as its header counts in 32 bits
 _FREE_BYTES, _PER_BYTE = 1 << 26, 32  # that a document may unfold to: these, and as many for each byte of its buffers
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.-]*:")
 _DATA = re.compile(r"^data:[^,]{0,200};base64,", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Value:
+    """One JSON value and the trail to it, like ``head.glb -> accessors[3].count``.
+
+    The readers below raise `InputError` when the value is not of the kind asked for; booleans are no numbers.
+    """
+
+    data: object
+    trail: str
+    root: bool = False
+
+    @property
+    def place(self) -> str:
+        """The trail inside the document, for naming one place in an error about another."""
+        return self.trail.partition(" -> ")[2]
+
+    def error(self, what: str) -> InputError:
+        """An error at this place."""
+        return InputError(self.trail, what)
+
+    def get(self, key: str) -> Value | None:
+        """The member `key` of an object, None where there is none."""
+        members = self.members()
+        if key not in members:
+            return None
+        return Value(members[key], f"{self.trail}{' -> ' if self.root else '.'}{key}")
+
+    def get_or(self, key: str, default: object) -> Value:
+        """The member `key` of an object, `default` in its place where there is none."""
+        return self.get(key) or Value(default, self.trail)
+
+    def extension(self, name: str) -> Value | None:
+        """What an extension says of an object, None where it says nothing."""
+        return self.get_or("extensions", {}).get(name)
+
+    def extras(self) -> Value:
+        """The extras of an object; empty where there are none, or where they are no object."""
+        extras = self.get_or("extras", {})
+        return extras if isinstance(extras.data, dict) else Value({}, extras.trail)
+
+    def require(self, key: str) -> Value:
+        """The member `key` of an object that must have it."""
+        value = self.get(key)
+        if value is None:
+            raise self.error(f"no {key}, expected one")
+        return value
+
+    def member_names(self) -> list[str]:
+        """The names of an object's members, in file order."""
+        return list(self.members())
+
+    def items(self) -> list[Value]:
+        """The elements of an array."""
+        if not isinstance(self.data, list):
+            raise self._expected("an array")
+        return [Value(item, f"{self.trail}[{i}]") for i, item in enumerate(self.data)]
+
+    def integer(self, low: int = 0) -> int:
+        """A whole number of at least `low`; 3.0 counts as 3, as JSON makes no difference."""
+        data = self.data
+        if isinstance(data, float) and data.is_integer():
+            data = int(data)
+        if isinstance(data, bool) or not isinstance(data, int):
+            raise self._expected("a whole number")
+        if not low <= data < 2**53:
+            raise self.error(f"{_short(data)}, expected a whole number from {low} to 2^53")
+        return data
+
+    def number(self) -> float:
+        """A number of at most `LARGEST`, either sign."""
+        if isinstance(self.data, bool) or not isinstance(self.data, int | float):
+            raise self._expected("a number")
+        if not abs(self.data) <= LARGEST:
+            raise self.error(f"{_short(self.data)}, expected a number from {-LARGEST:g} to {LARGEST:g}")
+        return float(self.data)
+
+    def numbers(self, count: int | None = None) -> tuple[float, ...]:
+        """An array of `count` numbers."""
+        items = self.items()
+        if count is not None and len(items) != count:
+            raise self.error(f"{len(items)} numbers, expected {count}")
+        return tuple(item.number() for item in items)
+
+    def text(self) -> str:
+        """Text that UTF-8 can hold."""
+        if not isinstance(self.data, str):
+            raise self._expected("text")
+        if any("\ud800" <= character <= "\udfff" for character in self.data):
+            raise self.error("text with half a surrogate pair, expected Unicode")
+        return self.data
+
+    def name(self) -> str:
+        """Text that can be a name: USD ends names at a NUL."""
+        if "\0" in self.text():
+            raise self.error("a name with a NUL character, expected none")
+        return self.text()
+
+    def flag(self) -> bool:
+        """True or false."""
+        if not isinstance(self.data, bool):
+            raise self._expected("true or false")
+        return self.data
+
+    def members(self) -> dict[str, Any]:
+        """The members of an object, as JSON has them."""
+        if not isinstance(self.data, dict):
+            raise self._expected("an object")
+        return self.data
+
+    def _expected(self, kind: str) -> InputError:
+        shown = _TYPE_NAMES.get(type(self.data)) or _short(self.data)
+        if isinstance(self.data, str):
+            shown = f"the text {quote(self.data)}"
+        return self.error(f"is {shown}, expected {kind}")
+
+
+def quote(text: str) -> str:
+    """`text` in quotes, escaped and short enough for a one-line message."""
+    return ascii(text if len(text) <= 60 else f"{text[:57]}...")
+
+
+def parse(text: bytes, trail: str) -> Value:
+    """The JSON object in `text`.
+
+    :raises InputError: not UTF-8, not JSON (NaN and Infinity are no JSON), nested too deeply, or not an object
+    """
+    check_values(trail, text)
+    try:
+        data = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse)
+    except RecursionError:
+        raise InputError(trail, "JSON nested too deeply") from None
+    except UnicodeDecodeError as error:
+        raise InputError(trail, f"JSON isn't UTF-8: {error.reason} at byte {error.start}") from None
+    except ValueError as error:
+        raise InputError(trail, f"not JSON: {ascii(str(error))[1:-1][:100]}") from None
+    value = Value(data, trail, root=True)
+    if not isinstance(data, dict):
+        raise value.error("its JSON is not an object, expected a glTF object")
+    return value
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is no JSON number")
+
+
+def _short(data: object) -> str:
+    if isinstance(data, int) and abs(data) >= 10**20:
+        return "a number beyond 10^20"  # not printed: Python limits how many digits it converts
+    return str(data)[:40]
+
+
+def given_name(value: Value) -> str | None:
+    """The name that an object of the document has, exactly; None where it has none."""
+    name = value.get("name")
+    return None if name is None else name.name()
+
+
+def file_name(name: str, fallback: str) -> str:
+    """`name` as letters of ASCII, digits and underscores, for files.
+
+    Accents are dropped, other characters beyond ASCII become ``u`` and their hexadecimal code, so that names in
+    other scripts stay apart; the rest becomes ``_``. An empty name is `fallback`.
+    """
+    plain = unicodedata.normalize("NFKD", name[: 4 * _LONGEST])
+    safe = "".join(
+        (character if character.isascii() else f"u{ord(character):x}_")
+        for character in plain
+        if not unicodedata.combining(character)
+    )[:_LONGEST]
+    return names.identifier(safe, fallback)
+
+
+class Names:
+    """Hands out names, each once: one that is taken gets ``_2``, ``_3`` ... behind it."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+        self._next: Counter[str] = Counter()
+        self._known: dict[tuple[str, int], str] = {}
+
+    def new(self, base: str) -> str:
+        """`base`, or the first numbered name after it that is free."""
+        result = base
+        while result in self._taken:
+            self._next[base] += 1
+            result = f"{base}_{self._next[base] + 1}"
+        self._taken.add(result)
+        return result
+
+    def same(self, name: str, occurrence: int) -> str:
+        """The name of the n-th thing called `name`: always the same one for the same two."""
+        key = (name, occurrence)
+        if key not in self._known:
+            self._known[key] = self.new(name)
+        return self._known[key]
+
+
+def joint_identifier(name: str) -> str:
+    """The part of a joint's path that stands for `name`."""
+    return names.identifier(name[:_LONGEST], "joint")
 
 
 @dataclass
@@ -150,7 +359,15 @@ class Document:
             except (binascii.Error, ValueError) as error:
                 raise uri.error(f"data URI with bad base64: {error}") from None
         # each once, by the identity of the file and not by its name: hundreds of links may lead to one
-        path = _beside(uri, text, self.path)
+        if _SCHEME.match(text):
+            raise uri.error(f"{quote(text)}, expected a data URI or a file beside the document")
+        decoded = unquote(text)
+        absolute = PurePosixPath(decoded).is_absolute() or _SCHEME.match(decoded)
+        if not decoded or "\0" in decoded or "\\" in decoded or absolute:
+            raise uri.error(f"{quote(text)}, expected a path as seen from the document's folder")
+        path = self.path.parent / decoded
+        check_copied(f"{uri.trail} -> {quote(text)}", path, self.path)
+        path = path.resolve()
         if path not in self.files:
             self.files.append(path)
         key = same_file(path)
@@ -243,15 +460,3 @@ def _read_whole(path: Path, where: str) -> bytes:
 def uri_name(uri: str) -> str:
     """The file name that a URI ends in, empty for data."""
     return "" if uri[:5].lower() == "data:" else PurePosixPath(unquote(uri)).name
-
-
-def _beside(uri: Value, text: str, document: Path) -> Path:
-    if _SCHEME.match(text):
-        raise uri.error(f"{quote(text)}, expected a data URI or a file beside the document")
-    decoded = unquote(text)
-    absolute = PurePosixPath(decoded).is_absolute() or _SCHEME.match(decoded)
-    if not decoded or "\0" in decoded or "\\" in decoded or absolute:
-        raise uri.error(f"{quote(text)}, expected a path as seen from the document's folder")
-    path = document.parent / decoded
-    check_copied(f"{uri.trail} -> {quote(text)}", path, document)
-    return path.resolve()

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,16 +19,15 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.recipes import Imported, import_recipe, with_units
-from facepipe_gltf.read import materials, meshes, primitives
+from facepipe_gltf.read import meshes, primitives
 from facepipe_gltf.read.animations import read_animations
-from facepipe_gltf.read.document import Document, open_document
+from facepipe_gltf.read.document import Document, Names, Value, given_name, open_document, quote
 from facepipe_gltf.read.materials import material_names, read_materials
 from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.options import Options
 from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
-from facepipe_gltf.read.values import Names, Value, given_name, quote
 
 _KINDS = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "images", "samplers", "cameras")
 _READ = ("facepipe", "targetNames")  # keys of extras
@@ -67,15 +66,6 @@ def _placed(mesh: Mesh, matrix: FloatArray) -> Mesh:
 _COPIES = 4  # that what is made of a mesh takes at once, at least
 
 
-class _Built(NamedTuple):
-    """A mesh of the document for one skin, before a node shows it."""
-
-    mesh: Mesh
-    geometry: Geometry
-    roles: tuple[Role, ...]
-    size: int  # bytes of its arrays
-
-
 def _arrays(mesh: Mesh) -> list[npt.NDArray[Any]]:
     """Its arrays, as many as there are."""
     arrays = [mesh.points, mesh.face_vertex_counts, mesh.face_vertex_indices, mesh.normals, mesh.colors]
@@ -99,7 +89,7 @@ class Assembly:
     recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
-    _built: dict[tuple[int, int], _Built | None] = field(default_factory=dict)
+    _built: dict[tuple[int, int], tuple[Mesh, Geometry, tuple[Role, ...], int] | None] = field(default_factory=dict)
 
     def meshes(self) -> tuple[Mesh, ...]:
         """All meshes of the scene, in its order."""
@@ -132,15 +122,27 @@ class Assembly:
         skin = -1 if skin_reference is None else document.index("skins", skin_reference)
         key = (mesh_index, skin)
         if key not in self._built:
-            self._built[key] = self._build(mesh_index, skin)
+            self._built[key] = None
+            geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
+            if geometry is not None:
+                names, slots = self.shape_names, None if skin < 0 else self.joints.skins[skin].slots
+                mesh = meshes.build_mesh(document, geometry, names, self.weld, slots, self.materials, self.recorded)
+                used = np.unique(geometry.materials[geometry.materials >= 0]).tolist()
+                sides = [document.entries("materials")[i].get_or("doubleSided", False).flag() for i in used]
+                if len(set(sides)) > 1 and not self.recorded:
+                    document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
+                count = len(geometry.vertices.targets)
+                roles = meshes.roles(document, geometry.value, count, names) if count else ()
+                size = sum(one.nbytes for one in _arrays(mesh))
+                self._built[key] = replace(mesh, double_sided=any(sides)), geometry, roles, size
         built = self._built[key]
         if built is None:
             document.warn(value, "its mesh has no triangles: left out")
             return None
-        mesh, geometry = built.mesh, built.geometry
-        document.budget.spend(_COPIES * built.size, value.error)  # of a mesh shown again too: each is written out
-        if built.roles:
-            self.roles[node] = built.roles
+        mesh, geometry, roles, size = built
+        document.budget.spend(_COPIES * size, value.error)  # of a mesh shown again too: each is written out
+        if roles:
+            self.roles[node] = roles
             if any(value.get_or("weights", []).numbers()):
                 document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
@@ -157,21 +159,6 @@ class Assembly:
         document.budget.spend(64 * count, value.error)
         own = Skin(joint_indices=np.full((count, 1), joint, np.int32), joint_weights=np.ones((count, 1), np.float32))
         return _placed(replace(named, skin=own), self.joints.skeleton.bind_transforms[joint] @ to_joint)
-
-    def _build(self, mesh_index: int, skin: int) -> _Built | None:
-        document = self.document
-        geometry = primitives.read_geometry(document, document.entries("meshes")[mesh_index], skin >= 0)
-        if geometry is None:
-            return None
-        slots = None if skin < 0 else self.joints.skins[skin].slots
-        mesh = meshes.build_mesh(document, geometry, self.shape_names, self.weld, slots, self.materials, self.recorded)
-        used = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
-        sides = [materials.is_double_sided(document, number) for number in used]
-        if len(set(sides)) > 1 and not self.recorded:
-            document.warn(geometry.value, "only some of its materials are double-sided: all of the mesh is now")
-        count = len(geometry.vertices.targets)
-        roles = meshes.roles(document, geometry.value, count, self.shape_names) if count else ()
-        return _Built(replace(mesh, double_sided=any(sides)), geometry, roles, sum(one.nbytes for one in _arrays(mesh)))
 
 
 def read(source: Path, options: Options) -> Imported:
@@ -235,16 +222,16 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
     if hidden:
         document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
-    animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
+    animations, rate = read_animations(document, nodes, joints, assembly.roles, options.fps)
     bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
     return FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
         meshes=meshes,
         skeleton=joints.skeleton,
-        animations=animations.all,
-        played=animations.first_clip,
-        frames_per_second=animations.frames_per_second,
+        animations=animations,
+        played=next((one.name for one in animations if one.times is not None), None),  # a pose has none
+        frames_per_second=rate,
         materials=read_materials(document, materials, bound),
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),

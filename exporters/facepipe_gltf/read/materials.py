@@ -12,9 +12,8 @@ from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, uri_name
+from facepipe_gltf.read.document import Document, Names, Value, file_name, given_name, uri_name
 from facepipe_gltf.read.meshes import uv_name
-from facepipe_gltf.read.values import Names, Value, file_name, given_name
 from facepipe_gltf.record_format import image_digest
 
 Channels = Literal["rgb", "r", "g", "b", "a"]
@@ -50,11 +49,6 @@ def read_materials(document: Document, names: list[str], used: Iterable[str | No
     if names[-1] in wanted:  # glTF 2.0 section 3.9.6: white, metallic 1, rough 1
         read.append(_material(document, textures, Value({}, document.root.trail), names[-1]))
     return tuple(read)
-
-
-def is_double_sided(document: Document, index: int) -> bool:
-    """Whether material `index` shows both sides."""
-    return document.entries("materials")[index].get_or("doubleSided", False).flag()
 
 
 class _Textures:
@@ -133,7 +127,6 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     opacity, threshold = _opacity(textures, value, surface, base[3])
     ior = value.extension("KHR_materials_ior") or empty
     rough, metal = _factor(surface, "roughnessFactor"), _factor(surface, "metallicFactor")
-    coat = value.extension("KHR_materials_clearcoat") or empty
     label = given_name(value)
     # in this order: images are numbered as they are first asked for
     diffuse = _color(textures, surface.get("baseColorTexture"), base)
@@ -153,6 +146,13 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
     if bumped is not None:
         scale = _factor(bumped, "scale")  # ``(2 texel - 1) * (scale, scale, 1)``
         normal = textures.input(bumped, "rgb", (2.0 * scale, 2.0 * scale, 2.0, 1.0), (-scale, -scale, -1.0, 0.0))
+    clearcoat: dict[str, float | TextureInput] = {}
+    coat = value.extension("KHR_materials_clearcoat") or empty
+    if (factor := _factor(coat, "clearcoatFactor", 0.0)) != 0:  # its roughness doesn't count without
+        coat_rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
+        clearcoat["clearcoat"] = _scalar(textures, coat.get("clearcoatTexture"), "r", factor)
+        rough_picture = coat.get("clearcoatRoughnessTexture")
+        clearcoat["clearcoat_roughness"] = _scalar(textures, rough_picture, "g", coat_rough)
     return Material(
         name=name,
         label=label if label != name else None,
@@ -165,20 +165,8 @@ def _material(document: Document, textures: _Textures, value: Value, name: str) 
         occlusion=1.0 if occlusion is None else occlusion,
         normal=normal,
         ior=_factor(ior, "ior", 1.5),
-        **_clearcoat(textures, coat),
+        **clearcoat,
     )
-
-
-def _clearcoat(textures: _Textures, coat: Value) -> dict[str, float | TextureInput]:
-    """Nothing where there is none: its roughness doesn't count then."""
-    factor = _factor(coat, "clearcoatFactor", 0.0)
-    if factor == 0:
-        return {}
-    rough = _factor(coat, "clearcoatRoughnessFactor", 0.0)
-    return {
-        "clearcoat": _scalar(textures, coat.get("clearcoatTexture"), "r", factor),
-        "clearcoat_roughness": _scalar(textures, coat.get("clearcoatRoughnessTexture"), "g", rough),
-    }
 
 
 def _color(textures: _Textures, reference: Value | None, factor: tuple[float, ...]) -> Color | TextureInput:

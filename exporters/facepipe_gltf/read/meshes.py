@@ -21,9 +21,8 @@ from facepipe.core.names import identifier
 from facepipe.geometry.polygons import distinct_rows
 from facepipe.parts import Blendshape, Inbetween, Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe_gltf.read.accessors import Deltas
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Names, Value
 from facepipe_gltf.read.primitives import Geometry, Target, Vertices
-from facepipe_gltf.read.values import Names, Value
 
 
 @dataclass(frozen=True)
@@ -44,16 +43,6 @@ class Weld:
     def counts(self) -> IntArray:
         """(p,) vertices of every point."""
         return np.bincount(self.points[self.points >= 0], minlength=len(self.vertices))
-
-
-def _by_number(geometry: Geometry, numbers: IntArray) -> Weld | None:
-    """Points in the order of `numbers` (n,), gaps closed; None where vertices of one number lie apart."""
-    used = _used(geometry)
-    _, first, inverse = np.unique(numbers[used], return_index=True, return_inverse=True)
-    positions = geometry.vertices.positions[used]
-    if np.any(positions != positions[first][inverse]):
-        return None
-    return _placed(len(geometry.vertices.positions), used, first, inverse)
 
 
 def _by_value(geometry: Geometry) -> Weld:
@@ -113,7 +102,22 @@ class Role:
 
 def roles(document: Document, mesh: Value, count: int, names: Names) -> tuple[Role, ...]:
     """The role of each of a mesh's `count` targets."""
-    originals = _target_names(document, mesh, count)
+    originals = [f"target_{i}" for i in range(count)]
+    for value in (mesh, *mesh.require("primitives").items()):
+        given = value.extras().get("targetNames")
+        if given is None:
+            continue
+        listed = given.data
+        if isinstance(listed, list) and len(listed) == count and all(isinstance(name, str) for name in listed):
+            nameless = sum(not name for name in listed)
+            if nameless:
+                document.warn(given, f"{nameless} of {count} names are empty: called target_<number>")
+            originals = [name.name() for name in given.items()]
+        else:
+            document.warn(given, f"is not a list of {count} names: targets are numbered instead")
+        break
+    else:
+        document.warn(mesh, f"its {count} morph targets have no names: called target_<number>")
     folded = _inbetweens(document, mesh, originals)
     seen: Counter[str] = Counter()
     by_number: dict[int, Role] = {}
@@ -205,25 +209,6 @@ def _rows(points: IntArray, deltas: Deltas) -> FloatArray:
     return rows
 
 
-def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
-    primitives = mesh.require("primitives").items()
-    for value in (mesh, *primitives):
-        names = value.extras().get("targetNames")
-        if names is None:
-            continue
-        listed = names.data
-        if isinstance(listed, list) and len(listed) == count and all(isinstance(name, str) for name in listed):
-            nameless = sum(not name for name in listed)
-            if nameless:
-                document.warn(names, f"{nameless} of {count} names are empty: called target_<number>")
-            return [name.name() for name in names.items()]
-        document.warn(names, f"is not a list of {count} names: targets are numbered instead")
-        break
-    else:
-        document.warn(mesh, f"its {count} morph targets have no names: called target_<number>")
-    return [f"target_{i}" for i in range(count)]
-
-
 def _inbetweens(document: Document, mesh: Value, originals: list[str]) -> dict[int, tuple[str, float]]:
     """Target number -> shape and weight of every target that is an inbetween."""
     ours = mesh.extras().get("facepipe")
@@ -308,9 +293,12 @@ def build_mesh(
         shown[-1] = None
         if (geometry.materials < 0).any():
             document.warn(geometry.value, "vertex colours without a material: kept as display colours, not metallic")
-        tinted = [number for number in np.unique(geometry.materials).tolist() if number >= 0]
-        if not all(_is_white(document, number) for number in tinted):
-            document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")
+        for number in np.unique(geometry.materials[geometry.materials >= 0]).tolist():
+            surface = document.entries("materials")[number].get_or("pbrMetallicRoughness", {})
+            plain = surface.get_or("baseColorFactor", [1.0] * 4).numbers(4)[:3] == (1.0, 1.0, 1.0)
+            if not plain or surface.get("baseColorTexture") is not None:
+                document.warn(geometry.value, "vertex colours tint a material: exports leave them out, USD shows none")
+                break
     # of triangles that are kept: a material of left out ones alone would make a subset without faces
     numbers = geometry.materials[kept]
     bound = {number: shown[number] for number in np.unique(numbers).tolist()}
@@ -342,8 +330,13 @@ def uv_name(number: int) -> str:
 def _weld(document: Document, geometry: Geometry, weld: bool, recorded: bool) -> Weld:
     vertices = geometry.vertices
     numbers = vertices.point_numbers
+    welded = None
     # by number before value: points that lie on each other, as those of closed lips do, are two
-    welded = None if numbers is None or not weld else _by_number(geometry, numbers)
+    if numbers is not None and weld:
+        used = _used(geometry)
+        _, first, inverse = np.unique(numbers[used], return_index=True, return_inverse=True)
+        if not np.any(vertices.positions[used] != vertices.positions[used[first]][inverse]):
+            welded = _placed(len(vertices.positions), used, first, inverse)
     if recorded:
         if welded is None:
             raise geometry.value.error("its _FACEPIPE_POINT is gone or joins vertices that lie apart")
@@ -433,10 +426,3 @@ def _skin(document: Document, geometry: Geometry, weld: Weld, slots: IntArray) -
     used = max(1, int(np.flatnonzero(np.any(weights > 0.0, axis=0)).max(initial=0)) + 1)
     indices = np.where(weights > 0.0, slots[joints], 0)[:, :used]
     return Skin(joint_indices=indices.astype(np.int32), joint_weights=weights[:, :used])
-
-
-def _is_white(document: Document, material: int) -> bool:
-    """Whether a material has no colour but vertex colours."""
-    surface = document.entries("materials")[material].get_or("pbrMetallicRoughness", {})
-    plain = surface.get_or("baseColorFactor", [1.0] * 4).numbers(4)[:3] == (1.0, 1.0, 1.0)
-    return plain and surface.get("baseColorTexture") is None

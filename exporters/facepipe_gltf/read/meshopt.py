@@ -5,12 +5,13 @@ Source: the glTF extension EXT_meshopt_compression, appendices A (bitstreams) an
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from facepipe_gltf.encoding import MESHOPT
+from facepipe_gltf.buffers import MESHOPT
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -132,29 +133,13 @@ def _indices(data: bytes, count: int) -> list[int]:
     return result
 
 
-class _Recent:
-    """The last 16 of something."""
-
-    def __init__(self, nothing: tuple[int, ...]) -> None:
-        self._items = [nothing] * 16
-        self._next = 0
-
-    def push(self, *item: int) -> None:
-        self._items[self._next] = item
-        self._next = (self._next + 1) & 15
-
-    def back(self, steps: int) -> tuple[int, ...]:
-        """The latest is 0 steps back."""
-        return self._items[(self._next - 1 - steps) & 15]
-
-
 def _triangles(data: bytes, count: int) -> list[int]:
     """Triangles share edges with those before, and vertices are new ones in turn or recent ones."""
     codes = count // 3
     if data[0] != _TRIANGLES or len(data) < 1 + codes + 16:
         raise ValueError(f"{len(data)} bytes of another version or for fewer than {codes} triangles")
     numbers, table = _Numbers(data, 1 + codes), data[-16:]
-    edges, vertices = _Recent((0, 0)), _Recent((0,))
+    edges, vertices = deque([(0, 0)] * 16, 16), deque([0] * 16, 16)  # the last ones, the latest first
     fresh = last = 0
     result: list[int] = []
 
@@ -164,23 +149,23 @@ def _triangles(data: bytes, count: int) -> list[int]:
         if code == 15:
             last += _signed(numbers.number())
         if 0 < code < 15:
-            return vertices.back(steps)[0]
+            return vertices[steps]
         fresh += code == 0
         return last if code == 15 else fresh - 1
 
     for code in data[1 : 1 + codes]:
         high, low = code >> 4, code & 15
         if high < 15:
-            a, b = edges.back(high)
+            a, b = edges[high]
             if low in (13, 14):
                 last += 1 if low == 14 else -1
                 c = last
             else:
                 c = corner(low, steps=low)
             if low == 0 or low >= 13:
-                vertices.push(c)
-            edges.push(c, b)
-            edges.push(a, c)
+                vertices.appendleft(c)
+            edges.appendleft((c, b))
+            edges.appendleft((a, c))
         else:
             pair = table[low] if low < 14 else numbers.byte()
             if low >= 14 and pair == 0:
@@ -190,10 +175,10 @@ def _triangles(data: bytes, count: int) -> list[int]:
             a, b, c = (corner(kind, steps=kind - 1) for kind in kinds)
             for kind, vertex in zip(kinds, (a, b, c), strict=True):
                 if kind in (0, 15):
-                    vertices.push(vertex)
-            edges.push(b, a)
-            edges.push(c, b)
-            edges.push(a, c)
+                    vertices.appendleft(vertex)
+            edges.appendleft((b, a))
+            edges.appendleft((c, b))
+            edges.appendleft((a, c))
         result += (a, b, c)
     return result
 

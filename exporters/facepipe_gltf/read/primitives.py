@@ -15,8 +15,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Document, Value
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
@@ -81,7 +80,15 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         if values.min() < 0.0 or values.max() > _LARGEST_NUMBER or np.any(values != np.floor(values)):
             raise point.error("point numbers that are no whole numbers from 0 to 2^24")
         numbers = values.astype(np.int64)
-    targets = tuple(_target(document, target, count) for target in primitive.get_or("targets", []).items())
+    targets = []
+    for target in primitive.get_or("targets", []).items():
+        moved, turned = target.get("POSITION"), target.get("NORMAL")
+        for name in target.member_names():
+            if name not in ("POSITION", "NORMAL", "TANGENT"):
+                document.warn(target, f"morphs of {ascii(name)[:40]} are left out")
+        offsets = _STILL if moved is None else accessors.deltas(document, moved, count)
+        normal_offsets = None if turned is None else accessors.deltas(document, turned, count)
+        targets.append(Target(positions=offsets, normals=normal_offsets))
     return Vertices(
         positions=positions,
         normals=normals,
@@ -90,7 +97,7 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         joints=joints,
         weights=weights,
         point_numbers=numbers,
-        targets=targets,
+        targets=tuple(targets),
     )
 
 
@@ -146,17 +153,6 @@ def _influences(document: Document, primitive: Value, attributes: Value, count: 
     if not joints:
         raise primitive.error("no JOINTS_0 and WEIGHTS_0, but its node has a skin")
     return np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-
-
-def _target(document: Document, target: Value, count: int) -> Target:
-    positions, normals = target.get("POSITION"), target.get("NORMAL")
-    for name in target.member_names():
-        if name not in ("POSITION", "NORMAL", "TANGENT"):
-            document.warn(target, f"morphs of {ascii(name)[:40]} are left out")
-    return Target(
-        positions=_STILL if positions is None else accessors.deltas(document, positions, count),
-        normals=None if normals is None else accessors.deltas(document, normals, count),
-    )
 
 
 def _join_optional(

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.polygons import point_normals, triangulate
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skeleton, Skin, UvSet
+from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skeleton, UvSet
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.bone_coefficients import matrix_coefficients, rest_coefficients
 from facepipe.rig.trs import decompose
@@ -210,15 +210,34 @@ def _mesh(husk: Mesh, record: MeshRecord, read: Mesh) -> Mesh:
     colors = husk.colors
     if colors is not None and not len(colors):  # the file has them
         colors = None if read.colors is None else _spread(read.colors, numbers, record.point_count)
+    normals = None
+    if husk.normals is not None and read.normals is not None:
+        back = directions.normal_offsets(read.normals, read.normals)
+        per_point = len(back) == len(read.points)
+        if husk.normals.ndim == 2:
+            normals = _spread(back, numbers, record.point_count) if per_point else None
+        else:
+            normals = back[read.face_vertex_indices[corners]] if per_point else back[corners]
+    uv_sets = _uv_sets(husk, read, record.point_count, corners, numbers, indices)
+    if (husk.skin is None) != (read.skin is None):
+        raise _misfit(f"skin weights of {husk.name} came or went")
+    skin = husk.skin
+    if skin is not None and read.skin is not None:
+        weights = _spread(read.skin.joint_weights, numbers, record.point_count)
+        if len(weights) > len(numbers):  # points that no face uses follow their first joint
+            weights = np.array(weights)
+            weights[np.setdiff1d(np.arange(record.point_count), numbers), 0] = 1.0
+        joint_indices = _spread(read.skin.joint_indices, numbers, record.point_count)
+        skin = replace(skin, joint_indices=joint_indices, joint_weights=weights)
     result = replace(
         husk,
         points=points,
         face_vertex_counts=counts,
         face_vertex_indices=indices,
-        normals=_normals(husk, record, read, corners, numbers, directions),
-        uv_sets=_uv_sets(husk, read, record.point_count, corners, numbers, indices),
+        normals=normals,
+        uv_sets=uv_sets,
         colors=colors,
-        skin=_skin(husk, read, record.point_count, numbers),
+        skin=skin,
         blendshapes=_blendshapes(husk, read, numbers, directions),
         material=husk.material if len(husk.face_vertex_counts) else read.material,
         material_faces=husk.material_faces if len(husk.face_vertex_counts) else read.material_faces,
@@ -295,18 +314,6 @@ def _spread(values: npt.NDArray[Any], numbers: IntArray, count: int) -> npt.NDAr
     return result
 
 
-def _normals(
-    husk: Mesh, record: MeshRecord, read: Mesh, corners: IntArray, numbers: IntArray, directions: _Directions
-) -> FloatArray | None:
-    if husk.normals is None or read.normals is None:
-        return None
-    back = directions.normal_offsets(read.normals, read.normals)
-    per_point = len(back) == len(read.points)
-    if husk.normals.ndim == 2:
-        return _spread(back, numbers, record.point_count) if per_point else None
-    return back[read.face_vertex_indices[corners]] if per_point else back[corners]
-
-
 def _uv_sets(
     husk: Mesh, read: Mesh, count: int, corners: IntArray, numbers: IntArray, indices: IntArray
 ) -> tuple[UvSet, ...]:
@@ -321,18 +328,6 @@ def _uv_sets(
             values, places = _spread(read_set.values, numbers, count), None if husk_set.indices is None else indices
         result.append(UvSet(name=husk_set.name, values=values, indices=places))
     return tuple(result)
-
-
-def _skin(husk: Mesh, read: Mesh, count: int, numbers: IntArray) -> Skin | None:
-    if (husk.skin is None) != (read.skin is None):
-        raise _misfit(f"skin weights of {husk.name} came or went")
-    if husk.skin is None or read.skin is None:
-        return None
-    weights = _spread(read.skin.joint_weights, numbers, count)
-    if len(weights) > len(numbers):
-        weights = np.array(weights)
-        weights[np.setdiff1d(np.arange(count), numbers), 0] = 1.0
-    return replace(husk.skin, joint_indices=_spread(read.skin.joint_indices, numbers, count), joint_weights=weights)
 
 
 def _blendshapes(husk: Mesh, read: Mesh, numbers: IntArray, directions: _Directions) -> tuple[Blendshape, ...]:

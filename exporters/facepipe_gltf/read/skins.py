@@ -16,8 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.parts import Skeleton, identity
 from facepipe.rig.trs import compose, decompose
 from facepipe_gltf.read import accessors
-from facepipe_gltf.read.document import Document
-from facepipe_gltf.read.values import Names, Value, given_name, joint_identifier
+from facepipe_gltf.read.document import Document, Names, Value, given_name, joint_identifier
 
 _SAME = 1e-5
 
@@ -28,7 +27,6 @@ class Nodes:
 
     values: list[Value]
     parents: list[int]  # -1: root
-    order: list[int]  # parents first
     locals: FloatArray  # (n, 4, 4)
     worlds: FloatArray  # (n, 4, 4)
     shown: list[int]  # nodes of the scene, depth first
@@ -69,8 +67,21 @@ def read_nodes(document: Document, scene: int | None) -> Nodes:
     finite = np.isfinite(worlds).all(axis=(1, 2))
     if not finite.all():
         raise values[int(np.argmin(finite))].error("its world transform is not finite")
-    shown = _depth_first(_scene_roots(document, scene, roots, parents), children)
-    return Nodes(values, parents, order, locals_, worlds, shown)
+    scenes, default = document.entries("scenes"), document.root.get("scene")
+    if scene is not None and not 0 <= scene < len(scenes):
+        raise document.root.error(f"scene {scene}, but there are {len(scenes)}")
+    if default is not None:
+        document.index("scenes", default)
+    listed: dict[int, None] = {}
+    if scenes:
+        chosen = scene if scene is not None else (default.integer() if default is not None else 0)
+        for reference in scenes[chosen].get_or("nodes", []).items():
+            node = document.index("nodes", reference)
+            if parents[node] >= 0 or node in listed:
+                raise reference.error(f"nodes[{node}] is not a root or is listed twice")
+            listed[node] = None
+    shown = _depth_first(list(listed) if scenes else roots, children)
+    return Nodes(values, parents, locals_, worlds, shown)
 
 
 def local_trs(value: Value) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -108,25 +119,6 @@ def _depth_first(roots: list[int], children: list[list[int]]) -> list[int]:
     return order
 
 
-def _scene_roots(document: Document, scene: int | None, roots: list[int], parents: list[int]) -> list[int]:
-    scenes = document.entries("scenes")
-    if scene is not None and not 0 <= scene < len(scenes):
-        raise document.root.error(f"scene {scene}, but there are {len(scenes)}")
-    default = document.root.get("scene")
-    if default is not None:
-        document.index("scenes", default)
-    if not scenes:
-        return roots
-    chosen = scene if scene is not None else (default.integer() if default is not None else 0)
-    listed: dict[int, None] = {}
-    for reference in scenes[chosen].get_or("nodes", []).items():
-        node = document.index("nodes", reference)
-        if parents[node] >= 0 or node in listed:
-            raise reference.error(f"nodes[{node}] is not a root or is listed twice")
-        listed[node] = None
-    return list(listed)
-
-
 @dataclass(frozen=True)
 class BoundSkin:
     """A skin on the skeleton: the skeleton joint of each of its joints, and mesh space -> skeleton space at bind."""
@@ -161,7 +153,15 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
     """
     values = document.entries("skins")
-    listed = [_joint_nodes(document, value) for value in values]
+    listed = []
+    for value in values:
+        joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
+        if not joints:
+            raise value.error("no joints, expected at least one")
+        node, times = Counter(joints).most_common(1)[0]
+        if times > 1:
+            raise value.error(f"lists nodes[{node}] {times} times, expected once")
+        listed.append(joints)
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     order = _parent_first(nodes, [node for skin in listed for node in skin])
     of_node = {node: joint for joint, node in enumerate(order)}
@@ -199,16 +199,6 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     leaves = zip(given, skeleton.names, strict=True)
     skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
     return Joints(skeleton, of_node, above, tuple(skins))
-
-
-def _joint_nodes(document: Document, value: Value) -> list[int]:
-    joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
-    if not joints:
-        raise value.error("no joints, expected at least one")
-    node, times = Counter(joints).most_common(1)[0]
-    if times > 1:
-        raise value.error(f"lists nodes[{node}] {times} times, expected once")
-    return joints
 
 
 def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:

@@ -16,7 +16,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.names import first_names
 from facepipe.core.reports import ExportReport
-from facepipe.parts import FaceParts, HasParts, Mesh
+from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
 from facepipe.rig import set_face
 from facepipe.rig.trs import decompose, rest_worlds
@@ -154,8 +154,19 @@ def figure_of(parts: FaceParts, bones: Mapping[str, int]) -> Figure:
     elif marks is not None:
         eyes = np.stack([marks[_LEFT_EYE].mean(axis=0), marks[_RIGHT_EYE].mean(axis=0)])
     else:
-        left, right = (_moved_by(f"eyeBlink{side}", parts.meshes, points) for side in ("Left", "Right"))
-        eyes = None if left is None or right is None else np.stack([left, right])
+        middles = []
+        for side in ("Left", "Right"):
+            rows: list[FloatArray] = [np.zeros((0, 3))]
+            weights: list[FloatArray] = [np.zeros(0)]
+            for mesh, own in zip(parts.meshes, points, strict=True):
+                for shape in mesh.blendshapes:
+                    if shape.name == f"eyeBlink{side}":
+                        rows.append(own[np.asarray(shape.point_indices)])
+                        weights.append(np.linalg.norm(np.asarray(shape.offsets, np.float64), axis=1))
+            far = np.concatenate(weights)  # the farther a point moves, the more it counts
+            if far.sum():
+                middles.append(np.average(np.concatenate(rows), axis=0, weights=far))
+        eyes = np.stack(middles) if len(middles) == 2 else None
     return Figure(eyes, low, high, float(height), joints)
 
 
@@ -163,19 +174,6 @@ def _moved(parts: FaceParts, matrix: FloatArray) -> FaceParts:
     """The whole face moved by a rigid `matrix` (4, 4) of glTF space."""
     world = parts.gltf_axes
     return parts.placed(np.linalg.inv(world) @ matrix @ world)
-
-
-def _moved_by(shape: str, meshes: tuple[Mesh, ...], points: list[FloatArray]) -> FloatArray | None:
-    """(3,) the middle of the points that a shape moves, the farther the more."""
-    rows: list[FloatArray] = [np.zeros((0, 3))]
-    weights: list[FloatArray] = [np.zeros(0)]
-    for mesh, mesh_points in zip(meshes, points, strict=True):
-        for blendshape in mesh.blendshapes:
-            if blendshape.name == shape:
-                rows.append(mesh_points[np.asarray(blendshape.point_indices)])
-                weights.append(np.linalg.norm(np.asarray(blendshape.offsets, np.float64), axis=1))
-    total = np.concatenate(weights)
-    return np.average(np.concatenate(rows), axis=0, weights=total) if total.sum() else None
 
 
 def _missing(present: Sequence[str]) -> tuple[str, ...]:
@@ -200,20 +198,6 @@ def _add_spine(tree: NodeTree, bones: dict[str, int], figure: Figure, own_torso:
         path = tree.path(bones[bone])
         if bones["spine"] not in path and bones["hips"] in path:
             tree.hang(path[path.index(bones["hips"]) - 1], bones["spine"])
-
-
-def _add_arm(tree: NodeTree, bones: dict[str, int], figure: Figure, side: str, sign: float) -> None:
-    upper, lower, hand = (f"{side}{part}" for part in ("UpperArm", "LowerArm", "Hand"))
-    if upper not in bones:
-        parent = next(bones[one] for one in (f"{side}Shoulder", "upperChest", "chest", "spine") if one in bones)
-        place = _at(figure, _SHOULDER)
-        place[0] += sign * _SHOULDER_OUT * figure.height
-        bones[upper] = tree.add(upper, place, parent)
-    for bone, above, part in ((lower, upper, _UPPER_ARM), (hand, lower, _FOREARM)):
-        if bone not in bones:
-            place = tree.world(bones[above])[:3, 3]
-            place[0] += sign * part * figure.height
-            bones[bone] = tree.add(bone, place, bones[above])
 
 
 def _at(figure: Figure, part: float) -> FloatArray:
@@ -335,7 +319,17 @@ def _human_nodes(
                 if bone not in bones:
                     place = tree.world(bones[above])[:3, 3] * (1, part, 1)
                     bones[bone] = tree.add(bone, place, bones[above])
-            _add_arm(tree, bones, figure, side, sign)
+            upper, lower, hand = (f"{side}{part}" for part in ("UpperArm", "LowerArm", "Hand"))
+            if upper not in bones:
+                parent = next(bones[one] for one in (f"{side}Shoulder", "upperChest", "chest", "spine") if one in bones)
+                place = _at(figure, _SHOULDER)
+                place[0] += sign * _SHOULDER_OUT * figure.height
+                bones[upper] = tree.add(upper, place, parent)
+            for bone, above, part in ((lower, upper, _UPPER_ARM), (hand, lower, _FOREARM)):
+                if bone not in bones:
+                    place = tree.world(bones[above])[:3, 3]
+                    place[0] += sign * part * figure.height
+                    bones[bone] = tree.add(bone, place, bones[above])
         added.append(f"human bones that move no point: {', '.join(missing)}")
         wrong = misplaced(bones, tree.path)
         if wrong is not None:

@@ -17,7 +17,7 @@ def compared(stage: Any, prim_map: Any) -> tuple[str, ...]:
 
     said, named = {str(path): list(ids) for path, ids in prim_map.items()}, hook.objects_by_name(stage)
     for face in faces_on(stage):
-        same.append(len(_objects(face, named).meshes) > 1 and _objects(face, said) == _objects(face, named))
+        same.append(len(_objects(face, named)[1]) > 1 and _objects(face, said) == _objects(face, named))
     return import_faces(stage, named)
 
 
