@@ -85,7 +85,7 @@ FIELDS = (
         "USD layer", "subLayers, references, payloads", "facepipe.stage.layer_files:open_layer", "check_regular", _READ
     ),
     FileField("USD layer", "clips", "facepipe.stage.layer_files:_check_clips", "check_readable", _READ),
-    FileField("USD layer", "asset values: textures", "facepipe.stage.assets:copy_refusal", "check_copied", _BELOW),
+    FileField("USD layer", "asset values: textures", "facepipe.stage.materials:copy_refusal", "check_copied", _BELOW),
     FileField(
         "USD layer",
         "facepipe:neuralRig:file",
@@ -166,7 +166,7 @@ FIELDS = (
     FileField("graph that is shown", "*.onnx.json", "facepipe_web.viewer:_entry", "check_found", _FOUND),
     # where results go, with what is written beside them
     FileField("result", "files, and folders of reports", "facepipe.core.atomic:_real", "check_written", _WITHIN),
-    FileField("result", "before any work", "facepipe.stage.outputs:check_output", "check_written", _WITHIN),
+    FileField("result", "before any work", "facepipe.stage.files:check_output", "check_written", _WITHIN),
     FileField("result", "NAME_textures", "facepipe.stage.textures:TextureFolder.add", "check_written", _WITHIN),
     FileField("result", "locks", "facepipe.core.locks:locked", "check_written", _WITHIN),
     # batches

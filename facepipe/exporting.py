@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
-from facepipe.core.reports import ExportReport
-from facepipe.kinds import Watch, unwatched
+from facepipe.core.reports import ExportReport, Watch, unwatched
 from facepipe.parts import HeldFace, HeldLevels
 from facepipe.registry import exporter, neural_rigs, outputs
-from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
     from facepipe.importers.rename_table import Rename, Renamed
@@ -80,8 +78,7 @@ def export(
     """
     from facepipe.rig import implausible
     from facepipe.stage.face import open_face
-    from facepipe.stage.files import SUFFIXES
-    from facepipe.stage.outputs import check_output
+    from facepipe.stage.files import SUFFIXES, check_output
 
     target, rig = Path(out), None if neural is None else Path(neural)
     module = exporter(target)
@@ -104,7 +101,7 @@ def export(
             whole = read_face(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, form, rig, attach, learned, naming)
+        made = _made(whole, form, rig, attach, learned if distil else None, naming)
         if distil:
             bar.update()
         report = module.export(made.face, target, form)
@@ -114,22 +111,28 @@ def export(
 
 def _options(
     kind: Any, options: Mapping[str, Any], *, neural: bool, distil: bool, lod: int
-) -> tuple[Any, Any, DistilOptions | None]:
-    """The options of the format, an instance of `kind`, of a neural rig, and of learned sliders.
+) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """The options of the format, an instance of `kind`, and those given of a neural rig and of learned sliders.
 
     :raises InputError: options that are unknown, out of range, or don't go together
     """
     known = {field.name for field in dataclasses.fields(kind)}
-    kind_of_rig = neural_rigs().Options
-    attach = {field.name for field in dataclasses.fields(kind_of_rig)}
-    learned = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
-    for name in options:
-        if name not in known | attach | learned:
-            near = did_you_mean(name, known | attach | learned)
-            raise InputError(f"option {name[:60]}", f"is unknown{near or f', expected some of {chr(32).join(known)}'}")
-        if (name in attach and not neural) or (name in learned and not distil):
-            needed = "--neural" if name in attach else "--distil"
-            raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
+    attach, learned = dict[str, Any](), dict[str, Any]()
+    if not options.keys() <= known:  # else what declares the others isn't loaded
+        from facepipe.verbs.sliders.options import DISTIL, DistilOptions
+
+        of_rig = {field.name for field in dataclasses.fields(neural_rigs().Options)}
+        of_network = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
+        every = known | of_rig | of_network
+        for name in options:
+            if name not in every:
+                near = did_you_mean(name, every) or f", expected some of {chr(32).join(known)}"
+                raise InputError(f"option {name[:60]}", f"is unknown{near}")
+            if (name in of_rig and not neural) or (name in of_network and not distil):
+                needed = "--neural" if name in of_rig else "--distil"
+                raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
+        attach = {name: value for name, value in options.items() if name in of_rig}
+        learned = {name.removeprefix(DISTIL): value for name, value in options.items() if name in of_network}
     if neural and distil:
         raise InputError("--neural", "given with --distil, expected one of them")
     form = kind(**{name: value for name, value in options.items() if name in known})
@@ -139,13 +142,16 @@ def _options(
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
     if neural and hasattr(form, "sliders") and not form.encoder:
         form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
-    attached = kind_of_rig(**{name: value for name, value in options.items() if name in attach})
-    distilled = {name.removeprefix(DISTIL): value for name, value in options.items() if name in learned}
-    return form, attached, DistilOptions(**distilled) if distil else None
+    return form, attach, learned
 
 
 def _made(
-    face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None, naming: Rename | None
+    face: Face,
+    form: Any,
+    rig: Path | None,
+    attach: Mapping[str, Any],
+    learned: Mapping[str, Any] | None,
+    naming: Rename | None,
 ) -> _Made:
     """The face with learned sliders, or the neural rig, and under other names, if asked for.
 
@@ -156,7 +162,7 @@ def _made(
     if learned is not None:
         from facepipe.verbs.sliders import DistilSliders
 
-        parts, report = DistilSliders(**vars(learned))(face.parts())
+        parts, report = DistilSliders(**learned)(face.parts())
         made = _Made(face=HeldFace(parts), distilled=report)
     elif rig is not None and getattr(form, "encoder", False):
         from facepipe.verbs.whole_faces import Topology
@@ -165,7 +171,7 @@ def _made(
         encoder.check(Topology.of(face.parts()).digest, face.where)
         made = _Made(face=_EncodedFace(face.parts(), encoder))
     elif rig is not None:
-        attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
+        attached = neural_rigs().attached(face.parts(), rig, neural_rigs().Options(**attach), face.where)
         made = _Made(face=HeldFace(attached.parts), attached=attached)
     if naming is None:
         return made

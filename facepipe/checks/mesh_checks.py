@@ -27,7 +27,7 @@ from facepipe.checks.views import (
 )
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.blendshapes import MOST_INBETWEENS
+from facepipe.stage.read_mesh import MOST_INBETWEENS
 
 REGION_SUM_TOLERANCE = 1e-3
 WEIGHT_SUM_TOLERANCE = 1e-4  # float32 weights of 9 influences round to 1e-6; half-precision ones miss 1 by more

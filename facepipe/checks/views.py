@@ -11,10 +11,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.api_schemas import Known, inherited_attribute, inherited_skeleton, is_applied
 from facepipe.stage.composition import check_arrays
-from facepipe.stage.guard import UNREADABLE
-from facepipe.stage.prims import check_kinds, prims_below
+from facepipe.stage.prims import Known, check_kinds, inherited_attribute, inherited_skeleton, is_applied, prims_below
+from facepipe.stage.values import UNREADABLE
 
 
 class Problem(NamedTuple):

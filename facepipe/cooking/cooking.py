@@ -18,8 +18,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
 from facepipe.core.policy.paths import check_readable, is_writable, real_path, roots_of, trust, trusting
 from facepipe.core.reading import digest
-from facepipe.core.reports import Report
-from facepipe.kinds import Watch, unwatched
+from facepipe.core.reports import Report, Watch, unwatched
 from facepipe.parts import Recipe
 from facepipe.performing import again
 from facepipe.stage.files import SUFFIXES, check_stage_file

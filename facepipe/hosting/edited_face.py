@@ -18,8 +18,7 @@ from facepipe.parts import (
     Skin,
     UvSet,
 )
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.rig.sliders import kept, kept_outputs, with_mutual_mirrors
 from facepipe.rig.trs import rest_worlds
 from facepipe.stage.values import same
 from facepipe.verbs.blend.result import normal_offsets

@@ -6,7 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
-from facepipe.rig.build_rig import build
+from facepipe.rig.rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
 

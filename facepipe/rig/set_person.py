@@ -32,10 +32,16 @@ from facepipe.rig.bone_coefficients import (
     matrix_coefficients,
     rest_coefficients,
 )
-from facepipe.rig.build_rig import build, inverse
-from facepipe.rig.rig import Rig, curves
-from facepipe.rig.slider_network import evaluate
-from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, slide, with_entries
+from facepipe.rig.rig import Rig, build, curves, inverse
+from facepipe.rig.sliders import (
+    channel_entries,
+    clamped_value,
+    network_outputs,
+    response,
+    shape_entries,
+    slide,
+    with_entries,
+)
 from facepipe.rig.trs import decompose
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
@@ -359,7 +365,7 @@ def network_on(parts: FaceParts, change: _Changes) -> SliderNetwork | None:
     if network is None:
         return None
     values = {slider.name: clamped_value(slider) for slider in parts.sliders}
-    start = evaluate(network, np.array([values[name] for name in network.sliders]))
+    start = network_outputs(network, np.array([values[name] for name in network.sliders]))
     rows = [change.channels(joint, channel) for joint, channel in network.channels]
     channels = tuple(dict.fromkeys(key for row in rows for key in row))
     spread = np.zeros((len(channels) + len(network.shapes), len(rows) + len(network.shapes)))

@@ -10,9 +10,9 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Animation
 from facepipe.stage.face import Face, animation_prims
-from facepipe.stage.guard import usd_errors
 from facepipe.stage.prims import editable, prims_below
 from facepipe.stage.skeleton import author_source, read_animation
+from facepipe.stage.values import usd_errors
 
 
 def play(face: Face, name: str) -> None:

@@ -15,12 +15,11 @@ from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError
 from facepipe.rig.neural_rig import Control
-from facepipe.stage.api_schemas import check_property_name, is_applied
 from facepipe.stage.files import check_suffix, new_stage, open_stage, save_layer
-from facepipe.stage.guard import errors_below, reads_prim, usd_errors
-from facepipe.stage.prims import prims_below
+from facepipe.stage.prims import check_property_name, is_applied, prims_below
 from facepipe.stage.skeleton import read_animation
 from facepipe.stage.sliders import read_sliders
+from facepipe.stage.values import errors_below, reads_prim, usd_errors
 
 
 def save_controls(

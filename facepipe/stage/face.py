@@ -38,16 +38,14 @@ from facepipe.rig import (
     sample_weights,
     slide,
 )
-from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.composition import check_arrays
-from facepipe.stage.files import check_units, open_stage, over
-from facepipe.stage.guard import errors_below, usd_errors
-from facepipe.stage.levels import level_names, stage_at
+from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of
-from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
+from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
+from facepipe.stage.values import errors_below, usd_errors
 
 if TYPE_CHECKING:
     import trimesh

@@ -21,7 +21,6 @@ from facepipe.core.errors import FacepipeError, TopologyError
 from facepipe.core.names import identifier
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider
 from facepipe.rig.sliders import with_mutual_mirrors
-from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
 from facepipe.stage.foreign_scene import (
     Scene,
@@ -32,12 +31,11 @@ from facepipe.stage.foreign_scene import (
     mend_meshes,
     note_custom,
 )
-from facepipe.stage.guard import errors_below, reads_prim
-from facepipe.stage.prims import distinct_names
+from facepipe.stage.prims import distinct_names, inherited_attribute, inherited_skeleton
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
 from facepipe.stage.sliders import read_slider_network, read_sliders
-from facepipe.stage.values import floats, matrices, to_floats, to_matrices
+from facepipe.stage.values import errors_below, floats, matrices, reads_prim, to_floats, to_matrices
 
 _TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
 _SAME_WEIGHT = 1e-6  # weights nearer than this are one

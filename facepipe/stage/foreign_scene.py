@@ -13,14 +13,12 @@ from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Material
-from facepipe.stage.api_schemas import authored_skel_properties
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
-from facepipe.stage.guard import reads_prim
 from facepipe.stage.materials import Images, read_material
-from facepipe.stage.prims import check_kinds, distinct_names, prims_below
+from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
-from facepipe.stage.values import ints
+from facepipe.stage.values import ints, reads_prim
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names

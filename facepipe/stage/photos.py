@@ -13,10 +13,8 @@ from pxr import Gf, Usd, UsdGeom
 from facepipe.core import tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import KeyLamp, PhotoView
-from facepipe.stage.api_schemas import apply_schema, is_applied, put, put_value
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.prims import editable, free_path
-from facepipe.stage.values import floats, matrix, same, to_matrix, to_vec3f
+from facepipe.stage.prims import apply_schema, editable, free_path, is_applied, put, put_value
+from facepipe.stage.values import floats, matrix, reads_prim, same, to_matrix, to_vec3f
 
 
 def check_photos(where: object, photos: Sequence[PhotoView]) -> None:

@@ -17,14 +17,12 @@ from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import Animation, Mesh
 from facepipe.rig.neural_rig import Control
-from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.controls_over_time import author_controls
 from facepipe.stage.files import check_suffix, check_units, new_stage, open_stage, save_layer
-from facepipe.stage.guard import errors_below, reads_prim
-from facepipe.stage.prims import prims_below
+from facepipe.stage.prims import is_applied, prims_below
 from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.skeleton import read_animation
-from facepipe.stage.values import floats, ints, matrix, to_ints, to_vec3f
+from facepipe.stage.values import errors_below, floats, ints, matrix, reads_prim, to_ints, to_vec3f
 
 MOST_SAMPLES = 100_000
 
