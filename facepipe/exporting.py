@@ -43,16 +43,6 @@ class _EncodedFace(HeldFace):
     encoder: NeuralEncoder  # of a neural rig
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Made:
-    """What was made of a face."""
-
-    face: HasParts
-    distilled: DistilReport | None = None
-    attached: Any = None  # of a neural rig, as `facepipe.registry.NeuralRigs` has it
-    renamed: Renamed | None = None
-
-
 def export(
     face: Face | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -101,12 +91,22 @@ def export(
             whole = read_face(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, form, rig, attach, learned if distil else None, naming)
+        made, attached, distilled, renamed = _made(whole, form, rig, attach, learned if distil else None, naming)
         if distil:
             bar.update()
-        report = module.export(made.face, target, form)
+        report = module.export(made, target, form)
         bar.update()
-    return _reported(report, made, implausible(whole.parts()))
+    others = (one for one in (renamed, attached, distilled) if one is not None)
+    plausible = implausible(whole.parts())
+    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    report = replace(report, warnings=warnings, renamed=renamed.names if renamed else report.renamed)
+    if attached is not None:
+        return NeuralExportReport(**vars(report), dropped_mm=attached.dropped_mm, clips_mm=attached.clips_mm)
+    if distilled is None:
+        return report
+    points, packed = distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
+    report = replace(report, error_mm=None if points is None else points.max + packed)
+    return DistilledExportReport(**vars(report), distilled=distilled)
 
 
 def _options(
@@ -152,45 +152,34 @@ def _made(
     attach: Mapping[str, Any],
     learned: Mapping[str, Any] | None,
     naming: Rename | None,
-) -> _Made:
-    """The face with learned sliders, or the neural rig, and under other names, if asked for.
+) -> tuple[HasParts, Any, DistilReport | None, Renamed | None]:
+    """The face with learned sliders, or the neural rig, and under other names, if asked for, and reports of each.
 
     :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
-    made = _Made(face=face)
+    made: HasParts = face
+    attached, distilled = None, None
     if learned is not None:
         from facepipe.verbs.sliders import DistilSliders
 
-        parts, report = DistilSliders(**learned)(face.parts())
-        made = _Made(face=HeldFace(parts), distilled=report)
+        parts, distilled = DistilSliders(**learned)(face.parts())
+        made = HeldFace(parts)
     elif rig is not None and getattr(form, "encoder", False):
         from facepipe.verbs.whole_faces import Topology
 
         encoder = neural_rigs().encoder(rig)
         encoder.check(Topology.of(face.parts()).digest, face.where)
-        made = _Made(face=_EncodedFace(face.parts(), encoder))
+        made = _EncodedFace(face.parts(), encoder)
     elif rig is not None:
         attached = neural_rigs().attached(face.parts(), rig, neural_rigs().Options(**attach), face.where)
-        made = _Made(face=HeldFace(attached.parts), attached=attached)
+        made = HeldFace(attached.parts)
     if naming is None:
-        return made
-    renamed = naming(made.face.parts())
+        return made, attached, distilled, None
+    renamed = naming(made.parts())
     if getattr(form, "lods", False):
         lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
-        return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
-    held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
-    return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
-
-
-def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
-    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
-    if made.attached is not None:
-        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
-    if made.distilled is None:
-        return report
-    points, packed = made.distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
-    learned = replace(report, error_mm=None if points is None else points.max + packed)
-    return DistilledExportReport(**vars(learned), distilled=made.distilled)
+        made = HeldLevels(renamed.parts, lower)
+    else:
+        made = replace(made, held=renamed.parts) if isinstance(made, HeldFace) else HeldFace(renamed.parts)
+    return made, attached, distilled, renamed

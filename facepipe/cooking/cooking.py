@@ -230,21 +230,6 @@ class Digests:
         self._found = {}
 
 
-def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]) -> tuple[str, ...]:
-    """A line for each source and layer that has changed since `node` was made.
-
-    :param cooked: resolved paths of files that were written meanwhile
-    :raises InputError: a source can't be read
-    """
-    lines = []
-    before = node.recipe.digests if node.recipe else ()
-    for source, old in zip(node.sources, before, strict=True):
-        if digests.digest_of(source) != old:
-            made = any(one in cooked for one in graph.made_of(source))
-            lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
-    return (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
-
-
 def waiting(graph: Graph, node: Node, stale: Collection[Path]) -> tuple[str, ...]:
     """A line for each source that is one of `stale` or stands on one."""
     found = [source for source in node.sources if any(one in stale for one in graph.made_of(source))]
@@ -348,7 +333,13 @@ class _Run:
 
     def _why(self, node: Node) -> tuple[str, ...]:
         """Why `node` is to be cooked; nothing where it is up to date."""
-        reasons = changes(self.graph, node, self._digests, self._cooked)
+        lines = []
+        before = node.recipe.digests if node.recipe else ()
+        for source, old in zip(node.sources, before, strict=True):
+            if self._digests.digest_of(source) != old:
+                made = any(one in self._cooked for one in self.graph.made_of(source))
+                lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
+        reasons = (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
         reasons += waiting(self.graph, node, self._stale)
         forced = self._options.force and node.path.resolve() not in self._cooked
         return reasons or (("forced",) if forced else ())

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from facepipe.core.atomic import replacing, together
-from facepipe.core.errors import FacepipeError, InputError
+from facepipe.core.errors import FacepipeError, InputError, system_errors
 from facepipe.core.policy.paths import check_written, is_writable, trust
 from facepipe.farm.ledger import is_outcome, parsed
 
@@ -38,10 +38,8 @@ class Cache:
         """
         check_written(folder)
         self._folder, self._most, self._place = folder, most_bytes, place
-        try:
+        with system_errors(folder, "can't be made"):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, f"can't be made: {error.strerror or error}") from error
 
     def fetch(self, key: str, is_own: Callable[[Path], bool]) -> dict[str, Any] | None:
         """Put the files of a key in their places: the record that was kept; None where it isn't here, or is damaged.
@@ -52,7 +50,8 @@ class Cache:
         try:
             if entry.is_symlink():
                 raise InputError(entry, "is a link, expected a folder")
-            record = parsed(_bytes(entry / _RECORD))
+            with _opened(entry / _RECORD) as file:
+                record = parsed(file.read(_MOST_RECORD))
             if not is_outcome(record) or not record.get("writes"):
                 raise InputError(entry / _RECORD, "is damaged")
             writes = [(self._place(name), own) for name, (_, own) in record["writes"].items()]
@@ -121,18 +120,10 @@ def _remove(entry: Path) -> None:
 
 
 def _opened(path: Path) -> BufferedReader:
-    """A regular file that lines may not read, since it lies outside the roots.
-
-    :raises InputError: it is a link, a pipe, or a device
-    """
+    """:raises InputError: it is a link, a pipe, or a device"""
     if not stat.S_ISREG(path.lstat().st_mode):
         raise InputError(path, "is not a regular file")
     return path.open("rb")
-
-
-def _bytes(path: Path) -> bytes:
-    with _opened(path) as file:
-        return file.read(_MOST_RECORD)
 
 
 def _digest(path: Path) -> str:

@@ -43,27 +43,6 @@ def network_outputs(network: SliderNetwork, values: FloatArray) -> FloatArray:
     return layer
 
 
-def add_network(
-    network: SliderNetwork,
-    joints: Sequence[str],
-    values: Mapping[str, float],
-    coefficients: FloatArray,
-    weights: dict[str, float],
-) -> None:
-    """Add what a network gives to bone coefficients (j, 9) and shape weights.
-
-    :param values: of all sliders, clamped
-    :raises InputError: a damaged network, or one of a slider, joint or channel that is not there
-    """
-    check_network(network, values, joints)
-    amounts = network_outputs(network, np.array([values[name] for name in network.sliders]))
-    index = {joint: i for i, joint in enumerate(joints)}
-    for (joint, channel), amount in zip(network.channels, amounts, strict=False):
-        coefficients[index[joint], CHANNELS.index(channel)] += amount
-    for shape, amount in zip(network.shapes, amounts[len(network.channels) :], strict=True):
-        weights[shape] = weights.get(shape, 0.0) + float(amount)
-
-
 def check_network(network: SliderNetwork, sliders: Collection[str], joints: Sequence[str]) -> None:
     """:raises InputError: a damaged network, or one of a slider, joint or channel that is not there"""
     fault = network_fault(network)
@@ -173,7 +152,12 @@ def slide(
     if settings:
         raise InputError("sliders", unknown(next(iter(settings)), [*clamped], "slider"))
     if network is not None:
-        add_network(network, joints, clamped, coefficients, weights)
+        check_network(network, clamped, joints)
+        amounts = network_outputs(network, np.array([clamped[name] for name in network.sliders]))
+        for (joint, channel), amount in zip(network.channels, amounts, strict=False):
+            coefficients[joint_index[joint], CHANNELS.index(channel)] += amount
+        for shape, amount in zip(network.shapes, amounts[len(network.channels) :], strict=True):
+            weights[shape] = weights.get(shape, 0.0) + float(amount)
     return coefficients, weights
 
 

@@ -278,7 +278,21 @@ def author_mesh_changes(
     if not same(old.regions, new.regions):
         author_regions(prim, new)
         lines.append("regions")
-    lines += _author_landmarks(prim, old, new)
+    changed = {
+        name: landmarks for name, landmarks in new.landmarks.items() if not same(landmarks, old.landmarks.get(name))
+    }
+    removed = [name for name in old.landmarks if name not in new.landmarks]
+    anchor = new.anchor if new.anchor != old.anchor else None
+    author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))
+    for name in removed:
+        for field in ("indices", "names"):
+            put_value(prim, f"{tokens.LANDMARKS_PREFIX}{name}:{field}", None)
+        remove_schema(prim, tokens.LANDMARKS_API, name)
+    if new.anchor is None and old.anchor is not None:
+        put_value(prim, tokens.ANCHOR, None)
+        remove_schema(prim, tokens.ANCHOR_API)
+    lines += [f"landmarks {name}" for name in (*changed, *removed)]
+    lines += ["anchor"] if new.anchor != old.anchor else []
     lines += author_blendshape_changes(prim, old.blendshapes, new.blendshapes, shared)
     return tuple(f"{new.name}: {line}" for line in lines)
 
@@ -304,24 +318,6 @@ def author_other_mesh(
     put(mesh.CreateFaceVertexIndicesAttr(), to_ints(new.face_vertex_indices))
     _author_uv_sets(mesh, new)
     author_mesh_changes(mesh.GetPrim(), old, new, skeleton, joints, shared)
-
-
-def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:
-    changed = {
-        name: landmarks for name, landmarks in new.landmarks.items() if not same(landmarks, old.landmarks.get(name))
-    }
-    removed = [name for name in old.landmarks if name not in new.landmarks]
-    anchor = new.anchor if new.anchor != old.anchor else None
-    author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))
-    for name in removed:
-        for field in ("indices", "names"):
-            put_value(prim, f"{tokens.LANDMARKS_PREFIX}{name}:{field}", None)
-        remove_schema(prim, tokens.LANDMARKS_API, name)
-    if new.anchor is None and old.anchor is not None:
-        put_value(prim, tokens.ANCHOR, None)
-        remove_schema(prim, tokens.ANCHOR_API)
-    lines = [f"landmarks {name}" for name in (*changed, *removed)]
-    return lines if new.anchor == old.anchor else [*lines, "anchor"]
 
 
 def author_blendshapes(prim: Usd.Prim, shapes: Sequence[Blendshape], names: Sequence[str]) -> None:

@@ -208,17 +208,6 @@ def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
     return layer
 
 
-def with_ordered_fields(layer: Sdf.Layer) -> Sdf.Layer:
-    """A layer's like, in whose specs fields have an order of their own, so that every run writes the same bytes.
-
-    `Sdf.CopySpec` copies them in the order that their names have in memory, which is that in which threads first met
-    them, and crate files keep it; text has them in one order.
-    """
-    ordered = Sdf.Layer.CreateAnonymous(".usda")
-    ordered.ImportFromString(layer.ExportToString())
-    return ordered
-
-
 _name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a_path", default=None)
 
 
@@ -345,4 +334,8 @@ def flattened(stage: Usd.Stage) -> Sdf.Layer:
             if not prim.GetChild(child.GetName()):
                 Sdf.CopySpec(flat, child.GetPath(), layer, place.path.AppendChild(child.GetName()))
     spec.variantSelections[tokens.LEVELS] = names[0]
-    return with_ordered_fields(layer)
+    # `Sdf.CopySpec` copies fields in the order that their names have in memory, which is that in which threads first
+    # met them, and crate files keep it; text has them in one order, so that every run writes the same bytes
+    ordered = Sdf.Layer.CreateAnonymous(".usda")
+    ordered.ImportFromString(layer.ExportToString())
+    return ordered

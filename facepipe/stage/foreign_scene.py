@@ -48,7 +48,19 @@ class Scene:
         check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
-        self._default_values()
+        moving: dict[str, list[Usd.Prim]] = {}  # of what has only time samples the value of the first is kept
+        for prim in [*self.prims, *above]:
+            if prim.IsA(UsdSkel.Animation):
+                continue
+            for attribute in prim.GetAuthoredAttributes():
+                samples = attribute.GetNumTimeSamples()
+                if samples and attribute.Get() is None:
+                    attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
+                if samples > 1:
+                    name = attribute.GetName()
+                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
+        for name, prims in sorted(moving.items()):
+            self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
         # each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone
         for top in (top for top in self.roots if top.GetTypeName() in _CONTAINERS):
             for prim in Usd.PrimRange(top):
@@ -91,23 +103,6 @@ class Scene:
     def _below(self) -> Iterator[Usd.Prim]:
         for root in self.roots:
             yield from prims_below(root, self.path)
-
-    def _default_values(self) -> None:
-        """Values of the first time sample where there are only time samples."""
-        moving: dict[str, list[Usd.Prim]] = {}
-        above = [ancestor for root in self.roots for ancestor in ancestors(root)]
-        for prim in [*self.prims, *above]:
-            if prim.IsA(UsdSkel.Animation):
-                continue
-            for attribute in prim.GetAuthoredAttributes():
-                samples = attribute.GetNumTimeSamples()
-                if samples and attribute.Get() is None:
-                    attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
-                if samples > 1:
-                    name = attribute.GetName()
-                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
-        for name, prims in sorted(moving.items()):
-            self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
 
 
 def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
