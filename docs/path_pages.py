@@ -178,7 +178,7 @@ FIELDS = (
     FileField("plan", "results", "facepipe.farm.program:_check_places", "is_writable", _WITHIN),
     FileField("state folder", "itself", "facepipe.farm.batch:batch", "check_written", _WITHIN),
     FileField("ledger", "reads, writes", "facepipe.farm.batch:Run._last", "", _REACHED),
-    FileField("cache of results", "writes", "facepipe.farm.cache:Cache.fetch", "is_writable", _WITHIN),
+    FileField("cache of results", "writes", "facepipe.farm.contents:Cache.fetch", "is_writable", _WITHIN),
 )
 
 

@@ -96,17 +96,19 @@ def export(
             bar.update()
         report = module.export(made, target, form)
         bar.update()
-    others = (one for one in (renamed, attached, distilled) if one is not None)
-    plausible = implausible(whole.parts())
-    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
+    more = (line for one in (renamed, attached, distilled) if one is not None for line in one.warnings)
+    warnings = (*report.warnings, *more, *implausible(whole.parts()))
     report = replace(report, warnings=warnings, renamed=renamed.names if renamed else report.renamed)
+    return _reported(report, attached, distilled)
+
+
+def _reported(report: ExportReport, attached: Any, distilled: DistilReport | None) -> ExportReport:
     if attached is not None:
         return NeuralExportReport(**vars(report), dropped_mm=attached.dropped_mm, clips_mm=attached.clips_mm)
     if distilled is None:
         return report
-    points, packed = distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
-    report = replace(report, error_mm=None if points is None else points.max + packed)
-    return DistilledExportReport(**vars(report), distilled=distilled)
+    error = distilled.points_mm and distilled.points_mm.max + (report.error_mm or 0.0)  # of weights in fewer bytes
+    return DistilledExportReport(**{**vars(report), "error_mm": error}, distilled=distilled)
 
 
 def _options(

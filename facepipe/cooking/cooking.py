@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -230,12 +230,6 @@ class Digests:
         self._found = {}
 
 
-def waiting(graph: Graph, node: Node, stale: Collection[Path]) -> tuple[str, ...]:
-    """A line for each source that is one of `stale` or stands on one."""
-    found = [source for source in node.sources if any(one in stale for one in graph.made_of(source))]
-    return tuple(f"{source.name} is to be cooked" for source in found)
-
-
 def cook(
     paths: AnyPath | Sequence[AnyPath],
     options: CookOptions | None = None,
@@ -339,10 +333,12 @@ class _Run:
             if self._digests.digest_of(source) != old:
                 made = any(one in self._cooked for one in self.graph.made_of(source))
                 lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
-        reasons = (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
-        reasons += waiting(self.graph, node, self._stale)
+        lines += [f"{one.name}, which it stands on, is lost" for one in node.lost]
+        for source in node.sources:
+            if any(one in self._stale for one in self.graph.made_of(source)):
+                lines.append(f"{source.name} is to be cooked")
         forced = self._options.force and node.path.resolve() not in self._cooked
-        return reasons or (("forced",) if forced else ())
+        return tuple(lines) or (("forced",) if forced else ())
 
     def _old(self, node: Node) -> tuple[str, ...]:
         """A line for each stale file that `node` is made of all the same."""

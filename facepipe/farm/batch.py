@@ -304,10 +304,7 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
         seconds=seconds,
         scheduling_seconds=run.scheduling,
         page=state / "report.html",
-        warnings=(
-            *run.warnings,
-            *([f"{skipped} tasks were left out, since what they need failed"] if skipped else []),
-        ),
+        warnings=(*run.warnings, *([f"{skipped} tasks were left out, since what they need failed"] if skipped else [])),
     )
 
 

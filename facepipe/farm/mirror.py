@@ -20,7 +20,7 @@ from facepipe.core.errors import ChangedError, InputError, system_errors
 from facepipe.core.policy.paths import SCHEMES, checked, is_url, private_folder
 from facepipe.core.reading import digest
 from facepipe.farm import contents
-from facepipe.farm.cache import Cache
+from facepipe.farm.contents import Cache
 from facepipe.farm.remote import State, Store, check_size, state_in
 from facepipe.stage.files import SUFFIXES, named_in
 

@@ -9,15 +9,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import (
-    Blendshape,
-    FaceParts,
-    Inbetween,
-    Mesh,
-    Skeleton,
-    Skin,
-    UvSet,
-)
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Skeleton, Skin, UvSet
 from facepipe.rig.sliders import kept, kept_outputs, with_mutual_mirrors
 from facepipe.rig.trs import rest_worlds
 from facepipe.stage.values import same
@@ -111,10 +103,7 @@ def _edited_shape(kept: Blendshape | None, made: Blendshape, count: int, step: f
 
 
 def sculpted(
-    name: str,
-    offsets: FloatArray,
-    inbetweens: Mapping[str, tuple[float, FloatArray]],
-    touched: IntArray | None = None,
+    name: str, offsets: FloatArray, inbetweens: Mapping[str, tuple[float, FloatArray]], touched: IntArray | None = None
 ) -> Blendshape:
     """A blendshape of dense offsets (n, 3), and of inbetweens name -> (weight, offsets (n, 3)).
 
@@ -251,9 +240,7 @@ def edited_face(
         # materials are the host's: a recipe makes all else
         bare = [
             replace(
-                one,
-                meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in one.meshes),
-                materials=(),
+                one, meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in one.meshes), materials=()
             )
             for one in (before, parts)
         ]

@@ -245,10 +245,7 @@ def _check_times(
         if len(beyond):
             faults.append((float(beyond[0]), name, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
     between = "no sample, between two that differ"
-    for name, guessed in (
-        *((track.where, track.guessed(codes)) for track in tracks),
-        *points,
-    ):
+    for name, guessed in (*((track.where, track.guessed(codes)) for track in tracks), *points):
         faults += [(float(code), name, between) for code in codes[guessed][:1]]
     if faults:
         code, name, fault = min(faults)

@@ -222,9 +222,7 @@ def compared(
     off = distances(retargeted, lambda one: one, lambda one: one)
     copied = distances(rig, lambda one: still + one - subject.rest, lambda one: subject.rest + one - still)
     transferred = distances(
-        rig,
-        lambda one: back.solve(subject.rest[None], one[None]),
-        lambda one: there.solve(still[None], one[None]),
+        rig, lambda one: back.solve(subject.rest[None], one[None]), lambda one: there.solve(still[None], one[None])
     )
     return RetargetReport(
         held_out=len(points),
@@ -304,12 +302,7 @@ class RetargetNeuralRig:
         return 2 * self.options.rounds + 1
 
     def _learned(
-        self,
-        base: NeuralRig,
-        points: FloatArray,
-        values: FloatArray | None,
-        noise: float,
-        done: Callable[[], object],
+        self, base: NeuralRig, points: FloatArray, values: FloatArray | None, noise: float, done: Callable[[], object]
     ) -> tuple[NeuralRig, float]:
         """The rig, and the noise that it was learned under; where controls are found, again with those of the last."""
         if values is not None:

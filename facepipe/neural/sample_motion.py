@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -59,52 +59,34 @@ class SampleMotion:
             values, blocks = plan(controls, self.options)
         if clips is not None:
             values, blocks = clips.after(values, blocks)
-        motion = evaluated(parts, where, controls, values, blocks, _Sliders(parts, controls), done)
-        if clips is None:
-            return motion
-        return replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
-
-
-def evaluated(
-    parts: FaceParts,
-    where: str,
-    controls: tuple[Control, ...],
-    values: FloatArray,
-    blocks: IntArray,
-    pose: Callable[[FloatArray], tuple[FloatArray, Mapping[str, float]]],
-    done: Callable[[], object] = lambda: None,
-) -> Motion:
-    """What the rig of a face makes of (f, c) values.
-
-    :param pose: bone coefficients (j, 9) and shape weights of (c,) values
-    :param done: called once for each frame
-    """
-    rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-    rest = _placed(rig, to, *pose(np.array([control.default for control in controls])))
-    points = np.empty((len(values), len(rest), 3), np.float32)
-    coefficients = np.empty((len(values), len(rig.joints), 9))
-    for number, row in enumerate(values):
-        coefficients[number], weights = pose(row)
-        points[number] = _placed(rig, to, coefficients[number], weights)
-        done()
-    bones = bones_in(rig, to) if rig.joints else None
-    return Motion(
-        where=where,
-        topology=Topology.of(parts),
-        controls=controls,
-        values=values,
-        points=points,
-        rest=rest,
-        blocks=blocks,
-        bones=bones,
-        # The determinant of a similarity is its scale cubed.
-        coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
-    )
+        rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+        rest = _placed(rig, to, *_posed(parts, controls, np.array([control.default for control in controls])))
+        points = np.empty((len(values), len(rest), 3), np.float32)
+        coefficients = np.empty((len(values), len(rig.joints), 9))
+        for number, row in enumerate(values):
+            coefficients[number], weights = _posed(parts, controls, row)
+            points[number] = _placed(rig, to, coefficients[number], weights)
+            done()
+        bones = bones_in(rig, to) if rig.joints else None
+        return Motion(
+            where=where,
+            topology=Topology.of(parts),
+            controls=controls,
+            values=values,
+            points=points,
+            rest=rest,
+            blocks=blocks,
+            bones=bones,
+            # the determinant of a similarity is its scale cubed
+            coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
+            source="rig" if clips is None else "rig and clips",
+            between=0 if clips is None else clips.between,
+            warnings=() if clips is None else clips.warnings,
+        )
 
 
 def _placed(rig: Rig, to: FloatArray, coefficients: FloatArray, weights: Mapping[str, float]) -> FloatArray:
-    points = rig.evaluate(weights, coefficients=coefficients)
-    return transformed(points, to)
+    return transformed(rig.evaluate(weights, coefficients=coefficients), to)
 
 
 def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, ...]:
@@ -123,26 +105,14 @@ def controls_of(parts: FaceParts, also: Collection[str] = ()) -> tuple[Control, 
     return (*found, *(Control(name=shape) for shape in parts.shapes if shape not in driven))
 
 
-class _Sliders:
-    """Bone coefficients and shape weights of values: of sliders, and of shapes that none of them drives."""
-
-    def __init__(self, parts: FaceParts, controls: Sequence[Control]) -> None:
-        self._parts = parts
-        own = {slider.name for slider in parts.sliders}
-        self._slider = [control.name in own for control in controls]
-        self._names = [control.name for control in controls]
-
-    def __call__(self, values: FloatArray) -> tuple[FloatArray, dict[str, float]]:
-        """(j, 9) and weights by name, of (c,)."""
-        pairs = list(zip(self._names, map(float, values), self._slider, strict=True))
-        set_sliders = {name: value for name, value, slider in pairs if slider}
-        others = {one.name: one.default for one in self._parts.sliders if one.name not in set_sliders}
-        joints, network = self._parts.skeleton.joints, self._parts.slider_network
-        coefficients, weights = slide(self._parts.sliders, joints, {**others, **set_sliders}, network)
-        for name, value, slider in pairs:
-            if not slider:
-                weights[name] = weights.get(name, 0.0) + value
-        return coefficients, weights
+def _posed(parts: FaceParts, controls: Sequence[Control], values: FloatArray) -> tuple[FloatArray, dict[str, float]]:
+    """(j, 9) bone coefficients and weights of (c,) values: of sliders, and of shapes that none of them drives."""
+    given = dict(zip((control.name for control in controls), map(float, values), strict=True))
+    settings = {slider.name: given.pop(slider.name, slider.default) for slider in parts.sliders}
+    coefficients, weights = slide(parts.sliders, parts.skeleton.joints, settings, parts.slider_network)
+    for name, value in given.items():
+        weights[name] = weights.get(name, 0.0) + value
+    return coefficients, weights
 
 
 def plan(controls: Sequence[Control], options: SampleMotionOptions) -> tuple[FloatArray, IntArray]:

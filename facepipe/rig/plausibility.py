@@ -39,10 +39,7 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
             return ()
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
-    return (
-        *_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM),
-        *_stance(marks, parts.up_axis),
-    )
+    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
 
 
 def _between(marks: FloatArray, first: int, other: int) -> float:

@@ -418,10 +418,7 @@ def _influences(parts: FaceParts, offsets: npt.NDArray[np.int64]) -> sparse.csr_
 
 
 def _targets(
-    meshes: tuple[Mesh, ...],
-    offsets: npt.NDArray[np.int64],
-    spaces: list[FloatArray],
-    shapes: tuple[str, ...],
+    meshes: tuple[Mesh, ...], offsets: npt.NDArray[np.int64], spaces: list[FloatArray], shapes: tuple[str, ...]
 ) -> tuple[Target, ...]:
     """Sculpts of all meshes; those of one shape, name and activation curve are one target."""
     number = {name: i for i, name in enumerate(shapes)}

@@ -280,13 +280,7 @@ def _stretch(worlds: FloatArray) -> FloatArray:
 
 
 def _animation_on(
-    parts: FaceParts,
-    animation: Animation,
-    person: Person,
-    new: Skeleton,
-    stretch: FloatArray,
-    *,
-    holds_person: bool,
+    parts: FaceParts, animation: Animation, person: Person, new: Skeleton, stretch: FloatArray, *, holds_person: bool
 ) -> Animation:
     if holds_person:
         # a pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's

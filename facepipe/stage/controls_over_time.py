@@ -48,11 +48,7 @@ def save_controls(
 
 
 def author_controls(
-    prim: Usd.Prim,
-    path: str | os.PathLike[str],
-    controls: Sequence[Control],
-    values: FloatArray,
-    codes: FloatArray,
+    prim: Usd.Prim, path: str | os.PathLike[str], controls: Sequence[Control], values: FloatArray, codes: FloatArray
 ) -> None:
     """Author numbers ``facepipe:control:<name>`` on a prim of the root layer.
 
@@ -155,7 +151,7 @@ def read_clips(path: str | os.PathLike[str]) -> tuple[Clip, ...]:
     with errors_below(str(Path(path))):
         stage = open_stage(path)
         clips = [Clip(name="controls", tracks=_declared(stage)), Clip(name="sliders", tracks=_sliders(stage)[0])]
-        clips += [_clip(prim) for prim in _animations(stage)]
+        clips += [_clip(prim) for prim in _of_type(stage, UsdSkel.Animation)]
         return tuple(clip for clip in clips if clip.tracks)
 
 
@@ -246,20 +242,20 @@ def _sliders(stage: Usd.Stage) -> tuple[tuple[ControlTrack, ...], set[str]]:
     return tuple(tracks), driven
 
 
-def _animations(stage: Usd.Stage) -> list[Usd.Prim]:
-    return [prim for prim in prims_below(stage.GetPseudoRoot(), "stage") if prim.IsA(UsdSkel.Animation)]
+def _of_type(stage: Usd.Stage, schema: type[Usd.SchemaBase]) -> list[Usd.Prim]:
+    return [prim for prim in prims_below(stage.GetPseudoRoot(), "stage") if prim.IsA(schema)]
 
 
 def _playing(stage: Usd.Stage) -> Usd.Prim | None:
     """The SkelAnimation with weights over time; of several, the one that a skeleton plays."""
     prims = [
         animation
-        for animation in _animations(stage)
+        for animation in _of_type(stage, UsdSkel.Animation)
         if UsdSkel.Animation(animation).GetBlendShapeWeightsAttr().GetNumTimeSamples()
     ]
     if len(prims) < 2:
         return prims[0] if prims else None
-    skeletons = (prim for prim in prims_below(stage.GetPseudoRoot(), "stage") if prim.IsA(UsdSkel.Skeleton))
+    skeletons = _of_type(stage, UsdSkel.Skeleton)
     played = {UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource().GetPath() for skeleton in skeletons}
     chosen = [prim for prim in prims if prim.GetPath() in played]
     if len(chosen) != 1:

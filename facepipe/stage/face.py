@@ -29,15 +29,7 @@ from facepipe.parts import (
     SliderNetwork,
     Texture,
 )
-from facepipe.rig import (
-    Person,
-    Rig,
-    build,
-    person_of,
-    sample_transforms,
-    sample_weights,
-    slide,
-)
+from facepipe.rig import Person, Rig, build, person_of, sample_transforms, sample_weights, slide
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of

@@ -204,11 +204,7 @@ def _identifier(name: str) -> str:
 
 
 def read_foreign(
-    path: Path,
-    *,
-    root: str | None = None,
-    skeleton: str | None = None,
-    variants: Mapping[str, str] | None = None,
+    path: Path, *, root: str | None = None, skeleton: str | None = None, variants: Mapping[str, str] | None = None
 ) -> tuple[FaceParts, list[Path], list[str]]:
     """The face of a UsdSkel stage, repaired as far as its meaning is clear; the layers that were read, and warnings.
 
