@@ -67,26 +67,6 @@ def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) ->
     return chosen
 
 
-def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Usd.Prim]:
-    """The meshes that are the skeleton's; those bound to nothing are bound to it."""
-    bound, loose, others = [], [], []
-    for mesh in meshes:
-        path = inherited_skeleton(mesh)
-        target = scene.stage.GetPrimAtPath(path) if path is not None and path.IsPrimPath() else None
-        if target and target.IsA(UsdSkel.Skeleton) and target != skeleton:
-            others.append(mesh)
-            continue
-        bound.append(mesh)
-        if target != skeleton and inherited_attribute(mesh, "primvars:skel:jointIndices"):
-            loose.append(mesh)
-            UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    if loose:
-        scene.warn(f"influences, but no Skeleton: taken as bound to <{skeleton.GetPath()}>", loose)
-    if others:
-        scene.warn("bound to another Skeleton: left out", others)
-    return bound
-
-
 @reads_prim
 def mend_skeleton(prim: Usd.Prim, scene: Scene, meshes: list[Usd.Prim]) -> None:
     """Joints parent first, and both kinds of transforms for each.
@@ -220,7 +200,23 @@ def read_foreign(
         # the skeleton first: which meshes are the face's depends on it
         prim = choose_skeleton(scene, meshes, skeleton)
         if prim is not None:
-            meshes = bind_to(scene, prim, meshes)
+            # the meshes that are the skeleton's; those bound to nothing are bound to it
+            bound, loose, others = [], [], []
+            for mesh in meshes:
+                place = inherited_skeleton(mesh)
+                target = scene.stage.GetPrimAtPath(place) if place is not None and place.IsPrimPath() else None
+                if target and target.IsA(UsdSkel.Skeleton) and target != prim:
+                    others.append(mesh)
+                    continue
+                bound.append(mesh)
+                if target != prim and inherited_attribute(mesh, "primvars:skel:jointIndices"):
+                    loose.append(mesh)
+                    UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([prim.GetPath()])
+            if loose:
+                scene.warn(f"influences, but no Skeleton: taken as bound to <{prim.GetPath()}>", loose)
+            if others:
+                scene.warn("bound to another Skeleton: left out", others)
+            meshes = bound
             mend_skeleton(prim, scene, meshes)
         if not meshes:
             raise scene.error("no mesh to read, expected a face")

@@ -15,7 +15,7 @@ from facepipe.core.names import unknown
 from facepipe.parts import Material
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
-from facepipe.stage.materials import Images, read_material
+from facepipe.stage.materials import USD_NAMES, Images, read_material
 from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
 from facepipe.stage.values import ints, reads_prim
@@ -277,22 +277,6 @@ def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
     return queries
 
 
-_INPUTS_READ = {
-    "diffuseColor",
-    "emissiveColor",
-    "metallic",
-    "roughness",
-    "opacity",
-    "opacityThreshold",
-    "occlusion",
-    "normal",
-    "ior",
-    "clearcoat",
-    "clearcoatRoughness",
-    "useSpecularWorkflow",  # named apart
-}
-
-
 def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str], tuple[Material, ...]]:
     """Names by prim path, and the materials, of those bound to meshes or their faces that are UsdPreviewSurface."""
     bound: dict[str, Usd.Prim] = {}
@@ -332,7 +316,8 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
         scene.warn("material without UsdPreviewSurface: left out", [prim])
         return None
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
-    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
+    named = {*USD_NAMES.values(), "useSpecularWorkflow"}  # the latter apart
+    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - named)
     if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
         lost.append("the specular workflow")
     if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):

@@ -207,7 +207,7 @@ def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
 
 
 _COLOR_FIELDS = ("diffuse_color", "emissive_color")
-_USD_NAMES = {
+USD_NAMES = {
     "diffuse_color": "diffuseColor",
     "emissive_color": "emissiveColor",
     "metallic": "metallic",
@@ -243,10 +243,10 @@ def author_texture(material: Usd.Prim, field: str, path: str) -> None:
     :raises InputError: the input is no texture
     """
     surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
-    given = _attribute(surface, _USD_NAMES[field]) if surface else None
+    given = _attribute(surface, USD_NAMES[field]) if surface else None
     shader = UsdShade.Shader(editable(given.GetPrim())) if given else None
     if not shader or shader.GetShaderId() != "UsdUVTexture":
-        raise InputError(material.GetPath(), f"no texture of its {_USD_NAMES[field]}, expected one")
+        raise InputError(material.GetPath(), f"no texture of its {USD_NAMES[field]}, expected one")
     put(shader.CreateInput("file", Sdf.ValueTypeNames.Asset).GetAttr(), Sdf.AssetPath(path))
     if field not in _COLOR_FIELDS:
         return
@@ -287,7 +287,7 @@ def author_materials(
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
         surface.CreateIdAttr("UsdPreviewSurface")
         prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-        for field, name in _USD_NAMES.items():
+        for field, name in USD_NAMES.items():
             value = getattr(material, field)
             if value == getattr(default, field):
                 continue  # the shader has the same
