@@ -218,10 +218,11 @@ def joint_indices(face: FaceView) -> Iterator[Problem]:
 def weights_sum(face: FaceView) -> Iterator[Problem]:
     """The weights of every point sum to 1."""
     for mesh in _skinned(face):
-        weights = mesh.weights_by_point
-        if weights is None or not np.isfinite(weights).all():
+        attribute, weights = mesh.inherited(_WEIGHTS), mesh.joint_weights
+        width = 1 if attribute is None else max(UsdGeom.Primvar(attribute).GetElementSize(), 1)
+        if weights is None or len(weights) % width or not np.isfinite(weights).all():
             continue
-        sums = weights.sum(axis=1)
+        sums = weights.reshape(-1, width).sum(axis=1)
         wrong = np.flatnonzero(np.abs(sums - 1) > WEIGHT_SUM_TOLERANCE)
         if len(wrong):
             worst = wrong[np.argmax(np.abs(sums[wrong] - 1))]

@@ -139,15 +139,6 @@ class MeshView:
         return self.joint_indices is not None or self.joint_weights is not None
 
     @cached_property
-    def weights_by_point(self) -> FloatArray | None:
-        """(n, influences) weights, one row for a rigid mesh; None where the array has no such shape."""
-        attribute, weights = self.inherited("primvars:skel:jointWeights"), self.joint_weights
-        if attribute is None or weights is None:
-            return None
-        width = max(UsdGeom.Primvar(attribute).GetElementSize(), 1)
-        return weights.reshape(-1, width) if len(weights) % width == 0 else None
-
-    @cached_property
     def shape_names(self) -> tuple[str, ...]:
         """skel:blendShapes."""
         return words(self.prim.GetAttribute("skel:blendShapes"))

@@ -231,7 +231,7 @@ class TrainEncoder:
         taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
         kept = Checkpoint.for_training(checkpoint, "encoder", motion, options) if checkpoint else None
         pairs = [_pairs(one, chosen) for one in (taught, watched)]
-        fitted = train_encoder(
+        weights, steps = train_encoder(
             pairs[0],
             pairs[1],
             moving.rest[chosen],
@@ -245,9 +245,9 @@ class TrainEncoder:
             state=kept.state() if kept else None,
             keep=kept.keep if kept else lambda _: None,
         )
-        arrays = {name: array for name, array in fitted.weights.items() if "." not in name and name != "scale"}
+        arrays = {name: array for name, array in weights.items() if "." not in name and name != "scale"}
         layers: dict[str, dict[str, FloatArray]] = {}
-        for name, array in fitted.weights.items():
+        for name, array in weights.items():
             if "." in name:
                 number, key = name.split(".")
                 layers.setdefault(number, {})[key] = array
@@ -257,13 +257,13 @@ class TrainEncoder:
             point_count=moving.topology.point_count,
             chosen=chosen,
             rest=moving.rest[chosen].astype(np.float32),
-            scale=float(fitted.weights["scale"]),
+            scale=float(weights["scale"]),
             heads=HEADS,
             layers=tuple(EncoderLayer(**layers[number]) for number in sorted(layers, key=int)),
             **arrays,
         )
         report = _report(encoder, _pairs(learned, chosen), _pairs(checked, chosen), options)
-        return TrainedEncoder(encoder=encoder, report=replace(report, steps=fitted.steps, left_out=still))
+        return TrainedEncoder(encoder=encoder, report=replace(report, steps=steps, left_out=still))
 
 
 def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, EncoderSize]:
