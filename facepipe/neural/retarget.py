@@ -16,8 +16,8 @@ from facepipe.geometry.deformation_transfer import Transfer, spread
 from facepipe.geometry.ridge import Examples
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.neural.invert import InvertNeuralRig
+from facepipe.neural.motion import plan
 from facepipe.neural.options import RetargetOptions, SampleMotionOptions
-from facepipe.neural.sample_motion import plan
 from facepipe.neural.train_neural_rig import output_metric, skinned_moves
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build

@@ -97,9 +97,8 @@ class Train(
         return kind(**values_of(kind, self))
 
     def _motion(self, job: Job) -> Motion:
-        from facepipe.neural.motion import ReadClips
+        from facepipe.neural.motion import ReadClips, SampleMotion, controls_of
         from facepipe.neural.read_motion import ReadMotion
-        from facepipe.neural.sample_motion import SampleMotion, controls_of
         from facepipe.stage import open_face
         from facepipe.stage.controls_over_time import is_recorded
 
