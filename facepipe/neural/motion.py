@@ -22,8 +22,7 @@ from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build, slide
 from facepipe.rig.neural_rig import Control, bones_in, coefficients_in
 from facepipe.stage import Face
-from facepipe.stage.controls_over_time import Clip, read_clips
-from facepipe.stage.point_cache import save_point_cache
+from facepipe.stage.controls_over_time import Clip, read_clips, save_point_cache
 from facepipe.verbs.whole_faces import MILLIMETRES, Topology, world_to_world
 
 _OUTSIDE = 1e-6  # of a control's range: what rounding may take a value beyond its limits

@@ -18,9 +18,8 @@ from facepipe.parts import Animation, FaceParts
 from facepipe.rig import Rig, build, coefficient_matrices, matrix_coefficients, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, coefficients_in
 from facepipe.stage import open_face
-from facepipe.stage.controls_over_time import ControlTrack, read_controls
+from facepipe.stage.controls_over_time import ControlTrack, PointCache, read_controls, read_point_cache
 from facepipe.stage.face import moving_animation
-from facepipe.stage.point_cache import PointCache, read_point_cache
 from facepipe.verbs.cached_points import CachedPoints, cached_points
 from facepipe.verbs.whole_faces import MILLIMETRES, Topology, world_to_world
 
