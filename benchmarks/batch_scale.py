@@ -32,8 +32,7 @@ from facepipe.core import __version__
 from facepipe.farm import child
 from facepipe.farm.batch import _IN_FLIGHT, Run
 from facepipe.farm.ledger import FILE, ledger_in
-from facepipe.farm.plan import Plan, RunOptions, Step, plan_of
-from facepipe.farm.table import Row
+from facepipe.farm.plan import Plan, Row, RunOptions, Step, plan_of
 
 Json = dict[str, Any]
 STEPS = 4

@@ -85,7 +85,7 @@ FIELDS = (
         "USD layer", "subLayers, references, payloads", "facepipe.stage.layer_files:open_layer", "check_regular", _READ
     ),
     FileField("USD layer", "clips", "facepipe.stage.layer_files:_check_clips", "check_readable", _READ),
-    FileField("USD layer", "asset values: textures", "facepipe.stage.assets:copy_refusal", "check_copied", _BELOW),
+    FileField("USD layer", "asset values: textures", "facepipe.stage.materials:copy_refusal", "check_copied", _BELOW),
     FileField(
         "USD layer",
         "facepipe:neuralRig:file",
@@ -168,19 +168,19 @@ FIELDS = (
     FileField("graph that is shown", "*.onnx.json", "facepipe_web.viewer:_entry", "check_found", _FOUND),
     # where results go, with what is written beside them
     FileField("result", "files, and folders of reports", "facepipe.core.atomic:_real", "check_written", _WITHIN),
-    FileField("result", "before any work", "facepipe.stage.outputs:check_output", "check_written", _WITHIN),
+    FileField("result", "before any work", "facepipe.stage.files:check_output", "check_written", _WITHIN),
     FileField("result", "NAME_textures", "facepipe.stage.textures:TextureFolder.add", "check_written", _WITHIN),
     FileField("result", "locks", "facepipe.core.locks:locked", "check_written", _WITHIN),
     # batches
-    FileField("plan", "csv at a URL", "facepipe.farm.table:_of_csv", "checked", _URL),
-    FileField("plan", "csv", "facepipe.farm.table:_of_csv", "check_copied", _BELOW),
-    FileField("plan", "glob at a URL", "facepipe.farm.table:_of_glob", "checked", _URL),
-    FileField("plan", "glob", "facepipe.farm.table:_matching", "check_copied", _BELOW),
+    FileField("plan", "csv at a URL", "facepipe.farm.plan:_of_csv", "checked", _URL),
+    FileField("plan", "csv", "facepipe.farm.plan:_of_csv", "check_copied", _BELOW),
+    FileField("plan", "glob at a URL", "facepipe.farm.plan:_of_glob", "checked", _URL),
+    FileField("plan", "glob", "facepipe.farm.plan:_matching", "check_copied", _BELOW),
     FileField("plan", "out", "facepipe.farm.plan:read_plan", "check_writable", _WITHIN),
     FileField("plan", "results", "facepipe.farm.program:_check_places", "is_writable", _WITHIN),
     FileField("state folder", "itself", "facepipe.farm.batch:batch", "check_written", _WITHIN),
     FileField("ledger", "reads, writes", "facepipe.farm.batch:Run._last", "", _REACHED),
-    FileField("cache of results", "writes", "facepipe.farm.cache:Cache.fetch", "is_writable", _WITHIN),
+    FileField("cache of results", "writes", "facepipe.farm.contents:Cache.fetch", "is_writable", _WITHIN),
 )
 
 

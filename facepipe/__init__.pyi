@@ -29,8 +29,8 @@ from facepipe.exporting import export as export
 from facepipe.farm.batch import batch as batch
 from facepipe.neural.apply_action import ApplyNeuralRigReport
 from facepipe.neural.invert import InverseReport
+from facepipe.neural.motion import BakeReport
 from facepipe.neural.retarget import RetargetReport
-from facepipe.neural.sample_motion import BakeReport
 from facepipe.neural.train_neural_rig import NeuralRigReport
 from facepipe.photo.fit.report import PhotoFitReport
 from facepipe.photo.fit.train_photo_action import TrainPhotoReport

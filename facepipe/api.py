@@ -48,7 +48,7 @@ def sample(out: AnyPath | None = None, *, seed: int = 0, textures: int = 2048, o
     """
     from facepipe.heads import make
     from facepipe.stage import Face, open_face, save_parts
-    from facepipe.stage.outputs import check_output
+    from facepipe.stage.files import check_output
 
     if out is not None:
         check_output(Path(out), (), overwrite=overwrite)
@@ -92,7 +92,8 @@ def names() -> tuple[str, ...]:
 def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
     """The function of an action, with its signature and docstring."""
     from facepipe.actions import function_name
-    from facepipe.kinds import FolderAction, InPlaceAction, Inspector, unwatched
+    from facepipe.core.reports import unwatched
+    from facepipe.kinds import FolderAction, InPlaceAction, Inspector
 
     fields = fields_of(kind)
     keywords = _own(kind)
@@ -108,7 +109,7 @@ def function_of(kind: type[Action[Any]]) -> Callable[..., Report]:
 
     def function(*files: Any, **named: Any) -> Report:
         from facepipe.performing import check_result, files_of, perform
-        from facepipe.stage.outputs import check_output
+        from facepipe.stage.files import check_output
 
         try:
             values = dict(signature.bind(*files, **named).arguments)

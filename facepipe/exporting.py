@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import InputError
 from facepipe.core.names import did_you_mean
-from facepipe.core.reports import ExportReport
-from facepipe.kinds import Watch, unwatched
+from facepipe.core.reports import ExportReport, Watch, unwatched
 from facepipe.parts import HeldFace, HeldLevels
 from facepipe.registry import exporter, neural_rigs, outputs
-from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 if TYPE_CHECKING:
     from facepipe.importers.rename_table import Rename, Renamed
@@ -45,16 +43,6 @@ class _EncodedFace(HeldFace):
     encoder: NeuralEncoder  # of a neural rig
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Made:
-    """What was made of a face."""
-
-    face: HasParts
-    distilled: DistilReport | None = None
-    attached: Any = None  # of a neural rig, as `facepipe.registry.NeuralRigs` has it
-    renamed: Renamed | None = None
-
-
 def export(
     face: Face | str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -80,8 +68,7 @@ def export(
     """
     from facepipe.rig import implausible
     from facepipe.stage.face import open_face
-    from facepipe.stage.files import SUFFIXES
-    from facepipe.stage.outputs import check_output
+    from facepipe.stage.files import SUFFIXES, check_output
 
     target, rig = Path(out), None if neural is None else Path(neural)
     module = exporter(target)
@@ -104,32 +91,50 @@ def export(
             whole = read_face(source)
         whole = whole.at_level(lod) if lod else whole
         bar.update()
-        made = _made(whole, form, rig, attach, learned, naming)
+        made, attached, distilled, renamed = _made(whole, form, rig, attach, learned if distil else None, naming)
         if distil:
             bar.update()
-        report = module.export(made.face, target, form)
+        report = module.export(made, target, form)
         bar.update()
-    return _reported(report, made, implausible(whole.parts()))
+    more = (line for one in (renamed, attached, distilled) if one is not None for line in one.warnings)
+    warnings = (*report.warnings, *more, *implausible(whole.parts()))
+    report = replace(report, warnings=warnings, renamed=renamed.names if renamed else report.renamed)
+    return _reported(report, attached, distilled)
+
+
+def _reported(report: ExportReport, attached: Any, distilled: DistilReport | None) -> ExportReport:
+    if attached is not None:
+        return NeuralExportReport(**vars(report), dropped_mm=attached.dropped_mm, clips_mm=attached.clips_mm)
+    if distilled is None:
+        return report
+    error = distilled.points_mm and distilled.points_mm.max + (report.error_mm or 0.0)  # of weights in fewer bytes
+    return DistilledExportReport(**{**vars(report), "error_mm": error}, distilled=distilled)
 
 
 def _options(
     kind: Any, options: Mapping[str, Any], *, neural: bool, distil: bool, lod: int
-) -> tuple[Any, Any, DistilOptions | None]:
-    """The options of the format, an instance of `kind`, of a neural rig, and of learned sliders.
+) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """The options of the format, an instance of `kind`, and those given of a neural rig and of learned sliders.
 
     :raises InputError: options that are unknown, out of range, or don't go together
     """
     known = {field.name for field in dataclasses.fields(kind)}
-    kind_of_rig = neural_rigs().Options
-    attach = {field.name for field in dataclasses.fields(kind_of_rig)}
-    learned = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
-    for name in options:
-        if name not in known | attach | learned:
-            near = did_you_mean(name, known | attach | learned)
-            raise InputError(f"option {name[:60]}", f"is unknown{near or f', expected some of {chr(32).join(known)}'}")
-        if (name in attach and not neural) or (name in learned and not distil):
-            needed = "--neural" if name in attach else "--distil"
-            raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
+    attach, learned = dict[str, Any](), dict[str, Any]()
+    if not options.keys() <= known:  # else what declares the others isn't loaded
+        from facepipe.verbs.sliders.options import DISTIL, DistilOptions
+
+        of_rig = {field.name for field in dataclasses.fields(neural_rigs().Options)}
+        of_network = {f"{DISTIL}{field.name}" for field in dataclasses.fields(DistilOptions)}
+        every = known | of_rig | of_network
+        for name in options:
+            if name not in every:
+                near = did_you_mean(name, every) or f", expected some of {chr(32).join(known)}"
+                raise InputError(f"option {name[:60]}", f"is unknown{near}")
+            if (name in of_rig and not neural) or (name in of_network and not distil):
+                needed = "--neural" if name in of_rig else "--distil"
+                raise InputError(f"--{name.replace('_', '-')}", f"given without {needed}, expected both")
+        attach = {name: value for name, value in options.items() if name in of_rig}
+        learned = {name.removeprefix(DISTIL): value for name, value in options.items() if name in of_network}
     if neural and distil:
         raise InputError("--neural", "given with --distil, expected one of them")
     form = kind(**{name: value for name, value in options.items() if name in known})
@@ -139,52 +144,44 @@ def _options(
         raise InputError("--distil", "is for the graph of the sliders, expected --sliders too, and a .onnx as OUT")
     if neural and hasattr(form, "sliders") and not form.encoder:
         form = replace(form, sliders=True)  # a graph is that of the controls, or from points back to them
-    attached = kind_of_rig(**{name: value for name, value in options.items() if name in attach})
-    distilled = {name.removeprefix(DISTIL): value for name, value in options.items() if name in learned}
-    return form, attached, DistilOptions(**distilled) if distil else None
+    return form, attach, learned
 
 
 def _made(
-    face: Face, form: Any, rig: Path | None, attach: Any, learned: DistilOptions | None, naming: Rename | None
-) -> _Made:
-    """The face with learned sliders, or the neural rig, and under other names, if asked for.
+    face: Face,
+    form: Any,
+    rig: Path | None,
+    attach: Mapping[str, Any],
+    learned: Mapping[str, Any] | None,
+    naming: Rename | None,
+) -> tuple[HasParts, Any, DistilReport | None, Renamed | None]:
+    """The face with learned sliders, or the neural rig, and under other names, if asked for, and reports of each.
 
     :raises InputError: as `DistilSliders`, a damaged rig or one without an encoder, or names that collide
     :raises TopologyError: other meshes, joints or skin than the rig was learned on
     """
-    made = _Made(face=face)
+    made: HasParts = face
+    attached, distilled = None, None
     if learned is not None:
         from facepipe.verbs.sliders import DistilSliders
 
-        parts, report = DistilSliders(**vars(learned))(face.parts())
-        made = _Made(face=HeldFace(parts), distilled=report)
+        parts, distilled = DistilSliders(**learned)(face.parts())
+        made = HeldFace(parts)
     elif rig is not None and getattr(form, "encoder", False):
         from facepipe.verbs.whole_faces import Topology
 
         encoder = neural_rigs().encoder(rig)
         encoder.check(Topology.of(face.parts()).digest, face.where)
-        made = _Made(face=_EncodedFace(face.parts(), encoder))
+        made = _EncodedFace(face.parts(), encoder)
     elif rig is not None:
-        attached = neural_rigs().attached(face.parts(), rig, attach, face.where)
-        made = _Made(face=HeldFace(attached.parts), attached=attached)
+        attached = neural_rigs().attached(face.parts(), rig, neural_rigs().Options(**attach), face.where)
+        made = HeldFace(attached.parts)
     if naming is None:
-        return made
-    renamed = naming(made.face.parts())
+        return made, attached, distilled, None
+    renamed = naming(made.parts())
     if getattr(form, "lods", False):
         lower = tuple(naming(lower_level).parts for lower_level in face.lower_levels())
-        return replace(made, face=HeldLevels(renamed.parts, lower), renamed=renamed)
-    held = made.face if isinstance(made.face, HeldFace) else HeldFace(renamed.parts)
-    return replace(made, face=replace(held, held=renamed.parts), renamed=renamed)
-
-
-def _reported(report: ExportReport, made: _Made, plausible: tuple[str, ...]) -> ExportReport:
-    others = (one for one in (made.renamed, made.attached, made.distilled) if one is not None)
-    warnings = (*report.warnings, *(line for other in others for line in other.warnings), *plausible)
-    report = replace(report, warnings=warnings, renamed=made.renamed.names if made.renamed else report.renamed)
-    if made.attached is not None:
-        return NeuralExportReport(**vars(report), dropped_mm=made.attached.dropped_mm, clips_mm=made.attached.clips_mm)
-    if made.distilled is None:
-        return report
-    points, packed = made.distilled.points_mm, report.error_mm or 0.0  # of weights in fewer bytes
-    learned = replace(report, error_mm=None if points is None else points.max + packed)
-    return DistilledExportReport(**vars(learned), distilled=made.distilled)
+        made = HeldLevels(renamed.parts, lower)
+    else:
+        made = replace(made, held=renamed.parts) if isinstance(made, HeldFace) else HeldFace(renamed.parts)
+    return made, attached, distilled, renamed

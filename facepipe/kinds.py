@@ -17,17 +17,16 @@ The command with its flags and help, the recipe and its cooking, `--edit` and th
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from facepipe.core.errors import InputError
 from facepipe.declare import check_ranges, fields_of
 
 if TYPE_CHECKING:
-    from facepipe.core.reports import Report
+    from facepipe.core.reports import Report, Watch
     from facepipe.parts import FaceParts, Recipe
     from facepipe.stage import Face
 
@@ -43,29 +42,6 @@ def found_of(recipe: Recipe | None) -> Mapping[str, Any]:
 
 A = TypeVar("A", bound="Action[Any]")
 R = TypeVar("R", bound="Report")
-
-
-class Bar(Protocol):
-    """Progress of one task."""
-
-    def update(self) -> object:
-        """One step is done."""
-
-
-Watch = Callable[[str, int], AbstractContextManager[Any]]  # label, steps -> the task's `Bar`
-
-
-@contextmanager
-def unwatched(label: str, steps: int) -> Iterator[Bar]:
-    """Progress that is not shown."""
-    yield _Unseen()
-
-
-class _Unseen:
-    """A bar that shows nothing."""
-
-    def update(self) -> None:
-        """One step is done."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,15 +15,14 @@ from facepipe.core import __version__
 from facepipe.core.atomic import apart, replacing, replacing_folder, together
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.locks import locked
-from facepipe.core.reports import Report
+from facepipe.core.reports import Report, Watch, unwatched
 from facepipe.declare import Field, fields_of, json_value
 from facepipe.importers import read_face
-from facepipe.kinds import FOUND, Action, FileAction, FolderAction, Job, StageAction, Watch, unwatched
+from facepipe.kinds import FOUND, Action, FileAction, FolderAction, Job, StageAction
 from facepipe.parts import Recipe
 from facepipe.registry import exporter, outputs, suffixes
 from facepipe.stage import Face, open_face, save_parts
-from facepipe.stage.files import SUFFIXES, relative_path
-from facepipe.stage.outputs import check_output, check_report_folder
+from facepipe.stage.files import SUFFIXES, check_output, check_report_folder, relative_path
 from facepipe.stage.recipes import changed_sources, existing_source, named_source, recipe_of, source_digest
 
 R = TypeVar("R", bound=Report)

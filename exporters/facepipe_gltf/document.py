@@ -15,11 +15,10 @@ import numpy as np
 from facepipe.core import __version__
 from facepipe.core.errors import ExportError, InputError
 from facepipe.core.names import select
-from facepipe.core.policy.children import find_program
 from facepipe.declare import check_ranges
 from facepipe.parts import FaceParts, HasLevels, HasParts, exact
 from facepipe.records import Json
-from facepipe.rig.linear_skinning import linear_skinning_notes
+from facepipe.rig.animation import linear_skinning_notes
 from facepipe_gltf.animations import AnimationWriter, JointNodes, joint_nodes
 from facepipe_gltf.baking import Baked, Sculpt, bake, extras, storage_error, weight_error
 from facepipe_gltf.buffers import MESHOPT, Buffers, Chunk, Encoding
@@ -104,6 +103,7 @@ def _compressed(streams: Sequence[_Stream]) -> Iterator[bytes]:
 
 
 def _run(request: bytes) -> bytes:
+    from facepipe.core.policy.children import find_program
     from facepipe_gltf.validation import run_node
 
     node = find_program("node")

@@ -10,8 +10,7 @@ import numpy as np
 
 from facepipe.core.arrays import IntArray
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton, UvSet
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.rig.sliders import kept, kept_outputs, with_mutual_mirrors
 from facepipe_gltf.baking import Baked
 from facepipe_gltf.options import Options
 from facepipe_gltf.placement import Space

@@ -20,9 +20,7 @@ from facepipe.core.errors import ExportError
 from facepipe.core.names import select
 from facepipe.parts import Slider, SliderNetwork
 from facepipe.rig import CHANNELS, Rig, rest_coefficients, slide
-from facepipe.rig.slider_network import ACTIVATIONS
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept
+from facepipe.rig.sliders import ACTIVATIONS, kept, kept_outputs
 from facepipe_onnx.deform import Ends, activation_nodes, chain_nodes, chains_of, end_nodes, normal_nodes, tree_order
 from facepipe_onnx.graph import checked_triangles, rigid, select_shapes, skinned
 from facepipe_onnx.options import Options

@@ -23,7 +23,7 @@ from facepipe.onnx_graph import MAX_BYTES, Nodes
 from facepipe.parts import FaceParts, HasParts, Slider
 from facepipe.rig import Rig, set_face
 from facepipe.rig import build as build_rig
-from facepipe.rig.linear_skinning import linear_skinning_notes
+from facepipe.rig.animation import linear_skinning_notes
 from facepipe.rig.neural_rig import EPSILON, EncoderLayer, NeuralEncoder
 from facepipe_onnx import slider_graph
 from facepipe_onnx.describe import describe

@@ -12,8 +12,7 @@ from facepipe.checks.checks import CHECKS, Check, check_built_in, check_stage, r
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Finding
 from facepipe.registry import exporter, suffixes
-from facepipe.stage.files import SUFFIXES, open_stage, quiet_diagnostics
-from facepipe.stage.levels import lower_levels
+from facepipe.stage.files import SUFFIXES, lower_levels, open_stage, quiet_diagnostics
 
 __all__ = ["CHECKS", "Check", "Finding", "check_stage", "register", "validate", "validate_stage"]
 

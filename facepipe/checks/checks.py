@@ -14,7 +14,7 @@ from facepipe.checks import face_checks, mesh_checks
 from facepipe.checks.views import FaceView, Problem
 from facepipe.core.reports import Finding
 from facepipe.stage.files import quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
+from facepipe.stage.values import USD_ERRORS, reason, usd_errors
 
 Severity = Literal["error", "warning", "info"]
 KEYWORD = "facepipe"

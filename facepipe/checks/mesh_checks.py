@@ -27,7 +27,7 @@ from facepipe.checks.views import (
 )
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.blendshapes import MOST_INBETWEENS
+from facepipe.stage.read_mesh import MOST_INBETWEENS
 
 REGION_SUM_TOLERANCE = 1e-3
 WEIGHT_SUM_TOLERANCE = 1e-4  # float32 weights of 9 influences round to 1e-6; half-precision ones miss 1 by more
@@ -218,10 +218,11 @@ def joint_indices(face: FaceView) -> Iterator[Problem]:
 def weights_sum(face: FaceView) -> Iterator[Problem]:
     """The weights of every point sum to 1."""
     for mesh in _skinned(face):
-        weights = mesh.weights_by_point
-        if weights is None or not np.isfinite(weights).all():
+        attribute, weights = mesh.inherited(_WEIGHTS), mesh.joint_weights
+        width = 1 if attribute is None else max(UsdGeom.Primvar(attribute).GetElementSize(), 1)
+        if weights is None or len(weights) % width or not np.isfinite(weights).all():
             continue
-        sums = weights.sum(axis=1)
+        sums = weights.reshape(-1, width).sum(axis=1)
         wrong = np.flatnonzero(np.abs(sums - 1) > WEIGHT_SUM_TOLERANCE)
         if len(wrong):
             worst = wrong[np.argmax(np.abs(sums[wrong] - 1))]

@@ -11,10 +11,9 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
-from facepipe.stage.api_schemas import Known, inherited_attribute, inherited_skeleton, is_applied
 from facepipe.stage.composition import check_arrays
-from facepipe.stage.guard import UNREADABLE
-from facepipe.stage.prims import check_kinds, prims_below
+from facepipe.stage.prims import Known, check_kinds, inherited_attribute, inherited_skeleton, is_applied, prims_below
+from facepipe.stage.values import UNREADABLE
 
 
 class Problem(NamedTuple):
@@ -138,15 +137,6 @@ class MeshView:
     def is_skinned(self) -> bool:
         """Whether joint influences are authored."""
         return self.joint_indices is not None or self.joint_weights is not None
-
-    @cached_property
-    def weights_by_point(self) -> FloatArray | None:
-        """(n, influences) weights, one row for a rigid mesh; None where the array has no such shape."""
-        attribute, weights = self.inherited("primvars:skel:jointWeights"), self.joint_weights
-        if attribute is None or weights is None:
-            return None
-        width = max(UsdGeom.Primvar(attribute).GetElementSize(), 1)
-        return weights.reshape(-1, width) if len(weights) % width == 0 else None
 
     @cached_property
     def shape_names(self) -> tuple[str, ...]:

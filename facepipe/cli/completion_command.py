@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 from facepipe.cli.parser import Parser
@@ -33,20 +33,16 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the script."""
-    print(_SCRIPTS[arguments.shell](list(_lines())))
-    return 0
-
-
-def _lines() -> Iterator[_Line]:
-    """Every command, and every action of those that have some."""
+    """Print the script: of every command, and of every action of those that have some."""
     from facepipe.actions import summaries
     from facepipe.cli import commands_of
 
+    lines = []
     for command, summary in commands_of().items():
-        yield _Line(command, summary, _flags(command, "--help"))
-        for verb, text in summaries(f"{command} ").items():
-            yield _Line(verb, text, _flags(*verb.split()))
+        lines.append(_Line(command, summary, _flags(command, "--help")))
+        lines += [_Line(verb, text, _flags(*verb.split())) for verb, text in summaries(f"{command} ").items()]
+    print(_SCRIPTS[arguments.shell](lines))
+    return 0
 
 
 def _flags(command: str, word: str) -> tuple[argparse.Action, ...]:

@@ -73,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     result = {"good": report.good, **report.to_dict()}
     findings = [str(finding) for findings in report.findings.values() for finding in findings]
     counts = {action: sum(node.action == action for node in report.nodes) for action in _ACTIONS}
-    listed = ", ".join(f"{count} {_ACTIONS[action]}" for action, count in counts.items() if count)
+    counted = [f"{count} {'to be cooked' if name == 'stale' else name}" for name, count in counts.items() if count]
+    listed = ", ".join(counted)
     emit(
         result,
         "\n".join([*findings, f"{len(report.nodes)} file(s) with recipes{f': {listed}' if listed else ''}"]),
@@ -82,9 +83,4 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if report.good else 1
 
 
-_ACTIONS = {
-    "cooked": "cooked",
-    "stale": "to be cooked",
-    "outside the roots": "outside the roots",
-    "up to date": "up to date",
-}
+_ACTIONS = ("cooked", "stale", "outside the roots", "up to date")

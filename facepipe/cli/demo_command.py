@@ -76,6 +76,7 @@ def _made(folder: Path, seed: int) -> int:
     import numpy as np
 
     import facepipe
+    from facepipe.checks import validate
     from facepipe.core.atomic import write_bytes
     from facepipe.performing import perform
     from facepipe.pictures import PictureOptions, contact_sheet, poses, save_png
@@ -92,7 +93,12 @@ def _made(folder: Path, seed: int) -> int:
             report = exporter.export(face, path[name], exporter.Options())
             bar.write(f"\n{name}: {report.bytes:,} bytes in {report.seconds:.2f} s")
             bar.update()
-        errors = _validated([path[name] for name in ("head.usda", "head.glb", "head.onnx")])
+        errors = 0
+        for name in ("head.usda", "head.glb", "head.onnx"):
+            findings = [one for one in validate(path[name]) if one.severity != "info" or "NotInstalled" in one.check]
+            errors += sum(finding.severity == "error" for finding in findings)
+            good = all(finding.severity == "info" for finding in findings)
+            print("\n".join([f"{name}: {'no errors, no warnings' if good else ''}", *(f"  {one}" for one in findings)]))
         bar.update()
         graphs: Any = registry.exporter(path["head.onnx"])
         outputs: dict[str, Any] = graphs.Deformer(path["head.onnx"]).evaluate(POSE)
@@ -109,18 +115,4 @@ def _made(folder: Path, seed: int) -> int:
         save_png(contact_sheet(list(images), columns=4), path["sheet.png"])
         bar.update()
     print("\nsheet.png: the face and its shapes")
-    return errors
-
-
-def _validated(paths: list[Path]) -> int:
-    from facepipe.checks import validate
-
-    errors = 0
-    for path in paths:
-        findings = [one for one in validate(path) if one.severity != "info" or "NotInstalled" in one.check]
-        errors += sum(finding.severity == "error" for finding in findings)
-        good = all(finding.severity == "info" for finding in findings)
-        print(f"{path.name}: {'no errors, no warnings' if good else ''}")
-        for one in findings:
-            print(f"  {one}")
     return errors

@@ -28,7 +28,6 @@ from facepipe import registry
 from facepipe.cli.parser import Parser, add_options, add_output, add_rename, output_of
 from facepipe.cli.show import emit, noted_names, progress, warn
 from facepipe.core.reports import ExportReport
-from facepipe.verbs.sliders.options import DISTIL, DistilOptions
 
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
@@ -47,11 +46,20 @@ def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     add_rename(parser, words)
     rig = "neural rig (.fpnr) whose controls are the sliders of FACE; a .onnx is the graph of its controls"
     parser.add_argument("--neural", type=Path, metavar="RIG", help=rig)
-    add_options(parser, registry.neural_rigs().Options, "options of --neural", sparse=True)
+    # what declares further options is loaded only for help, and for a line with flags that may be some
+    flags = {word.partition("=")[0] for word in words if word.startswith("-")}
+    further = {"-h", "--help"} & flags or not flags <= {*parser._option_string_actions, "--distil"}
+    if further:
+        add_options(parser, registry.neural_rigs().Options, "options of --neural", sparse=True)
     learned = "a small learned network in place of curves and of a larger network; the report says how far off it is"
     group = parser.add_argument_group("options of .onnx --sliders (needs torch: pip install 'facepipe[train]')")
     group.add_argument("--distil", action="store_true", help=learned)
-    add_options(group, DistilOptions, prefix=DISTIL, sparse=True)
+    if further:
+        from facepipe.verbs.sliders.options import DISTIL, DistilOptions
+
+        add_options(group, DistilOptions, prefix=DISTIL, sparse=True)
+        names = [one.name for one in dataclasses.fields(registry.neural_rigs().Options)]
+        parser.set_defaults(further=[*names, *(f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions))])
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,12 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
     from facepipe.exporting import DistilledExportReport, export
 
     out = output_of(arguments, [arguments.face, *([arguments.neural] if arguments.neural else [])])
-    names = [
-        field.name
-        for kind in (registry.exporter(out).Options, registry.neural_rigs().Options)
-        for field in dataclasses.fields(kind)
-    ]
-    names += [f"{DISTIL}{one.name}" for one in dataclasses.fields(DistilOptions)]
+    names = [field.name for field in dataclasses.fields(registry.exporter(out).Options)]
+    names += getattr(arguments, "further", ())
     report = export(
         arguments.face,
         out,

@@ -196,7 +196,7 @@ def output_of(arguments: argparse.Namespace, inputs: Sequence[Path] = ()) -> Pat
 
     :raises InputError: none given, an existing file without --force, a missing folder, or an input
     """
-    from facepipe.stage.outputs import check_output
+    from facepipe.stage.files import check_output
 
     path = arguments.output or getattr(arguments, "out", None)
     if path is None:

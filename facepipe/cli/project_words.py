@@ -58,7 +58,10 @@ def with_project(project: Project, words: Sequence[str], modules: Modules, folde
 def _flags(project: Project, command: str, modules: Modules, words: Sequence[str], folder: Path) -> Iterator[str]:
     """A project's defaults for a command, those that the format of the line's output has."""
     defaults = project.defaults.get(command, {})
-    known, here = (_known(command, modules, ["--help"]), _known(command, modules, words)) if defaults else ({}, {})
+    known = _known(command, modules, ["--help"]) if defaults else {}
+    # with the project's own flags: some commands add flags only to a line that may have them
+    chosen = [f"--{name}" for name in (one.replace("_", "-") for one in defaults) if name in known]
+    here = _known(command, modules, [*words, *chosen]) if defaults else {}
     for name, value in defaults.items():
         where, name = f"{project.file} -> defaults.{command}", name.replace("_", "-")
         if name not in known:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,8 +18,7 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.core.locks import discard_lock, locked
 from facepipe.core.policy.paths import check_readable, is_writable, real_path, roots_of, trust, trusting
 from facepipe.core.reading import digest
-from facepipe.core.reports import Report
-from facepipe.kinds import Watch, unwatched
+from facepipe.core.reports import Report, Watch, unwatched
 from facepipe.parts import Recipe
 from facepipe.performing import again
 from facepipe.stage.files import SUFFIXES, check_stage_file
@@ -231,27 +230,6 @@ class Digests:
         self._found = {}
 
 
-def changes(graph: Graph, node: Node, digests: Digests, cooked: Collection[Path]) -> tuple[str, ...]:
-    """A line for each source and layer that has changed since `node` was made.
-
-    :param cooked: resolved paths of files that were written meanwhile
-    :raises InputError: a source can't be read
-    """
-    lines = []
-    before = node.recipe.digests if node.recipe else ()
-    for source, old in zip(node.sources, before, strict=True):
-        if digests.digest_of(source) != old:
-            made = any(one in cooked for one in graph.made_of(source))
-            lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
-    return (*lines, *(f"{one.name}, which it stands on, is lost" for one in node.lost))
-
-
-def waiting(graph: Graph, node: Node, stale: Collection[Path]) -> tuple[str, ...]:
-    """A line for each source that is one of `stale` or stands on one."""
-    found = [source for source in node.sources if any(one in stale for one in graph.made_of(source))]
-    return tuple(f"{source.name} is to be cooked" for source in found)
-
-
 def cook(
     paths: AnyPath | Sequence[AnyPath],
     options: CookOptions | None = None,
@@ -349,10 +327,18 @@ class _Run:
 
     def _why(self, node: Node) -> tuple[str, ...]:
         """Why `node` is to be cooked; nothing where it is up to date."""
-        reasons = changes(self.graph, node, self._digests, self._cooked)
-        reasons += waiting(self.graph, node, self._stale)
+        lines = []
+        before = node.recipe.digests if node.recipe else ()
+        for source, old in zip(node.sources, before, strict=True):
+            if self._digests.digest_of(source) != old:
+                made = any(one in self._cooked for one in self.graph.made_of(source))
+                lines.append(f"{source.name} was cooked and changed" if made else f"{source.name} changed")
+        lines += [f"{one.name}, which it stands on, is lost" for one in node.lost]
+        for source in node.sources:
+            if any(one in self._stale for one in self.graph.made_of(source)):
+                lines.append(f"{source.name} is to be cooked")
         forced = self._options.force and node.path.resolve() not in self._cooked
-        return reasons or (("forced",) if forced else ())
+        return tuple(lines) or (("forced",) if forced else ())
 
     def _old(self, node: Node) -> tuple[str, ...]:
         """A line for each stale file that `node` is made of all the same."""

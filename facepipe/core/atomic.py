@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from facepipe.core import placing
-from facepipe.core.errors import ChangedError, InputError
+from facepipe.core.errors import ChangedError, InputError, system_errors
 from facepipe.core.placing import (
     HiddenFolder,
     Move,
@@ -50,7 +50,7 @@ def replacing(path: AnyPath) -> Iterator[Path]:
         raise InputError(path, "the folder does not exist")
     if os.path.lexists(target) and not target.is_file():
         raise InputError(path, "is a folder, expected a file" if target.is_dir() else "is no regular file")
-    with _refused(path), _in_group(target) as group:
+    with system_errors(path, "can't be written"), _in_group(target) as group:
         temporary = target if group is None else group.home(target.parent) / target.name
         try:
             yield temporary
@@ -78,7 +78,7 @@ def replacing_folder(path: AnyPath) -> Iterator[Path]:
     if target.exists() and not target.is_dir():
         raise InputError(path, "is a file, expected a folder")
     former = identity(target)
-    with _refused(path), _in_group(target) as group:
+    with system_errors(path, "can't be written"), _in_group(target) as group:
         temporary = target if group is None else group.home(target.parent) / target.name
         try:
             temporary.mkdir()
@@ -124,7 +124,7 @@ def together(path: AnyPath) -> Iterator[None]:
             yield
         finally:
             _group.reset(token)
-        with _refused(path):
+        with system_errors(path, "can't be written"):
             group.commit()
 
 
@@ -166,7 +166,7 @@ def hidden_folder(parent: Path) -> Iterator[Path]:
     if not parent.is_dir():
         raise InputError(parent, "the folder does not exist")
     with _Group(parent.resolve() / "any") as group:
-        with _refused(parent):
+        with system_errors(parent, "can't be written"):
             inner = group.home(parent.resolve()) / "files"
             inner.mkdir()
         yield inner
@@ -258,14 +258,6 @@ def _in_group(target: Path) -> Iterator[_Group | None]:
         with _Group(target) as group:
             yield group
             group.commit()
-
-
-@contextlib.contextmanager
-def _refused(path: AnyPath) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(path, f"can't be written: {error.strerror or error}") from error
 
 
 def _real(path: AnyPath) -> Path:

@@ -1,5 +1,8 @@
 """Errors of facepipe. Every message is one line: where, what, what was expected."""
 
+import contextlib
+from collections.abc import Iterator
+
 
 class FacepipeError(Exception):
     """Base of all errors that a user can cause or fix.
@@ -29,6 +32,15 @@ def printable(text: str) -> str:
 
 class InputError(FacepipeError):
     """A file or value given by the user can't be used."""
+
+
+@contextlib.contextmanager
+def system_errors(where: object, what: str) -> Iterator[None]:
+    """What the system refuses in the block becomes an InputError: `what`, like "can't be read", and why."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(where, f"{what}: {error.strerror or error}") from error
 
 
 class ChangedError(InputError):

@@ -27,16 +27,7 @@ _MOST_PNG = 1 << 28  # bytes of a picture that is read as it is
 _BAND = 1 << 20  # pixels converted at once
 _HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1")
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_STARTS = (
-    b"\x89PNG\r\n\x1a\n",
-    b"\xff\xd8\xff",
-    b"BM",
-    b"RIFF",
-    b"II*\x00",
-    b"MM\x00*",
-    b"v/1\x01",
-    b"#?RADIANCE",
-)
+_STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"RIFF", b"II*\x00", b"MM\x00*", b"v/1\x01", b"#?RADIANCE")
 
 
 def is_image(data: bytes) -> bool:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 from facepipe.core.policy.paths import check_written
 
 _PAUSE = 0.05  # seconds between two tries
@@ -37,7 +37,17 @@ def locked(
     if not target.parent.is_dir():
         raise InputError(target, "the folder does not exist")
     file = _file(target)
-    descriptor = _acquired(target, file, time.monotonic() + patience, waiting)
+    until, descriptor, announced = time.monotonic() + patience, None, False
+    while descriptor is None:
+        with system_errors(target, "can't be locked"), contextlib.suppress(BlockingIOError):
+            descriptor = try_lock(file)
+            break
+        if time.monotonic() > until:
+            raise InputError(target, "is being changed by another process, expected one at a time")
+        if not announced:
+            waiting()
+            announced = True
+        time.sleep(_PAUSE)
     try:
         yield
     finally:
@@ -65,24 +75,6 @@ def try_lock(file: Path, *, create: bool = True) -> int:
     except BaseException:
         os.close(descriptor)
         raise
-
-
-def _acquired(target: Path, file: Path, until: float, waiting: Callable[[], object]) -> int:
-    """A descriptor of `file`, locked."""
-    announced = False
-    while True:
-        try:
-            return try_lock(file)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            raise InputError(target, f"can't be locked: {error.strerror or error}") from error
-        if time.monotonic() > until:
-            raise InputError(target, "is being changed by another process, expected one at a time")
-        if not announced:
-            waiting()
-            announced = True
-        time.sleep(_PAUSE)
 
 
 def _file(target: Path) -> Path:

@@ -77,9 +77,4 @@ def _read(file: Path) -> Project:
         raise InputError(f"{file} -> names", 'expected tables, like studio = "names.csv"')
     if not isinstance(defaults, dict) or not all(isinstance(default, dict) for default in defaults.values()):
         raise InputError(f"{file} -> defaults", "expected a table for each command, like [defaults.export]")
-    return Project(
-        file=file,
-        roots=tuple(file.parent / root for root in roots),
-        names=names,
-        defaults=defaults,
-    )
+    return Project(file=file, roots=tuple(file.parent / root for root in roots), names=names, defaults=defaults)

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 from facepipe.core.policy.paths import check_found, check_readable
 
 _MOST_VALUES = 3_000_000  # of a JSON or TOML file
@@ -71,14 +71,12 @@ def files_in(folder: Path, suffixes: Collection[str] = ()) -> list[Path]:
     :raises InputError: it can't be read, or a link in it leads outside the roots
     """
     check_readable(folder)
-    try:
+    with system_errors(folder, "can't be read"):
         found = sorted(one for one in folder.iterdir() if not one.name.startswith("."))
         wanted = [one for one in found if not suffixes or one.suffix.lower() in suffixes]
         for one in wanted:
             check_found(one, folder)
         return [one for one in wanted if one.is_file()]
-    except OSError as error:
-        raise InputError(folder, f"can't be read: {error.strerror or error}") from error
 
 
 def file_beside(path: Path, *names: str) -> Path | None:
@@ -100,11 +98,8 @@ def read_bytes(path: Path, most: int) -> bytes:
     :raises InputError: not readable, no regular file, or larger
     """
     size = check_regular(path, most)
-    try:
-        with path.open("rb") as file:
-            return file.read(size)  # no more: files in /proc report 0 bytes, and some never end
-    except OSError as error:
-        raise InputError(path, f"can't be read: {error.strerror or error}") from error
+    with system_errors(path, "can't be read"), path.open("rb") as file:
+        return file.read(size)  # no more: files in /proc report 0 bytes, and some never end
 
 
 def read_json(path: Path, most: int) -> object:
@@ -211,11 +206,8 @@ def digest(files: Iterable[Path]) -> str:
     sums = []
     for path in files:
         check_regular(path)
-        try:
-            with path.open("rb") as file:
-                sums.append((path.name, hashlib.file_digest(file, "sha256").hexdigest()))
-        except OSError as error:
-            raise InputError(path, f"can't be read: {error.strerror or error}") from error
+        with system_errors(path, "can't be read"), path.open("rb") as file:
+            sums.append((path.name, hashlib.file_digest(file, "sha256").hexdigest()))
     sums.sort()
     if len(sums) == 1:
         return f"sha256:{sums[0][1]}"

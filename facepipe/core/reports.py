@@ -1,13 +1,37 @@
-"""Reports: what a command or exporter did, as frozen dataclasses that serialise to JSON, and as text for people."""
+"""Progress of a task, and reports of what was done: frozen dataclasses that serialise to JSON, and text for people."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
+
+
+class Bar(Protocol):
+    """Progress of one task."""
+
+    def update(self) -> object:
+        """One step is done."""
+
+
+Watch = Callable[[str, int], AbstractContextManager[Any]]  # label, steps -> the task's `Bar`
+
+
+@contextmanager
+def unwatched(label: str, steps: int) -> Iterator[Bar]:
+    """Progress that is not shown."""
+    yield _Unseen()
+
+
+class _Unseen:
+    """A bar that shows nothing."""
+
+    def update(self) -> None:
+        """One step is done."""
 
 
 def not_in_json() -> Any:

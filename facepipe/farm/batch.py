@@ -13,11 +13,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from facepipe.core import __version__
 from facepipe.core.atomic import collect, together, write_bytes
-from facepipe.core.errors import FacepipeError, InputError, printable
+from facepipe.core.errors import FacepipeError, InputError, printable, system_errors
 from facepipe.core.locks import discard_lock
 from facepipe.core.markup import Markup, heading, joined, page, ruled_table, tag
 from facepipe.core.policy.paths import Reach, check_written, checked, is_url, roots_of, trust
@@ -123,7 +123,24 @@ class Run:
             record = self._answers.get()
             waited += time.perf_counter() - before
             self._out -= 1
-            self._answered(record)
+            task = self._tasks[record["task"]]
+            self.warnings |= dict.fromkeys(record.pop("warnings", ()))
+            self.gone = record.get("gone", "")
+            if self.gone:
+                break
+            if record["status"] == LOST:
+                with contextlib.suppress(FacepipeError, OSError):
+                    result = result_of(self.plan, task)
+                    if result and not is_url(result) and self._reach(result):
+                        collect((self.plan.folder / result).parent)
+                        discard_lock(self.plan.folder / result)
+            again = record["status"] == LOST or record.get("passing", False)
+            self._lost[task.name] += again
+            if again and self._lost[task.name] <= self.options.failures:
+                self._make_ready(task)
+                continue
+            status = FAILED if record["status"] == LOST else record["status"]
+            self._end(task, {**record, "status": status, "lost": self._lost[task.name]})
         made = (name for record in self.records.values() if record["status"] == MADE for name in record["writes"])
         for folder in {(self.plan.folder / name).parent for name in made if not is_url(name)}:
             with contextlib.suppress(FacepipeError, OSError):
@@ -205,26 +222,6 @@ class Run:
         others = ((name, tuple(state)) for name, state in states.items() if is_url(name))
         return unchanged(local) and all(self._states(url) == state for url, state in others)
 
-    def _answered(self, record: Record) -> None:
-        task = self._tasks[record["task"]]
-        self.warnings |= dict.fromkeys(record.pop("warnings", ()))
-        self.gone = record.get("gone", "")
-        if self.gone:
-            return
-        if record["status"] == LOST:
-            with contextlib.suppress(FacepipeError, OSError):
-                result = result_of(self.plan, task)
-                if result and not is_url(result) and self._reach(result):
-                    collect((self.plan.folder / result).parent)
-                    discard_lock(self.plan.folder / result)
-        again = record["status"] == LOST or record.get("passing", False)
-        self._lost[task.name] += again
-        if again and self._lost[task.name] <= self.options.failures:
-            self._make_ready(task)
-            return
-        status = FAILED if record["status"] == LOST else record["status"]
-        self._end(task, {**record, "status": status, "lost": self._lost[task.name]})
-
     def _end(self, task: Task, record: Record, *, keep: bool = True) -> None:
         self.records[task.name] = record
         self._states.learn(record.get("writes") or {})
@@ -241,10 +238,6 @@ def own_writes(plan: Plan, task: Task, record: Mapping[str, Any]) -> list[str]:
     """Of the files that a record names those that are a task's own result, or in it where that is a folder."""
     result = result_of(plan, task) if task.step.out else ""
     return [name for name in record.get("writes", ()) if result and (name == result or name.startswith(f"{result}/"))]
-
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,10 +304,7 @@ def report_of(run: Run, state: Path, seconds: float) -> BatchReport:
         seconds=seconds,
         scheduling_seconds=run.scheduling,
         page=state / "report.html",
-        warnings=(
-            *run.warnings,
-            *([f"{skipped} tasks were left out, since what they need failed"] if skipped else []),
-        ),
+        warnings=(*run.warnings, *([f"{skipped} tasks were left out, since what they need failed"] if skipped else [])),
     )
 
 
@@ -424,10 +414,8 @@ def batch(
     if is_url(plan.out):
         checked(plan.out, trust().urls)
     plan = _with_thumbnails(plan, state, thumbnails)
-    try:
+    with system_errors(state, "can't be made"):
         state.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(state, f"can't be made: {error.strerror or error}") from error
     start = time.perf_counter()
     with ledger_in(state) as ledger:
         roots = (*(trust().roots or roots_of(plan.folder / "plan")), state)

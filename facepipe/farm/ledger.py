@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from facepipe.core.atomic import replacing
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 from facepipe.core.locks import locked
 from facepipe.core.reading import check_input, check_regular, check_values
 
@@ -36,11 +36,9 @@ class Ledger:
         :raises InputError: it can't be written
         """
         self.records[record["task"]] = record
-        try:
+        with system_errors(self._path, "can't be written"):
             self._file.write(_line(record))
             self._file.flush()
-        except OSError as error:
-            raise InputError(self._path, f"can't be written: {error.strerror or error}") from error
 
 
 @contextlib.contextmanager
@@ -56,7 +54,7 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
     with locked(path, patience=0.0):
         records: dict[str, Record] = {}  # the last of each task; lines that are cut off or damaged are passed over
         lines, line, is_shared = 0, b"\n", False
-        try:
+        with system_errors(path, "can't be read"):
             if path.exists():
                 check_regular(path, _MOST_BYTES)
                 with path.open("rb") as former:
@@ -67,15 +65,11 @@ def ledger_in(folder: Path) -> Iterator[Ledger]:
                         if record is not None and is_record(record):
                             records[record["task"]] = record
                 is_shared = path.stat().st_nlink > 1  # a hard link: what is added would be added to another's file
-        except OSError as error:
-            raise InputError(path, f"can't be read: {error.strerror or error}") from error
         if lines > _SLACK * len(records) + 100 or not line.endswith(b"\n") or is_shared:
             with replacing(path) as temporary, temporary.open("wb") as anew:
                 anew.writelines(map(_line, records.values()))
-        try:
+        with system_errors(path, "can't be written"):
             file = path.open("ab")
-        except OSError as error:
-            raise InputError(path, f"can't be written: {error.strerror or error}") from error
         with file:
             yield Ledger(path, file, records)
             os.fsync(file.fileno())

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from facepipe.core.atomic import hidden_folder
-from facepipe.core.errors import ChangedError, InputError
+from facepipe.core.errors import ChangedError, InputError, system_errors
 from facepipe.core.policy.paths import SCHEMES, checked, is_url, private_folder
 from facepipe.core.reading import digest
 from facepipe.farm import contents
-from facepipe.farm.cache import Cache
+from facepipe.farm.contents import Cache
 from facepipe.farm.remote import State, Store, check_size, state_in
 from facepipe.stage.files import SUFFIXES, named_in
 
@@ -232,10 +232,8 @@ def mirror(urls: Sequence[str], folder: str | None, most_bytes: int) -> Iterator
         place = private_folder((said if said.is_absolute() else Path.home() / ".cache") / "facepipe")
     else:
         place = Path(folder)
-        try:
+        with system_errors(place, "can't be made"):
             place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(place, f"can't be made: {error.strerror or error}") from error
     if (place / _COPIES).is_symlink():
         raise InputError(place / _COPIES, "is a link, expected a folder")
     with hidden_folder(place) as own:

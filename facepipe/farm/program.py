@@ -35,8 +35,7 @@ from facepipe.core.locks import locked
 from facepipe.core.policy.paths import Trust, is_url, is_writable, trust, trusting
 from facepipe.core.reading import digest
 from facepipe.declare import fields_of
-from facepipe.farm.cache import Cache
-from facepipe.farm.contents import Contents, named
+from facepipe.farm.contents import Cache, Contents, named
 from facepipe.farm.ledger import CACHED, FAILED, KEPT, MADE, Record
 from facepipe.farm.mirror import Mirror, mirror
 from facepipe.farm.remote import StoreError

@@ -9,17 +9,8 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.geometry.polygons import point_triangles
-from facepipe.parts import (
-    Blendshape,
-    FaceParts,
-    Inbetween,
-    Mesh,
-    Skeleton,
-    Skin,
-    UvSet,
-)
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Skeleton, Skin, UvSet
+from facepipe.rig.sliders import kept, kept_outputs, with_mutual_mirrors
 from facepipe.rig.trs import rest_worlds
 from facepipe.stage.values import same
 from facepipe.verbs.blend.result import normal_offsets
@@ -80,19 +71,14 @@ def edited_mesh(kept: Mesh, made: Mesh) -> Mesh:
             for uv_set in made.uv_sets
         ),
         colors=kept.colors if _near(kept.colors, made.colors) else made.colors,
-        blendshapes=tuple(
-            _edited_shape(shapes.get(blendshape.name), blendshape, len(kept.points), step)
-            for blendshape in made.blendshapes
-        ),
+        blendshapes=tuple(_edited_shape(shapes.get(shape.name), shape, count, step) for shape in made.blendshapes),
         regions=kept.regions if same_regions else summed_to_one(made.regions),
         point_subsets=subsets,
         skin=skin,
         material=kept.material if whole else made.material,
         material_faces=made.material_faces,
     )
-    again = {
-        blendshape.name for blendshape in result.blendshapes if moved or blendshape is not shapes.get(blendshape.name)
-    }
+    again = {shape.name for shape in result.blendshapes if moved or shape is not shapes.get(shape.name)}
     return with_normal_offsets(result, again)
 
 
@@ -112,10 +98,7 @@ def _edited_shape(kept: Blendshape | None, made: Blendshape, count: int, step: f
 
 
 def sculpted(
-    name: str,
-    offsets: FloatArray,
-    inbetweens: Mapping[str, tuple[float, FloatArray]],
-    touched: IntArray | None = None,
+    name: str, offsets: FloatArray, inbetweens: Mapping[str, tuple[float, FloatArray]], touched: IntArray | None = None
 ) -> Blendshape:
     """A blendshape of dense offsets (n, 3), and of inbetweens name -> (weight, offsets (n, 3)).
 
@@ -149,17 +132,11 @@ def with_normal_offsets(mesh: Mesh, names: set[str]) -> Mesh:
 
     def with_normals(shape: Blendshape) -> Blendshape:
         at = shape.point_indices
-        between = tuple(
-            replace(inbetween, normal_offsets=turned(at, inbetween.offsets)) for inbetween in shape.inbetweens
-        )
+        between = tuple(replace(one, normal_offsets=turned(at, one.offsets)) for one in shape.inbetweens)
         return replace(shape, normal_offsets=turned(at, shape.offsets), inbetweens=between)
 
-    return replace(
-        mesh,
-        blendshapes=tuple(
-            with_normals(blendshape) if blendshape.name in names else blendshape for blendshape in mesh.blendshapes
-        ),
-    )
+    shapes = (with_normals(shape) if shape.name in names else shape for shape in mesh.blendshapes)
+    return replace(mesh, blendshapes=tuple(shapes))
 
 
 def summed_to_one(regions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
@@ -180,15 +157,11 @@ def joint_table(skin: Skin, points: int) -> dict[int, FloatArray]:
 
 def _sculpts(shape: Blendshape, count: int) -> dict[str, FloatArray]:
     """Dense offsets (n, 3) of the shape, called '', and of its inbetweens by name."""
-    offsets_by_name = {}
-    for name, offsets in [
-        ("", shape.offsets),
-        *((inbetween.name, inbetween.offsets) for inbetween in shape.inbetweens),
-    ]:
-        dense = np.zeros((count, 3), dtype=np.float32)
-        dense[shape.point_indices] = offsets
-        offsets_by_name[name] = dense
-    return offsets_by_name
+    dense = {}
+    for name, offsets in [("", shape.offsets), *((one.name, one.offsets) for one in shape.inbetweens)]:
+        dense[name] = np.zeros((count, 3), dtype=np.float32)
+        dense[name][shape.point_indices] = offsets
+    return dense
 
 
 def _near(one: FloatArray | None, other: FloatArray | None) -> bool:
@@ -252,9 +225,7 @@ def edited_face(
         # materials are the host's: a recipe makes all else
         bare = [
             replace(
-                one,
-                meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in one.meshes),
-                materials=(),
+                one, meshes=tuple(replace(mesh, material=None, material_faces=()) for mesh in one.meshes), materials=()
             )
             for one in (before, parts)
         ]
@@ -273,11 +244,8 @@ def _mesh(before: Mesh | None, made: Mesh, warnings: list[str]) -> Mesh:
     if before is None:
         return _made_mesh(made)
     if same_topology(before, made):
-        gone = [
-            blendshape.name
-            for blendshape in before.blendshapes
-            if blendshape.name not in {shape.name for shape in made.blendshapes}
-        ]
+        there = {shape.name for shape in made.blendshapes}
+        gone = [shape.name for shape in before.blendshapes if shape.name not in there]
         if gone:
             warnings.append(f"{made.name}: shapes {', '.join(gone[:3])} ({len(gone)} in all) are gone")
         return edited_mesh(before, made)

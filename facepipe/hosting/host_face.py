@@ -17,10 +17,10 @@ from facepipe.importers.npz import Field, read_arrays
 from facepipe.parts import FaceParts, Material, Recipe
 from facepipe.rig.rig import Curve, curves
 from facepipe.stage import Face, open_face
-from facepipe.stage.api_schemas import is_applied
 from facepipe.stage.author import author
 from facepipe.stage.author_mesh import check_region_name
 from facepipe.stage.files import relative_path, save_layer
+from facepipe.stage.prims import is_applied
 from facepipe.stage.recipes import author_neural_rig_link, read_neural_rig_link
 
 __all__ = [

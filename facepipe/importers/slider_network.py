@@ -13,7 +13,7 @@ from facepipe.core.reading import check_regular
 from facepipe.importers.npz import Field, array_names, read_arrays
 from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS
-from facepipe.rig.slider_network import network_fault
+from facepipe.rig.sliders import network_fault
 
 MOST_BYTES = 1 << 28
 MOST_LAYERS = 32

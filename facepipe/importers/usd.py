@@ -14,8 +14,7 @@ from facepipe.core.names import unique_identifiers
 from facepipe.declare import check_ranges
 from facepipe.importers.options import UsdOptions
 from facepipe.parts import Animation, FaceParts, Material, Mesh, Slider, SliderNetwork, Texture
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept, with_mutual_mirrors
+from facepipe.rig.sliders import kept, kept_outputs, with_mutual_mirrors
 from facepipe.stage.recipes import Imported, import_recipe, with_units
 
 Options = UsdOptions

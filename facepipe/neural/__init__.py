@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from facepipe.neural.apply_action import ApplyNeuralRig
     from facepipe.neural.attach import AttachNeuralRig, with_neural_rig
     from facepipe.neural.invert import InvertNeuralRig
-    from facepipe.neural.motion import Motion, ReadClips
+    from facepipe.neural.motion import Motion, ReadClips, SampleMotion
     from facepipe.neural.neural_rig_file import load_encoder, load_neural_rig, save_neural_rig
     from facepipe.neural.options import (
         AttachOptions,
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         TrainNeuralRigOptions,
     )
     from facepipe.neural.read_motion import ReadMotion
-    from facepipe.neural.sample_motion import SampleMotion
     from facepipe.neural.train_encoder import TrainedEncoder, TrainEncoder
     from facepipe.neural.train_neural_rig import TrainedNeuralRig, TrainNeuralRig
 else:

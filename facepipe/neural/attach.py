@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -108,28 +109,6 @@ def own_shapes(parts: FaceParts) -> frozenset[str]:
     return frozenset(name for name in names - set(network.shapes) if not name.startswith("clip_"))
 
 
-def at_rest(shape: Blendshape, matrices: FloatArray) -> Blendshape:
-    """A shape whose offsets are turned point by point.
-
-    :param matrices: (n, 3, 3) of the points of its mesh
-    """
-    turns = matrices[shape.point_indices]
-
-    def turned(offsets: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("kij,kj->ki", turns, offsets))
-
-    return shape.changed(turned, turned)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BakedClips:
-    """Clips as weights of shapes."""
-
-    animations: tuple[Animation, ...]
-    shapes: FloatArray  # (k, n, 3) millimetres, that they play beside those of the rig
-    error_mm: float  # the largest, of any point
-
-
 def _beyond_joints(
     parts: FaceParts, attached: FaceParts, spaces: Sequence[FloatArray], animation: Animation
 ) -> Iterator[FloatArray]:
@@ -187,8 +166,8 @@ class AttachNeuralRig:
         names = tuple(shape_name(number) for number in range(len(rig.shapes)))
         offsets = np.where(moved[..., None], rig.shapes * scales[:, None, None], 0.0)
         shapes = dict(zip(names, offsets, strict=True))
-        clips = _clips(parts, rig, kept_shapes, shapes, tolerance)
-        shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clips.shapes)}
+        clips, clip_shapes, clips_mm = _clips(parts, rig, kept_shapes, shapes, tolerance)
+        shapes |= {clip_shape_name(number): own_offsets for number, own_offsets in enumerate(clip_shapes)}
         taken = kept_shapes & shapes.keys()
         if taken:
             raise InputError(
@@ -203,13 +182,13 @@ class AttachNeuralRig:
             and all(shape in kept_shapes for shape, _ in slider.shapes)
             and (rig.bones is not None or not slider.channels)
         )
-        poses = {animation.name for animation in clips.animations}  # the others are gone
+        poses = {animation.name for animation in clips}  # the others are gone
         attached = replace(
             parts,
             meshes=_meshes(parts, rig, kept_shapes, shapes),
             sliders=with_mutual_mirrors((*neural_sliders(parts, rig, scales), *kept)),
             slider_network=neural_network(parts, rig, scales),
-            animations=clips.animations,
+            animations=clips,
             photos=tuple(one if one.animation in poses else replace(one, animation=None) for one in parts.photos),
         )
         moves = _moves(whole, output_reach(whole)[: len(whole.shapes)])
@@ -218,7 +197,7 @@ class AttachNeuralRig:
             dropped_mm=float(np.where(moves > tolerance, 0.0, moves).sum(axis=0).max(initial=0.0)),
             shapes=len(names),
             offsets=int(moved.sum()),
-            clips_mm=clips.error_mm,
+            clips_mm=clips_mm,
             warnings=_dropped(parts, attached, rig),
         )
 
@@ -294,7 +273,9 @@ def _meshes(
         points, back = slice(end - len(mesh.points), end), np.linalg.inv(space)[:3, :3]
         before = [shape for shape in mesh.blendshapes if shape.name in kept_shapes]
         if turned is not None:
-            before = [at_rest(shape, back @ turned) for shape in before]
+            turns = back @ turned
+            ways = [partial(np.einsum, "kij,kj->ki", turns[shape.point_indices]) for shape in before]
+            before = [shape.changed(way, way) for shape, way in zip(before, ways, strict=True)]
         for name, offsets in shapes.items():  # those that move none of its points are not on it
             moved = np.flatnonzero(offsets[points].any(axis=1)).astype(np.int32)
             if len(moved):
@@ -316,18 +297,21 @@ def _turned(parts: FaceParts, rig: NeuralRig) -> list[FloatArray | None]:
 
 def _clips(
     parts: FaceParts, rig: NeuralRig, kept_shapes: Collection[str], shapes: Mapping[str, FloatArray], tolerance: float
-) -> BakedClips:
-    """Clips of shapes that are there, and of joints: as they are where the skin is the face's, else by shapes too."""
+) -> tuple[tuple[Animation, ...], FloatArray, float]:
+    """Clips of shapes that are there, and of joints: as they are where the skin is the face's, else by shapes too.
+
+    :returns: the clips, (k, n, 3) millimetres of shapes that they play beside the rig's, largest error of a point
+    """
     meshes = _meshes(parts, rig, (), {})
     other_skin = any(one.skin is not two.skin for one, two in zip(parts.meshes, meshes, strict=True))
     joints = [animation for animation in parts.animations if animation.joints and other_skin]
-    baked = BakedClips(animations=(), shapes=np.zeros((0, *rig.rest.shape)), error_mm=0.0)
+    again: dict[str, Animation] = {}
+    further, error_mm = np.zeros((0, *rig.rest.shape)), 0.0
     if joints:
         pairs = zip(_spaces(parts, rig), mesh_spaces(parts), strict=True)
         spaces = [(there @ np.linalg.inv(here))[:3, :3] for there, here in pairs]
         attached = replace(parts, meshes=meshes)
-        # clips that turn joints, for a face with another skin: weights of shapes for where its joints don't bring
-        # points
+        # for a face with another skin: weights of shapes for where its joints don't bring points
         frames = np.stack(
             [moved for animation in joints for moved in _beyond_joints(parts, attached, spaces, animation)]
         )
@@ -337,7 +321,6 @@ def _clips(
         left -= weights.astype(np.float32) @ rig_shapes.astype(np.float32)
         # (k, n, 3) orthonormal shapes that leave `tolerance`, RMS; none where that is all there is
         squares = sum(float(np.square(frame, dtype=np.float64).sum()) for frame in frames)
-        further = np.zeros((0, *rig.rest.shape))
         if squares > tolerance**2 * len(frames) * len(rig.rest):
             some = frames[:: max(1, -(-len(frames) // _MOST_FRAMES))]
             further = motion_basis(some, tolerance, _MOST_SHAPES)[0]
@@ -348,21 +331,17 @@ def _clips(
         every = (*shapes, *map(clip_shape_name, range(len(further))))
         rows = np.concatenate([weights, amounts], axis=1)
         ends = np.cumsum([animation.samples for animation in joints])
-        baked = BakedClips(
-            animations=tuple(
-                replace(one, shapes=every, shape_weights=own_rows)
-                for one, own_rows in zip(joints, np.split(rows, ends[:-1]), strict=True)
-            ),
-            shapes=further,
-            error_mm=float(max(np.linalg.norm(frame, axis=1).max() for frame in frames)),
-        )
-    again = {animation.name: animation for animation in baked.animations}
-    kept = [
+        again = {
+            one.name: replace(one, shapes=every, shape_weights=own_rows)
+            for one, own_rows in zip(joints, np.split(rows, ends[:-1]), strict=True)
+        }
+        error_mm = float(max(np.linalg.norm(frame, axis=1).max() for frame in frames))
+    kept = tuple(
         again.get(animation.name, animation)
         for animation in parts.animations
         if animation.name in again or set(animation.shapes) <= set(kept_shapes)
-    ]
-    return replace(baked, animations=tuple(kept))
+    )
+    return kept, further, error_mm
 
 
 def _mesh(mesh: Mesh, rig: NeuralRig, rest: FloatArray, space: FloatArray, shapes: tuple[Blendshape, ...]) -> Mesh:

@@ -24,7 +24,7 @@ from facepipe.kinds import FileAction, Job, action
 from facepipe.neural.options import SampleMotionOptions
 
 if TYPE_CHECKING:
-    from facepipe.neural.sample_motion import BakeReport
+    from facepipe.neural.motion import BakeReport
 
 
 @action("bake", "write what a face's rig does as controls and points over time")
@@ -42,7 +42,7 @@ class Bake(SampleMotionOptions, FileAction["BakeReport"]):
 
     def write(self, job: Job) -> BakeReport:
         from facepipe.importers import read_face
-        from facepipe.neural.sample_motion import BakeMotion
+        from facepipe.neural.motion import BakeMotion
 
         baked = BakeMotion(options=self, clips=self.clips)
         face = read_face(self.face)

@@ -345,8 +345,17 @@ class InvertNeuralRig:
         matrices = np.stack([data.normal(x[[one]], np.array([one]))[1][0] for one in range(len(x))]) / 2.0
         rms = np.sqrt(np.square(off).mean(axis=1))
         means = off.mean(axis=1)
-        names = [control.name for control in rig.controls]
-        outputs = len(rig.shapes) + len(rig.channels)
+        # the standard error is that of least squares, what is left being spread evenly over all that the rig can do
+        sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
+        ridge = _STEP_RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
+        inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(len(rig.controls)))
+        # 1 / sqrt((J^T J)^-1_kk) is what of a control's motion no others together can make
+        own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
+        free = np.sqrt(max(len(rig.shapes) + len(rig.channels) - len(rig.controls), 1))
+        doubt = np.maximum(rms, self.options.accuracy_mm)[:, None]
+        std = np.minimum(doubt / np.maximum(free * own_sizes, 1e-30), _ANYWHERE)
+        shares = own_sizes / np.maximum(sizes, 1e-30)
+        rows = zip(*(np.median(one, axis=0).tolist() for one in (sizes, shares, std)), strict=True)
         return InverseReport(
             mode=self.options.mode,
             frames=len(points),
@@ -359,7 +368,12 @@ class InvertNeuralRig:
             steps=steps,
             seconds=seconds,
             seconds_per_frame=seconds / len(points),
-            controls=_control_reports(names, matrices, np.maximum(rms, self.options.accuracy_mm), outputs),
+            controls={
+                control.name: ControlReport(
+                    moves_mm=moves, own_share=share, std=error, identifiable=bool(error < 0.99 * _ANYWHERE)
+                )
+                for control, (moves, share, error) in zip(rig.controls, rows, strict=True)
+            },
         )
 
 
@@ -394,27 +408,3 @@ class InverseReport(Report):
     def not_identifiable(self) -> tuple[str, ...]:
         """Controls that may be anywhere, for all that the targets show."""
         return tuple(name for name, one in self.controls.items() if not one.identifiable)
-
-
-def _control_reports(names: list[str], matrices: FloatArray, off: FloatArray, outputs: int) -> dict[str, ControlReport]:
-    """What is known of controls where points are off by `off` (f,) mm RMS.
-
-    The standard error is that of least squares, what is left being spread evenly over all that the rig can do.
-
-    :param matrices: (f, c, c) mean over the points of products of their derivatives, mm^2
-    :param outputs: of the rig
-    """
-    count = len(names)
-    sizes = np.sqrt(np.maximum(np.diagonal(matrices, axis1=1, axis2=2), 0.0))
-    ridge = _STEP_RIDGE * np.maximum(np.trace(matrices, axis1=1, axis2=2), 1e-30)
-    inverse = np.linalg.inv(matrices + ridge[:, None, None] * np.eye(count))
-    # 1 / sqrt((J^T J)^-1_kk) is what of a control's motion no others together can make.
-    own_sizes = np.minimum(1.0 / np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)), sizes)
-    free = np.sqrt(max(outputs - count, 1))
-    std = np.minimum(off[:, None] / np.maximum(free * own_sizes, 1e-30), _ANYWHERE)
-    shares = own_sizes / np.maximum(sizes, 1e-30)
-    rows = zip(*(np.median(one, axis=0).tolist() for one in (sizes, shares, std)), strict=True)
-    return {
-        name: ControlReport(moves_mm=moves, own_share=share, std=error, identifiable=bool(error < 0.99 * _ANYWHERE))
-        for name, (moves, share, error) in zip(names, rows, strict=True)
-    }

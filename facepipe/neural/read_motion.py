@@ -18,9 +18,8 @@ from facepipe.parts import Animation, FaceParts
 from facepipe.rig import Rig, build, coefficient_matrices, matrix_coefficients, sample_transforms, sample_weights
 from facepipe.rig.neural_rig import Control, NeuralRig, bones_in, coefficients_in
 from facepipe.stage import open_face
-from facepipe.stage.animation_source import moving_animation
-from facepipe.stage.controls_over_time import ControlTrack, read_controls
-from facepipe.stage.point_cache import PointCache, read_point_cache
+from facepipe.stage.controls_over_time import ControlTrack, PointCache, read_controls, read_point_cache
+from facepipe.stage.face import moving_animation
 from facepipe.verbs.cached_points import CachedPoints, cached_points
 from facepipe.verbs.whole_faces import MILLIMETRES, Topology, world_to_world
 
@@ -245,10 +244,7 @@ def _check_times(
         if len(beyond):
             faults.append((float(beyond[0]), name, f"sampled from {ends[0]:g} to {ends[-1]:g} only"))
     between = "no sample, between two that differ"
-    for name, guessed in (
-        *((track.where, track.guessed(codes)) for track in tracks),
-        *points,
-    ):
+    for name, guessed in (*((track.where, track.guessed(codes)) for track in tracks), *points):
         faults += [(float(code), name, between) for code in codes[guessed][:1]]
     if faults:
         code, name, fault = min(faults)

@@ -16,8 +16,8 @@ from facepipe.geometry.deformation_transfer import Transfer, spread
 from facepipe.geometry.ridge import Examples
 from facepipe.geometry.shape_basis import motion_basis
 from facepipe.neural.invert import InvertNeuralRig
+from facepipe.neural.motion import plan
 from facepipe.neural.options import RetargetOptions, SampleMotionOptions
-from facepipe.neural.sample_motion import plan
 from facepipe.neural.train_neural_rig import output_metric, skinned_moves
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build
@@ -222,9 +222,7 @@ def compared(
     off = distances(retargeted, lambda one: one, lambda one: one)
     copied = distances(rig, lambda one: still + one - subject.rest, lambda one: subject.rest + one - still)
     transferred = distances(
-        rig,
-        lambda one: back.solve(subject.rest[None], one[None]),
-        lambda one: there.solve(still[None], one[None]),
+        rig, lambda one: back.solve(subject.rest[None], one[None]), lambda one: there.solve(still[None], one[None])
     )
     return RetargetReport(
         held_out=len(points),
@@ -304,12 +302,7 @@ class RetargetNeuralRig:
         return 2 * self.options.rounds + 1
 
     def _learned(
-        self,
-        base: NeuralRig,
-        points: FloatArray,
-        values: FloatArray | None,
-        noise: float,
-        done: Callable[[], object],
+        self, base: NeuralRig, points: FloatArray, values: FloatArray | None, noise: float, done: Callable[[], object]
     ) -> tuple[NeuralRig, float]:
         """The rig, and the noise that it was learned under; where controls are found, again with those of the last."""
         if values is not None:

@@ -23,12 +23,7 @@ from facepipe.core.policy.paths import check_written
 from facepipe.core.reports import table
 from facepipe.declare import Options, beside, option, source, values_of
 from facepipe.kinds import FileAction, Job, action
-from facepipe.neural.options import (
-    FrameBlocksOptions,
-    SampleMotionOptions,
-    TrainEncoderOptions,
-    TrainNeuralRigOptions,
-)
+from facepipe.neural.options import FrameBlocksOptions, SampleMotionOptions, TrainEncoderOptions, TrainNeuralRigOptions
 
 if TYPE_CHECKING:
     from facepipe.neural.motion import Motion
@@ -38,11 +33,7 @@ if TYPE_CHECKING:
 @action("neural-rig train", "learn what the rig of a face does")
 @dataclass(frozen=True, kw_only=True)
 class Train(
-    FrameBlocksOptions,
-    TrainEncoderOptions,
-    TrainNeuralRigOptions,
-    SampleMotionOptions,
-    FileAction["NeuralRigReport"],
+    FrameBlocksOptions, TrainEncoderOptions, TrainNeuralRigOptions, SampleMotionOptions, FileAction["NeuralRigReport"]
 ):
     """The action."""
 
@@ -106,9 +97,8 @@ class Train(
         return kind(**values_of(kind, self))
 
     def _motion(self, job: Job) -> Motion:
-        from facepipe.neural.motion import ReadClips
+        from facepipe.neural.motion import ReadClips, SampleMotion, controls_of
         from facepipe.neural.read_motion import ReadMotion
-        from facepipe.neural.sample_motion import SampleMotion, controls_of
         from facepipe.stage import open_face
         from facepipe.stage.controls_over_time import is_recorded
 

@@ -1,4 +1,7 @@
-"""Train the encoder of a neural rig: deformation to controls, the first submodel backwards; where a training stands."""
+"""Train the encoder of a neural rig: deformation to controls, the first submodel backwards.
+
+Before that what it takes: where a training stands, and few points of a surface that show what moves it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,6 @@ from facepipe.core.arrays import AnyArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.core.reports import Report
 from facepipe.core.threads import one_thread
-from facepipe.geometry.point_choice import well_placed
 from facepipe.geometry.ridge import ridge
 from facepipe.neural.motion import Motion
 from facepipe.neural.options import HEADS, TrainEncoderOptions
@@ -26,6 +28,7 @@ from facepipe.verbs.array_file import Content, read_arrays, write_arrays
 if TYPE_CHECKING:
     from facepipe.neural.learning.encoder_fit import EncoderSamples, EncoderSize
 
+_PRIOR_VARIANCE = 1.0 / 3.0  # variance of a mover before any point is seen: any value from -1 to 1
 KIND = "facepipe neural rig training 2"
 _NAMES = ("numbers", "random")
 _WATCHED = 0.1  # of the frames to learn from: their error says when to stop
@@ -33,6 +36,85 @@ _CANDIDATES = 2048  # points that those of the encoder are chosen from
 _SEEN_WITH = 0.3  # mm of noise that points are chosen for: with much less, those of one place would do
 _CONTROL_NOISE = 1e-3  # of half their ranges: two that always move together share what they move
 _STILL = 1e-6  # mm: a point that moves no further does not move
+
+
+def farthest_points(places: FloatArray, weight: FloatArray, count: int) -> IntArray:
+    """(count,) points, each the one whose distance to the ones before, times its weight, is the largest.
+
+    Points of weight 0 are never taken: there may be fewer. Source: Gonzalez, Clustering to minimize the maximum
+    intercluster distance (1985).
+
+    :param places: (n, 3)
+    :param weight: (n,)
+    """
+    count = min(count, int(np.count_nonzero(weight)))
+    chosen = np.zeros(count, np.int64)
+    near = np.full(len(places), np.inf)
+    for number in range(count):
+        chosen[number] = np.argmax(near * weight) if number else np.argmax(weight)
+        near = np.minimum(near, np.linalg.norm(places - places[chosen[number]], axis=1))
+        near[chosen[number]] = -1.0  # places of several points are taken last, and none twice
+    return chosen
+
+
+def informative_points(moves: FloatArray, noise: float, count: int) -> IntArray:
+    """(count,) points, each the one that leaves the least doubt about all movers after the ones before it.
+
+    Doubt is the summed variance of the movers' posterior, where each mover moves the points straight and points are
+    seen with noise. With C the covariance of a point with the movers and S its own, noise included, seeing it takes
+    ``trace(C C^T S^-1)`` off the doubt; all other covariances then lose what it explains of them, as in a Kalman
+    filter, so that no inverse larger than 3 x 3 is needed. Source: greedy A-optimal design, e.g. Pukelsheim, Optimal
+    Design of Experiments (1993).
+
+    :param moves: (n, 3, c) how far each of c movers moves a point
+    :param noise: standard deviation of a coordinate, in the unit of the moves
+    """
+    count = min(count, len(moves))
+    chosen = np.zeros(count, np.int64)
+    seen = moves * _PRIOR_VARIANCE  # (n, 3, c) covariance of points with movers
+    spread = np.matmul(moves, seen.transpose(0, 2, 1)) + noise**2 * np.eye(3)  # (n, 3, 3) of points
+    for number in range(count):
+        inverse = np.linalg.inv(spread)
+        gain = np.einsum("nij,nji->n", np.matmul(seen, seen.transpose(0, 2, 1)), inverse)
+        gain[chosen[:number]] = -1.0
+        taken = chosen[number] = np.argmax(gain)
+        covariance = seen[taken].copy()
+        shared = moves @ covariance.T  # (n, 3, 3) covariance with the point taken
+        gains = shared @ inverse[taken]
+        seen -= gains @ covariance
+        spread -= gains @ shared.transpose(0, 2, 1)
+    return chosen
+
+
+def well_placed(places: FloatArray, moves: FloatArray, noise: float, count: int, candidates: int) -> IntArray:
+    """(<= count,) points that show the movers, out of candidates that are spread over what moves, in the order of
+    `halved`. It depends on where points are and how they move, not on how they are numbered.
+
+    :param places: (n, 3)
+    :param moves: (n, 3, c)
+    """
+    chosen = farthest_points(places, np.sqrt(np.linalg.norm(moves, axis=(1, 2))), candidates)
+    chosen = chosen[informative_points(moves[chosen], noise, count)]
+    return np.asarray(chosen[halved(places[chosen])])
+
+
+def halved(places: FloatArray) -> IntArray:
+    """(n,) points in the order of a balanced k-d tree: halved across the longest side of their box, the lower half
+    first, and each half again. Any piece of a power of 2, at a multiple of it, is then a cell where n is one too.
+
+    Source: Bentley, Multidimensional binary search trees (1975).
+
+    :param places: (n, 3)
+    """
+    pieces: list[IntArray] = [np.arange(len(places))]
+    while any(len(piece) > 1 for piece in pieces):
+        whole, pieces = pieces, []
+        for piece in whole:
+            here = places[piece]
+            ordered = piece[np.argsort(here[:, np.ptp(here, axis=0).argmax()], kind="stable")]
+            middle = (len(piece) + 1) // 2
+            pieces += [ordered[:middle], ordered[middle:]] if len(piece) > 1 else [piece]
+    return np.concatenate(pieces)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +231,7 @@ class TrainEncoder:
         taught, watched = learned.split(_WATCHED, options.seed) if several else (learned, learned)
         kept = Checkpoint.for_training(checkpoint, "encoder", motion, options) if checkpoint else None
         pairs = [_pairs(one, chosen) for one in (taught, watched)]
-        fitted = train_encoder(
+        weights, steps = train_encoder(
             pairs[0],
             pairs[1],
             moving.rest[chosen],
@@ -163,9 +245,9 @@ class TrainEncoder:
             state=kept.state() if kept else None,
             keep=kept.keep if kept else lambda _: None,
         )
-        arrays = {name: array for name, array in fitted.weights.items() if "." not in name and name != "scale"}
+        arrays = {name: array for name, array in weights.items() if "." not in name and name != "scale"}
         layers: dict[str, dict[str, FloatArray]] = {}
-        for name, array in fitted.weights.items():
+        for name, array in weights.items():
             if "." in name:
                 number, key = name.split(".")
                 layers.setdefault(number, {})[key] = array
@@ -175,13 +257,13 @@ class TrainEncoder:
             point_count=moving.topology.point_count,
             chosen=chosen,
             rest=moving.rest[chosen].astype(np.float32),
-            scale=float(fitted.weights["scale"]),
+            scale=float(weights["scale"]),
             heads=HEADS,
             layers=tuple(EncoderLayer(**layers[number]) for number in sorted(layers, key=int)),
             **arrays,
         )
         report = _report(encoder, _pairs(learned, chosen), _pairs(checked, chosen), options)
-        return TrainedEncoder(encoder=encoder, report=replace(report, steps=fitted.steps, left_out=still))
+        return TrainedEncoder(encoder=encoder, report=replace(report, steps=steps, left_out=still))
 
 
 def _chosen(motion: Motion, options: TrainEncoderOptions) -> tuple[IntArray, EncoderSize]:

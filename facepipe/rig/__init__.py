@@ -7,9 +7,8 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.rig.animation import sample_transforms, sample_weights
     from facepipe.rig.bone_coefficients import CHANNELS, coefficient_matrices, matrix_coefficients, rest_coefficients
-    from facepipe.rig.build_rig import build, mesh_spaces
     from facepipe.rig.plausibility import implausible
-    from facepipe.rig.rig import Rig, Target
+    from facepipe.rig.rig import Rig, Target, build, mesh_spaces
     from facepipe.rig.set_person import Person, SetFace, person_of, set_face
     from facepipe.rig.sliders import slide
 else:

@@ -6,7 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
-from facepipe.rig.build_rig import build
+from facepipe.rig.rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
 
@@ -39,10 +39,7 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
             return ()
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
-    return (
-        *_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM),
-        *_stance(marks, parts.up_axis),
-    )
+    return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
 
 
 def _between(marks: FloatArray, first: int, other: int) -> float:

@@ -32,10 +32,16 @@ from facepipe.rig.bone_coefficients import (
     matrix_coefficients,
     rest_coefficients,
 )
-from facepipe.rig.build_rig import build, inverse
-from facepipe.rig.rig import Rig, curves
-from facepipe.rig.slider_network import evaluate
-from facepipe.rig.sliders import channel_entries, clamped_value, response, shape_entries, slide, with_entries
+from facepipe.rig.rig import Rig, build, curves, inverse
+from facepipe.rig.sliders import (
+    channel_entries,
+    clamped_value,
+    network_outputs,
+    response,
+    shape_entries,
+    slide,
+    with_entries,
+)
 from facepipe.rig.trs import decompose
 
 POSES = ("set", "set-joints", "rest")  # what `--pose` takes beside the names of animations
@@ -248,26 +254,14 @@ def _rotations(start: FloatArray, end: FloatArray) -> FloatArray:
     return np.eye(3) + K + factor[:, None, None] * (K @ K)  # Rodrigues: sin = |axis|, (1 - cos) / sin^2 = 1 / (1 + cos)
 
 
-@dataclass(frozen=True, kw_only=True)
-class NewRest:
-    """The skeleton with the person as its rest."""
+def new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> tuple[Skeleton, FloatArray]:
+    """The skeleton with the person as its rest: without the person's scales, or with `in_joints` the transforms alone.
 
-    skeleton: Skeleton
-    stretch: FloatArray  # (j, 3, 3) scale of the person that the joints no longer have, in their own axes
-
-    def carried(self, matrices: FloatArray) -> FloatArray:
-        """(..., j, 4, 4) matrices relative to the person's rest of those under the person: translations stretched."""
-        result = np.array(matrices, dtype=np.float64)
-        result[..., :3, 3] = np.einsum("jab,...jb->...ja", self.stretch, result[..., :3, 3])
-        return result
-
-
-def new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -> NewRest:
-    """The person's rest: without the person's scales, or with `in_joints` the transforms alone."""
+    :returns: and (j, 3, 3) scale of the person that the joints no longer have, in their own axes
+    """
     local = rig.rest @ person.matrices
     if in_joints:
-        unstretched = np.tile(np.eye(3), (len(local), 1, 1))
-        return NewRest(skeleton=replace(skeleton, rest_transforms=local), stretch=unstretched)
+        return replace(skeleton, rest_transforms=local), np.tile(np.eye(3), (len(local), 1, 1))
     world = rig.joint_worlds(local, np.eye(4))
     before = _stretch(rig.joint_worlds(rig.rest.copy(), np.eye(4)))
     after = _stretch(world)
@@ -276,7 +270,7 @@ def new_rest(rig: Rig, skeleton: Skeleton, person: Person, *, in_joints: bool) -
     unscaled[:, :3, :3] = world[:, :3, :3] @ np.linalg.inv(stretch)
     above = np.array([np.eye(4) if parent < 0 else unscaled[parent] for parent in rig.parents]).reshape(-1, 4, 4)
     rest = np.linalg.solve(above, unscaled)
-    return NewRest(skeleton=replace(skeleton, bind_transforms=unscaled, rest_transforms=rest), stretch=stretch)
+    return replace(skeleton, bind_transforms=unscaled, rest_transforms=rest), stretch
 
 
 def _stretch(worlds: FloatArray) -> FloatArray:
@@ -286,7 +280,7 @@ def _stretch(worlds: FloatArray) -> FloatArray:
 
 
 def _animation_on(
-    parts: FaceParts, animation: Animation, person: Person, new: NewRest, *, holds_person: bool
+    parts: FaceParts, animation: Animation, person: Person, new: Skeleton, stretch: FloatArray, *, holds_person: bool
 ) -> Animation:
     if holds_person:
         # a pose that holds the person, as the expression on top: ``inverse(M(person)) M``, weights less the person's
@@ -315,11 +309,11 @@ def _animation_on(
     rows = places(parts.skeleton, animation)
     if animation.coefficients is not None:
         coefficients: FloatArray = np.array(animation.coefficients, dtype=np.float64)
-        coefficients[..., :3] = np.einsum("jab,tjb->tja", new.stretch[rows], coefficients[..., :3])
+        coefficients[..., :3] = np.einsum("jab,tjb->tja", stretch[rows], coefficients[..., :3])
         return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
     rest = np.asarray(parts.skeleton.rest_transforms, dtype=np.float64)[rows]
     expression: FloatArray = np.linalg.solve(rest, local_transforms(parts.skeleton, animation))
-    expression[..., :3, 3] = np.einsum("jab,tjb->tja", new.stretch[rows], expression[..., :3, 3])
+    expression[..., :3, 3] = np.einsum("jab,tjb->tja", stretch[rows], expression[..., :3, 3])
     coefficients = matrix_coefficients(expression)
     if np.allclose(
         coefficient_matrices(coefficients), expression, rtol=0, atol=_EXACT_TRANSFORM * max(1.0, np.abs(rest).max())
@@ -327,11 +321,11 @@ def _animation_on(
         return replace(animation, coefficients=coefficients, translations=None, rotations=None, scales=None)
     # between joints of uneven scale a turn becomes a shear, which nine coefficients do not hold; posed from rest it may
     # be a plain turn again
-    posed = decompose(np.asarray(new.skeleton.rest_transforms)[rows] @ expression)
+    posed = decompose(np.asarray(new.rest_transforms)[rows] @ expression)
     return replace(animation, translations=posed.translation, rotations=posed.rotation, scales=posed.scale)
 
 
-def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLimits | None:
+def limits_on(limits: BoneLimits | None, person: Person, stretch: FloatArray) -> BoneLimits | None:
     """The limits that are left for expressions: less the person's translations and angles, by its scales.
 
     The person itself is always within them.
@@ -340,7 +334,7 @@ def limits_on(limits: BoneLimits | None, person: Person, new: NewRest) -> BoneLi
         return None
     rest = rest_coefficients(len(person.coefficients))
     spread = np.ones_like(rest)
-    spread[:, :3] = np.abs(np.diagonal(new.stretch, axis1=1, axis2=2))
+    spread[:, :3] = np.abs(np.diagonal(stretch, axis1=1, axis2=2))
 
     def left(values: FloatArray) -> FloatArray:
         values = np.asarray(values, dtype=np.float64)
@@ -359,7 +353,7 @@ def network_on(parts: FaceParts, change: _Changes) -> SliderNetwork | None:
     if network is None:
         return None
     values = {slider.name: clamped_value(slider) for slider in parts.sliders}
-    start = evaluate(network, np.array([values[name] for name in network.sliders]))
+    start = network_outputs(network, np.array([values[name] for name in network.sliders]))
     rows = [change.channels(joint, channel) for joint, channel in network.channels]
     channels = tuple(dict.fromkeys(key for row in rows for key in row))
     spread = np.zeros((len(channels) + len(network.shapes), len(rows) + len(network.shapes)))
@@ -382,13 +376,13 @@ class _Changes:
     They are those of the coefficients of ``inverse(M(person)) M(person + change)``, to first order.
     """
 
-    def __init__(self, parts: FaceParts, person: Person, new: NewRest) -> None:
+    def __init__(self, parts: FaceParts, person: Person, stretch: FloatArray) -> None:
         self.index = {joint: i for i, joint in enumerate(parts.skeleton.joints)}
         inverse = np.linalg.pinv(coefficient_matrices(person.coefficients))
         by = inverse[:, None] @ coefficient_derivatives(person.coefficients)  # (j, 9, 4, 4)
         turns = by[..., :3, :3]
         angles = np.stack([turns[..., i - 1, i - 2] - turns[..., i - 2, i - 1] for i in range(3)], axis=-1) / 2
-        moves = np.einsum("jab,jkb->jka", new.stretch, by[..., :3, 3])
+        moves = np.einsum("jab,jkb->jka", stretch, by[..., :3, 3])
         self.by = np.concatenate([moves, angles, np.diagonal(turns, axis1=-2, axis2=-1)], axis=-1)  # (j, 9, 9)
 
     def channels(self, joint: str, channel: str) -> dict[tuple[str, str], float]:
@@ -469,35 +463,35 @@ def set_face(parts: FaceParts, pose: str = "set") -> SetFace:
         if flat.size:
             what = f"scaled {'beyond measure' if large[flat[0]] else 'to nothing'} {who}, expected scales near 1"
             raise InputError(f"{parts.name} -> {rig.joints[flat[0]]}", what)
-    new = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
+    skeleton, stretch = new_rest(rig, parts.skeleton, person, in_joints=in_joints)
     moved = None if in_joints else rig.blended(rig.skinning_matrices(rig.rest @ person.matrices, np.eye(4)))
     bounds = rig.mesh_offsets
     # poses of photos hold the person, which is taken off them; a pose that is the person itself is left out. All others
     # are expressions already.
     of_photos = {photo.animation for photo in parts.photos}
     animations = tuple(
-        _animation_on(parts, animation, person, new, holds_person=animation.name in of_photos)
+        _animation_on(parts, animation, person, skeleton, stretch, holds_person=animation.name in of_photos)
         for animation in parts.animations
         if not is_person(parts, animation, person)
     )
-    change = _Changes(parts, person, new)
+    change = _Changes(parts, person, stretch)
     result = replace(
         parts,
         meshes=tuple(
             set_mesh(mesh, person.weights, None if moved is None else moved[bounds[i] : bounds[i + 1]])
             for i, mesh in enumerate(parts.meshes)
         ),
-        skeleton=new.skeleton,
+        skeleton=skeleton,
         animations=animations,
         played=parts.played if parts.played in {animation.name for animation in animations} else None,
         sliders=tuple(change.slider(slider) for slider in parts.sliders),
         slider_network=network_on(parts, change),
-        bone_limits=limits_on(parts.bone_limits, person, new),
+        bone_limits=limits_on(parts.bone_limits, person, stretch),
         person=None,
     )
     where = " in the joints" if in_joints else ""
-    error = set_error(rig, build(result), person, new, parts, result)
-    return SetFace(parts=result, pose=person.description + where, error=error, stretch=new.stretch)
+    error = set_error(rig, build(result), person, stretch, parts, result)
+    return SetFace(parts=result, pose=person.description + where, error=error, stretch=stretch)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -511,7 +505,9 @@ class SetError:
     sliders_max_mm: float  # over random settings of the sliders, within their ranges; 0 without sliders
 
 
-def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: FaceParts, result: FaceParts) -> SetError:
+def set_error(
+    before: Rig, after: Rig, person: Person, stretch: FloatArray, parts: FaceParts, result: FaceParts
+) -> SetError:
     """Compare both rigs, each shape at 1 and each pose of joints and shapes on top of the person.
 
     :param parts: that `before` was built of
@@ -523,8 +519,10 @@ def set_error(before: Rig, after: Rig, person: Person, new: NewRest, parts: Face
     for weights, expression in [*shapes, *poses]:
         together = person.weights_under(weights)
         exact = before.evaluate(together, joint_transforms=before.rest @ person.under(expression))
-        # new joints lack the person's scales, which stretched an expression's translations: `carried` makes up for it
-        moved = after.evaluate(weights, joint_transforms=after.rest @ new.carried(coefficient_matrices(expression)))
+        # new joints lack the person's scales, which stretched an expression's translations
+        change = coefficient_matrices(expression)
+        change[:, :3, 3] = np.einsum("jab,jb->ja", stretch, change[:, :3, 3])
+        moved = after.evaluate(weights, joint_transforms=after.rest @ change)
         np.maximum(largest, np.linalg.norm(moved - exact, axis=1), out=largest)
     largest *= 1000 * parts.meters_per_unit
     random, farthest = np.random.default_rng(_POSE_SEED), 0.0

@@ -14,11 +14,11 @@ from facepipe.core.atomic import together
 from facepipe.core.names import identifier, unique_identifiers
 from facepipe.core.policy.bounds import check_counts
 from facepipe.parts import FaceParts
-from facepipe.stage.api_schemas import apply_schema, put_value
 from facepipe.stage.author_mesh import author_mesh
 from facepipe.stage.files import check_suffix, new_stage, relative_path, save_layer
 from facepipe.stage.materials import author_materials, textures_of
 from facepipe.stage.photos import author_photo_changes, check_photos
+from facepipe.stage.prims import apply_schema, put_value
 from facepipe.stage.skeleton import (
     author_animation,
     author_limits,

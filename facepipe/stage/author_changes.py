@@ -15,7 +15,6 @@ from facepipe.core.arrays import FloatArray, require_finite
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unique_identifiers
 from facepipe.parts import FaceParts, Mesh, Recipe, Slider
-from facepipe.stage.api_schemas import check_property_name, put, put_value, remove_schema
 from facepipe.stage.author_mesh import (
     author_mesh,
     author_mesh_changes,
@@ -25,7 +24,7 @@ from facepipe.stage.author_mesh import (
 )
 from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
-from facepipe.stage.prims import editable, prims_below
+from facepipe.stage.prims import check_property_name, editable, prims_below, put, put_value, remove_schema
 from facepipe.stage.read_mesh import read_point_values
 from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe
 from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders

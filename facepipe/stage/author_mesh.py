@@ -1,21 +1,24 @@
-"""Meshes authored from parts, and what of a mesh differs from its prim authored over it."""
+"""Meshes and their blendshapes authored from parts, and what of them differs from their prims authored over these."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
+from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import Mesh, Skin
-from facepipe.stage.api_schemas import (
+from facepipe.parts import Blendshape, Mesh, Skin
+from facepipe.stage.prims import (
     apply_schema,
+    author_data_label,
+    author_name,
     check_property_name,
+    editable,
     inherited_attribute,
     inherited_skeleton,
     instances,
@@ -23,8 +26,6 @@ from facepipe.stage.api_schemas import (
     put_value,
     remove_schema,
 )
-from facepipe.stage.blendshapes import author_blendshape_changes, author_blendshapes
-from facepipe.stage.prims import author_data_label, author_name, editable
 from facepipe.stage.read_mesh import is_left_handed, turned
 from facepipe.stage.values import floats, ints, require_same, same, to_floats, to_ints, to_matrix, to_vec2f, to_vec3f
 
@@ -277,7 +278,21 @@ def author_mesh_changes(
     if not same(old.regions, new.regions):
         author_regions(prim, new)
         lines.append("regions")
-    lines += _author_landmarks(prim, old, new)
+    changed = {
+        name: landmarks for name, landmarks in new.landmarks.items() if not same(landmarks, old.landmarks.get(name))
+    }
+    removed = [name for name in old.landmarks if name not in new.landmarks]
+    anchor = new.anchor if new.anchor != old.anchor else None
+    author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))
+    for name in removed:
+        for field in ("indices", "names"):
+            put_value(prim, f"{tokens.LANDMARKS_PREFIX}{name}:{field}", None)
+        remove_schema(prim, tokens.LANDMARKS_API, name)
+    if new.anchor is None and old.anchor is not None:
+        put_value(prim, tokens.ANCHOR, None)
+        remove_schema(prim, tokens.ANCHOR_API)
+    lines += [f"landmarks {name}" for name in (*changed, *removed)]
+    lines += ["anchor"] if new.anchor != old.anchor else []
     lines += author_blendshape_changes(prim, old.blendshapes, new.blendshapes, shared)
     return tuple(f"{new.name}: {line}" for line in lines)
 
@@ -305,19 +320,124 @@ def author_other_mesh(
     author_mesh_changes(mesh.GetPrim(), old, new, skeleton, joints, shared)
 
 
-def _author_landmarks(prim: Usd.Prim, old: Mesh, new: Mesh) -> list[str]:
-    changed = {
-        name: landmarks for name, landmarks in new.landmarks.items() if not same(landmarks, old.landmarks.get(name))
-    }
-    removed = [name for name in old.landmarks if name not in new.landmarks]
-    anchor = new.anchor if new.anchor != old.anchor else None
-    author_landmarks(prim, replace(new, landmarks=changed, anchor=anchor))
-    for name in removed:
-        for field in ("indices", "names"):
-            put_value(prim, f"{tokens.LANDMARKS_PREFIX}{name}:{field}", None)
-        remove_schema(prim, tokens.LANDMARKS_API, name)
-    if new.anchor is None and old.anchor is not None:
-        put_value(prim, tokens.ANCHOR, None)
-        remove_schema(prim, tokens.ANCHOR_API)
-    lines = [f"landmarks {name}" for name in (*changed, *removed)]
-    return lines if new.anchor == old.anchor else [*lines, "anchor"]
+def author_blendshapes(prim: Usd.Prim, shapes: Sequence[Blendshape], names: Sequence[str]) -> None:
+    """Define blendshapes as prims called `names` below a Mesh prim that is bound to a skeleton."""
+    _bind_shapes(prim, shapes, [_define_shape(prim, shape, name) for shape, name in zip(shapes, names, strict=True)])
+
+
+def author_blendshape_changes(
+    prim: Usd.Prim, old: Sequence[Blendshape], new: Sequence[Blendshape], shared: Collection[Sdf.Path]
+) -> tuple[str, ...]:
+    """Author on a Mesh prim what of its blendshapes differs; one line per shape.
+
+    Prims of shapes that are gone are deactivated. A shape gets a new prim in place of its own where others use that
+    one too, and where it has an inbetween to lose.
+
+    :param prim: bound to a skeleton
+    :param old: the blendshapes as read from `prim`
+    :param shared: paths of BlendShape prims that are the target of more than one shape
+    """
+    if same(tuple(old), tuple(new)):
+        return ()
+    prim = editable(prim, below=True)
+    api = UsdSkel.BindingAPI(prim)
+    before = list(api.GetBlendShapeTargetsRel().GetTargets())
+    paths = dict(zip((str(token) for token in api.GetBlendShapesAttr().Get() or ()), before, strict=False))
+    present = {shape.name: shape for shape in old}
+    targets, lines = [], []
+    for shape in new:
+        path, lines_of_shape = _author_shape_change(prim, shape, present.get(shape.name), paths.get(shape.name), shared)
+        targets.append(path)
+        lines += lines_of_shape
+    names = {shape.name for shape in new}
+    lines += [f"{shape.name}: removed" for shape in old if shape.name not in names]
+    for path in before:
+        # a shared prim is still the target of a shape elsewhere
+        if path not in targets and path not in shared:
+            editable(prim.GetStage().GetPrimAtPath(path)).SetActive(False)
+    if targets != before or [shape.name for shape in new] != [shape.name for shape in old]:
+        _bind_shapes(prim, new, targets)
+    return tuple(lines or ["blendshapes: order"])
+
+
+def _author_shape_change(
+    prim: Usd.Prim, shape: Blendshape, present: Blendshape | None, path: Sdf.Path | None, shared: Collection[Sdf.Path]
+) -> tuple[Sdf.Path, list[str]]:
+    """The target of the shape, and a line where it was authored."""
+    known = None if path is None else present
+    if known is not None and path is not None and same(shape, known):
+        return path, []
+    lost = {inbetween.name for inbetween in known.inbetweens} if known else set()
+    lost -= {inbetween.name for inbetween in shape.inbetweens}
+    # UsdSkel still applies an inbetween whose value is blocked
+    if known is None or path is None or lost or path in shared:
+        taken = [str(child.GetName()) for child in prim.GetAllChildren()]
+        target = _define_shape(prim, shape, unique_identifiers([*taken, shape.name])[-1])
+        return target, [f"{shape.name}: {'added' if known is None else 'replaced'}"]
+    target = UsdSkel.BlendShape(editable(prim.GetStage().GetPrimAtPath(path)))
+    authored = ints(target.GetPointIndicesAttr().Get())
+    dense = not authored.size and same(known.point_indices, np.arange(len(known.offsets), dtype=np.int32))
+    as_read = dense or same(authored, known.point_indices)  # else sorted or merged by the reader
+    fields = _author_shape(target, shape, known if as_read else None)
+    return path, [f"{shape.name}: {', '.join(fields)}"] if fields else []
+
+
+def _define_shape(prim: Usd.Prim, shape: Blendshape, name: str) -> Sdf.Path:
+    target = UsdSkel.BlendShape.Define(prim.GetStage(), prim.GetPath().AppendChild(name))
+    _author_shape(target, shape)
+    author_name(target.GetPrim(), shape)
+    return target.GetPath()
+
+
+def _bind_shapes(prim: Usd.Prim, shapes: Sequence[Blendshape], targets: Sequence[Sdf.Path]) -> None:
+    binding = UsdSkel.BindingAPI(prim)
+    binding.CreateBlendShapesAttr([shape.name for shape in shapes])
+    binding.CreateBlendShapeTargetsRel().SetTargets(list(targets))
+
+
+def _author_shape(target: UsdSkel.BlendShape, shape: Blendshape, present: Blendshape | None = None) -> list[str]:
+    """Write what differs from `present`, or all; the fields written."""
+    if present is not None and not same(shape.point_indices, present.point_indices):
+        present = None  # everything else is parallel to it
+    written = []
+    if present is None:
+        target.CreatePointIndicesAttr(to_ints(shape.point_indices))
+        written.append("pointIndices")
+    if present is None or not same(shape.offsets, present.offsets):
+        target.CreateOffsetsAttr(to_vec3f(shape.offsets))
+        written.append("offsets")
+    if present is None or not same(_some(shape.normal_offsets), present.normal_offsets):
+        _put_normals(target.CreateNormalOffsetsAttr, target.GetNormalOffsetsAttr(), shape.normal_offsets)
+        written.append("normalOffsets")
+    known = {inbetween.name: inbetween for inbetween in present.inbetweens} if present else {}
+    # names for the attributes: as the target has them, or identifiers that it has not
+    there = [inbetween.GetAttr().GetName().removeprefix("inbetweens:") for inbetween in target.GetInbetweens()]
+    fresh = [inbetween.name for inbetween in shape.inbetweens if inbetween.name not in there]
+    names = iter(unique_identifiers([*there, *fresh])[len(there) :])
+    for new in shape.inbetweens:
+        name, before = new.name if new.name in there else next(names), known.get(new.name)
+        if same(new, before):
+            continue
+        inbetween = target.CreateInbetween(name)
+        if before is None or not same(float(new.weight), before.weight):
+            inbetween.SetWeight(float(new.weight))
+        if before is None or not same(new.offsets, before.offsets):
+            inbetween.SetOffsets(to_vec3f(new.offsets))
+        if before is None or not same(_some(new.normal_offsets), before.normal_offsets):
+            _put_normals(inbetween.CreateNormalOffsetsAttr, inbetween.GetNormalOffsetsAttr(), new.normal_offsets)
+        written.append(f"inbetween {new.name}")
+    return written
+
+
+def _put_normals(
+    create: Callable[[Vt.Vec3fArray], Usd.Attribute], present: Usd.Attribute, offsets: FloatArray | None
+) -> None:
+    if offsets is None:
+        put(present, None)
+    else:
+        create(to_vec3f(offsets))
+
+
+def _some(offsets: FloatArray | None) -> FloatArray | None:
+    """None for no offsets, as they are read."""
+    return offsets if offsets is not None and len(offsets) else None

@@ -17,9 +17,8 @@ from pxr import Ar, Pcp, Sdf, Usd, UsdSkel
 
 from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget, same_file
-from facepipe.stage.assets import file_of
-from facepipe.stage.guard import UNREADABLE, USD_ERRORS
-from facepipe.stage.layer_files import MOST_LEVELS, LayerTable, open_layer
+from facepipe.stage.layer_files import MOST_LEVELS, LayerTable, file_of, open_layer
+from facepipe.stage.values import UNREADABLE, USD_ERRORS
 
 MOST_SCHEMAS = 1250  # on a prim, and the root of the squares of all lists of them: USD takes up to 3 us for each square
 MOST_STEPS = 1000  # properties that lead on, from one to all that it leads to, each as often as USD comes there

@@ -1,4 +1,4 @@
-"""A face: the thin, typed view of a USD stage."""
+"""A face: the thin, typed view of a USD stage; the animation that its skeleton plays, and when."""
 
 from __future__ import annotations
 
@@ -29,25 +29,15 @@ from facepipe.parts import (
     SliderNetwork,
     Texture,
 )
-from facepipe.rig import (
-    Person,
-    Rig,
-    build,
-    person_of,
-    sample_transforms,
-    sample_weights,
-    slide,
-)
-from facepipe.stage.api_schemas import is_applied
+from facepipe.rig import Person, Rig, build, person_of, sample_transforms, sample_weights, slide
 from facepipe.stage.composition import check_arrays
-from facepipe.stage.files import check_units, open_stage, over
-from facepipe.stage.guard import errors_below, usd_errors
-from facepipe.stage.levels import level_names, stage_at
+from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of
-from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
+from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, editable, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.skeleton import author_source, read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
+from facepipe.stage.values import errors_below, usd_errors
 
 if TYPE_CHECKING:
     import trimesh
@@ -523,3 +513,46 @@ def open_face(path: str | os.PathLike[str]) -> Face:
     """
     with usd_errors(path):
         return Face(open_stage(path))
+
+
+def play(face: Face, name: str) -> None:
+    """Author an animation of the face as its skeleton's source: what opens the stage shows the face in it.
+
+    :raises InputError: no such animation
+    """
+    prim = animation_prims(face).get(name)
+    if prim is None:
+        raise InputError(face.where, unknown(name, [animation.name for animation in face.animations], "animation"))
+    author_source(editable(_skeleton_prim(face)), prim.GetPath())
+
+
+def moving_animation(face: Face) -> Animation | None:
+    """What moves a face: the animation that its skeleton plays, else the only one over time; None where there is none.
+
+    :raises InputError: NaN, or several over time of which the skeleton plays none
+    :raises TopologyError: arrays that don't fit the joints or shapes
+    """
+    with usd_errors(face.where):
+        source = UsdSkel.BindingAPI(_skeleton_prim(face)).GetInheritedAnimationSource()
+    if source and source.IsA(UsdSkel.Animation):
+        played = read_animation(source)
+        require_finite(played, f"{face.where} -> {source.GetPath()}")
+        return played
+    moving = [animation for animation in face.animations if animation.times is not None]
+    if len(moving) > 1:
+        some = ", ".join(animation.name for animation in moving[:6])
+        raise InputError(
+            face.where, f"{len(moving)} animations over time ({some}), expected one, or one that the skeleton plays"
+        )
+    return moving[0] if moving else None
+
+
+def on_frames(face: Face, seconds: FloatArray) -> FloatArray:
+    """(T,) seconds; those that are a whole time code of the stage in float32 become exactly that."""
+    rate = face.stage.GetTimeCodesPerSecond()
+    whole = np.rint(np.asarray(seconds, dtype=np.float64) * rate) / rate
+    return np.where(whole.astype(np.float32) == np.asarray(seconds, dtype=np.float32), whole, seconds)
+
+
+def _skeleton_prim(face: Face) -> Usd.Prim:
+    return next(prim for prim in prims_below(face.prim, face.where) if prim.IsA(UsdSkel.Skeleton))

@@ -1,24 +1,32 @@
-"""Stages from files and to files: opened with one-line errors, saved whole or not at all."""
+"""Stages from files and to files: opened with one-line errors, saved whole or not at all, where results may be written.
+
+Levels of detail are variants of the face prim, each with meshes of its own. The first is the face itself and holds
+nothing. Any other turns the meshes of the layers below off and brings others in their place: a variant can't be
+stronger than what these layers say of a mesh, and nothing that they say later can spoil another mesh. All else of the
+face is shared.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+import re
 import struct
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 
 import facepipe_schemas
 from pxr import Sdf, Usd, UsdGeom, UsdUtils
 
-from facepipe.core.atomic import replacing, when_placed
+from facepipe.core import tokens
+from facepipe.core.atomic import collect, replacing, when_placed
 from facepipe.core.errors import ExportError, InputError, SchemaError
-from facepipe.core.policy.paths import is_below
+from facepipe.core.policy.paths import check_written, is_below
 from facepipe.stage.composition import check_counts, checked_layers, composable_layers
-from facepipe.stage.guard import USD_ERRORS, reason, usd_errors
+from facepipe.stage.values import USD_ERRORS, reason, usd_errors
 
 _MIDNIGHT_1980 = struct.pack("<2H", 0, 1 << 5 | 1)  # DOS time and date
 _METADATA = (
@@ -27,6 +35,7 @@ _METADATA = (
 )
 _LEAST, _LARGEST = 1e-9, 1e9  # metres in a unit
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+_REPORT_FILE = "report.json"
 
 
 @contextlib.contextmanager
@@ -199,17 +208,6 @@ def over(base: Sdf.Layer, target: Path) -> Sdf.Layer:
     return layer
 
 
-def with_ordered_fields(layer: Sdf.Layer) -> Sdf.Layer:
-    """A layer's like, in whose specs fields have an order of their own, so that every run writes the same bytes.
-
-    `Sdf.CopySpec` copies them in the order that their names have in memory, which is that in which threads first met
-    them, and crate files keep it; text has them in one order.
-    """
-    ordered = Sdf.Layer.CreateAnonymous(".usda")
-    ordered.ImportFromString(layer.ExportToString())
-    return ordered
-
-
 _name: ContextVar[Callable[[Path], str] | None] = ContextVar("facepipe_name_of_a_path", default=None)
 
 
@@ -237,3 +235,107 @@ def relative_path(path: str, folder: Path) -> str:
         return path
     text = Path(relative).as_posix()
     return text if text.startswith(".") else f"./{text}"
+
+
+def check_output(output: Path, inputs: Sequence[Path], *, overwrite: bool) -> None:
+    """Check a place before any work is done for it; what a killed run left beside it is cleaned up first.
+
+    :raises InputError: no folder, an input or a layer or texture of one, a file that may not be overwritten, or a link
+        that leads out of the roots
+    """
+    check_written(output)
+    if not output.parent.is_dir():
+        raise InputError(output, "the folder does not exist")
+    collect(output.parent)
+    if output.is_dir():
+        raise InputError(output, "is a folder, expected a file")
+    if any(given.exists() and output.exists() and output.samefile(given) for given in inputs):
+        raise InputError(output, "is an input, expected another output file")
+    if output.exists() and not overwrite:
+        raise InputError(output, "exists, expected a new file (or --force)")
+    if output.exists():  # with --force a layer below an input would be lost, and the result with it
+        for stage in inputs:
+            if stage.is_file() and stage.suffix.lower() in SUFFIXES:
+                for needed in dependencies(stage):
+                    if needed.exists() and output.samefile(needed):
+                        raise InputError(output, f"is needed by {stage}, expected another output file")
+
+
+def check_report_folder(
+    folder: Path, *, overwrite: bool, taken: Sequence[Path], known: re.Pattern[str], command: str
+) -> None:
+    """Check that a report may be written as `folder`: that it is new, or with `overwrite` a report from before.
+
+    :param taken: files and folders that must not be in it: inputs and outputs
+    :param known: names, with "/" below the folder, that a report of `command` has
+    :raises InputError: it may not
+    """
+    check_written(folder)
+    place = folder.resolve()
+    if not place.parent.is_dir():
+        raise InputError(folder, "the folder around it does not exist")
+    if place.exists() and not place.is_dir():
+        raise InputError(folder, "is a file, expected a folder to make")
+    inside = next((path for path in taken if place in path.resolve().parents or place == path.resolve()), None)
+    if inside is not None:
+        raise InputError(folder, f"holds {inside.name}, which is read or written too, expected another folder")
+    if not place.exists():
+        return
+    if not overwrite:
+        raise InputError(folder, "exists, expected a new folder (or --force)")
+    # --force replaces a whole folder: one that holds anything but a report may be of use to someone
+    names = sorted(path.relative_to(place).as_posix() for path in place.rglob("*"))
+    foreign = [name for name in names if not known.fullmatch(name)]
+    if foreign or (names and _REPORT_FILE not in names):
+        found = f"holds {foreign[0]}" if foreign else f"has no {_REPORT_FILE}"
+        raise InputError(folder, f"{found}, expected an empty folder or a report of {command} to replace")
+
+
+def level_names(prim: Usd.Prim) -> tuple[str, ...]:
+    """The levels of a face, finest first; none for most faces."""
+    return tuple(prim.GetVariantSet(tokens.LEVELS).GetVariantNames())
+
+
+def lower_levels(stage: Usd.Stage) -> Iterator[Usd.Stage]:
+    """A stage at each lower level of the face that is its default prim, good or damaged."""
+    prim = stage.GetDefaultPrim()
+    for name in level_names(prim)[1:] if prim else ():
+        yield stage_at(stage, prim.GetPath(), name)
+
+
+def stage_at(stage: Usd.Stage, path: Sdf.Path, name: str) -> Usd.Stage:
+    """Another stage of the same layers, with the face prim at a level."""
+    session = Sdf.Layer.CreateAnonymous(".usda")
+    at_level = Usd.Stage.Open(stage.GetRootLayer(), session)
+    with Usd.EditContext(at_level, session):
+        at_level.GetPrimAtPath(path).GetVariantSet(tokens.LEVELS).SetVariantSelection(name)
+    return at_level
+
+
+def flattened(stage: Usd.Stage) -> Sdf.Layer:
+    """All that a stage shows in one layer, with the other levels of its face where it shows the finest."""
+    layer, prim = stage.Flatten(), stage.GetDefaultPrim()
+    names = level_names(prim) if prim else ()
+    if not names or prim.GetVariantSet(tokens.LEVELS).GetVariantSelection() != names[0]:
+        return layer
+    spec = layer.GetPrimAtPath(prim.GetPath())
+    spec.variantSetNameList.prependedItems = [tokens.LEVELS]
+    levels_of = Sdf.VariantSetSpec(spec, tokens.LEVELS)
+    Sdf.VariantSpec(levels_of, names[0])
+    # `Flatten` keeps the selected variant alone: of the others what they turn off and what they add is written anew
+    for name, level in zip(names[1:], lower_levels(stage), strict=True):
+        place, flat = Sdf.VariantSpec(levels_of, name).primSpec, level.Flatten()
+        for full in Usd.PrimRange(prim):
+            same = level.GetPrimAtPath(full.GetPath())
+            if same and not same.IsActive():
+                below = full.GetPath().MakeRelativePath(prim.GetPath())
+                Sdf.CreatePrimInLayer(layer, place.path.AppendPath(below)).active = False
+        for child in level.GetPrimAtPath(prim.GetPath()).GetChildren():
+            if not prim.GetChild(child.GetName()):
+                Sdf.CopySpec(flat, child.GetPath(), layer, place.path.AppendChild(child.GetName()))
+    spec.variantSelections[tokens.LEVELS] = names[0]
+    # `Sdf.CopySpec` copies fields in the order that their names have in memory, which is that in which threads first
+    # met them, and crate files keep it; text has them in one order, so that every run writes the same bytes
+    ordered = Sdf.Layer.CreateAnonymous(".usda")
+    ordered.ImportFromString(layer.ExportToString())
+    return ordered

@@ -21,7 +21,6 @@ from facepipe.core.errors import FacepipeError, TopologyError
 from facepipe.core.names import identifier
 from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider
 from facepipe.rig.sliders import with_mutual_mirrors
-from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
 from facepipe.stage.foreign_scene import (
     Scene,
@@ -32,12 +31,11 @@ from facepipe.stage.foreign_scene import (
     mend_meshes,
     note_custom,
 )
-from facepipe.stage.guard import errors_below, reads_prim
-from facepipe.stage.prims import distinct_names
+from facepipe.stage.prims import distinct_names, inherited_attribute, inherited_skeleton
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
 from facepipe.stage.sliders import read_slider_network, read_sliders
-from facepipe.stage.values import floats, matrices, to_floats, to_matrices
+from facepipe.stage.values import errors_below, floats, matrices, reads_prim, to_floats, to_matrices
 
 _TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
 _SAME_WEIGHT = 1e-6  # weights nearer than this are one
@@ -67,26 +65,6 @@ def choose_skeleton(scene: Scene, meshes: list[Usd.Prim], wanted: str | None) ->
     if others:
         scene.warn("Skeleton that no mesh is bound to: left out", others)
     return chosen
-
-
-def bind_to(scene: Scene, skeleton: Usd.Prim, meshes: list[Usd.Prim]) -> list[Usd.Prim]:
-    """The meshes that are the skeleton's; those bound to nothing are bound to it."""
-    bound, loose, others = [], [], []
-    for mesh in meshes:
-        path = inherited_skeleton(mesh)
-        target = scene.stage.GetPrimAtPath(path) if path is not None and path.IsPrimPath() else None
-        if target and target.IsA(UsdSkel.Skeleton) and target != skeleton:
-            others.append(mesh)
-            continue
-        bound.append(mesh)
-        if target != skeleton and inherited_attribute(mesh, "primvars:skel:jointIndices"):
-            loose.append(mesh)
-            UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-    if loose:
-        scene.warn(f"influences, but no Skeleton: taken as bound to <{skeleton.GetPath()}>", loose)
-    if others:
-        scene.warn("bound to another Skeleton: left out", others)
-    return bound
 
 
 @reads_prim
@@ -206,11 +184,7 @@ def _identifier(name: str) -> str:
 
 
 def read_foreign(
-    path: Path,
-    *,
-    root: str | None = None,
-    skeleton: str | None = None,
-    variants: Mapping[str, str] | None = None,
+    path: Path, *, root: str | None = None, skeleton: str | None = None, variants: Mapping[str, str] | None = None
 ) -> tuple[FaceParts, list[Path], list[str]]:
     """The face of a UsdSkel stage, repaired as far as its meaning is clear; the layers that were read, and warnings.
 
@@ -226,7 +200,23 @@ def read_foreign(
         # the skeleton first: which meshes are the face's depends on it
         prim = choose_skeleton(scene, meshes, skeleton)
         if prim is not None:
-            meshes = bind_to(scene, prim, meshes)
+            # the meshes that are the skeleton's; those bound to nothing are bound to it
+            bound, loose, others = [], [], []
+            for mesh in meshes:
+                place = inherited_skeleton(mesh)
+                target = scene.stage.GetPrimAtPath(place) if place is not None and place.IsPrimPath() else None
+                if target and target.IsA(UsdSkel.Skeleton) and target != prim:
+                    others.append(mesh)
+                    continue
+                bound.append(mesh)
+                if target != prim and inherited_attribute(mesh, "primvars:skel:jointIndices"):
+                    loose.append(mesh)
+                    UsdSkel.BindingAPI.Apply(mesh).CreateSkeletonRel().SetTargets([prim.GetPath()])
+            if loose:
+                scene.warn(f"influences, but no Skeleton: taken as bound to <{prim.GetPath()}>", loose)
+            if others:
+                scene.warn("bound to another Skeleton: left out", others)
+            meshes = bound
             mend_skeleton(prim, scene, meshes)
         if not meshes:
             raise scene.error("no mesh to read, expected a face")

@@ -13,14 +13,12 @@ from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.names import unknown
 from facepipe.parts import Material
-from facepipe.stage.api_schemas import authored_skel_properties
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.materials import Images, read_material
-from facepipe.stage.prims import check_kinds, distinct_names, prims_below
+from facepipe.stage.materials import USD_NAMES, Images, read_material
+from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
-from facepipe.stage.values import ints
+from facepipe.stage.values import ints, reads_prim
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
@@ -50,7 +48,19 @@ class Scene:
         check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
-        self._default_values()
+        moving: dict[str, list[Usd.Prim]] = {}  # of what has only time samples the value of the first is kept
+        for prim in [*self.prims, *above]:
+            if prim.IsA(UsdSkel.Animation):
+                continue
+            for attribute in prim.GetAuthoredAttributes():
+                samples = attribute.GetNumTimeSamples()
+                if samples and attribute.Get() is None:
+                    attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
+                if samples > 1:
+                    name = attribute.GetName()
+                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
+        for name, prims in sorted(moving.items()):
+            self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
         # each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone
         for top in (top for top in self.roots if top.GetTypeName() in _CONTAINERS):
             for prim in Usd.PrimRange(top):
@@ -93,23 +103,6 @@ class Scene:
     def _below(self) -> Iterator[Usd.Prim]:
         for root in self.roots:
             yield from prims_below(root, self.path)
-
-    def _default_values(self) -> None:
-        """Values of the first time sample where there are only time samples."""
-        moving: dict[str, list[Usd.Prim]] = {}
-        above = [ancestor for root in self.roots for ancestor in ancestors(root)]
-        for prim in [*self.prims, *above]:
-            if prim.IsA(UsdSkel.Animation):
-                continue
-            for attribute in prim.GetAuthoredAttributes():
-                samples = attribute.GetNumTimeSamples()
-                if samples and attribute.Get() is None:
-                    attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
-                if samples > 1:
-                    name = attribute.GetName()
-                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
-        for name, prims in sorted(moving.items()):
-            self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
 
 
 def ancestors(prim: Usd.Prim) -> Iterator[Usd.Prim]:
@@ -284,22 +277,6 @@ def bindings(scene: Scene) -> dict[str, UsdSkel.SkinningQuery]:
     return queries
 
 
-_INPUTS_READ = {
-    "diffuseColor",
-    "emissiveColor",
-    "metallic",
-    "roughness",
-    "opacity",
-    "opacityThreshold",
-    "occlusion",
-    "normal",
-    "ior",
-    "clearcoat",
-    "clearcoatRoughness",
-    "useSpecularWorkflow",  # named apart
-}
-
-
 def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str], tuple[Material, ...]]:
     """Names by prim path, and the materials, of those bound to meshes or their faces that are UsdPreviewSurface."""
     bound: dict[str, Usd.Prim] = {}
@@ -339,7 +316,8 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
         scene.warn("material without UsdPreviewSurface: left out", [prim])
         return None
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
-    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
+    named = {*USD_NAMES.values(), "useSpecularWorkflow"}  # the latter apart
+    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - named)
     if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
         lost.append("the specular workflow")
     if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):

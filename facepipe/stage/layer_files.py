@@ -236,3 +236,13 @@ def _check_clips(layer: Sdf.Layer, prim: Sdf.PrimSpec) -> None:
             names += [str(path) for path in pattern.parent.glob(pattern.name.replace("#", "[0-9]"))]
         for name in names:
             check_regular(str(Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name))))
+
+
+def file_of(path: str) -> Path:
+    """The file that a resolved path is in: the outer package, where it is packed."""
+    return Path(Ar.SplitPackageRelativePathOuter(path)[0])
+
+
+def name_of(path: str) -> str:
+    """The file name of a resolved path, that in the package, where it is packed."""
+    return Path(Ar.SplitPackageRelativePathInner(path)[1] or path).name

@@ -1,19 +1,24 @@
-"""UsdPreviewSurface materials of a stage: read as parts, and authored from them."""
+"""UsdPreviewSurface materials of a stage, read as parts and authored from them, and images that a stage names."""
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterator
 from typing import Any, Literal
 
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
+from pxr import Ar, Gf, Sdf, Usd, UsdGeom, UsdShade
 
 from facepipe.core.errors import InputError
+from facepipe.core.images import is_image
 from facepipe.core.names import unique_identifiers
+from facepipe.core.policy.paths import check_copied
+from facepipe.core.reading import check_regular
 from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput
-from facepipe.stage.api_schemas import put
-from facepipe.stage.assets import copy_refusal, name_of, read_image
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.prims import author_name, editable, label
+from facepipe.stage.layer_files import file_of, name_of
+from facepipe.stage.prims import author_name, editable, label, put
+from facepipe.stage.values import reads_prim
 
+_DEFAULT = Usd.TimeCode.Default()
+_MOST_IMAGE_BYTES = 1 << 28  # of an image
 Images = dict[str, bytes | None]  # by resolved path
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
@@ -23,6 +28,79 @@ _WRAPS: dict[str, Wrap] = {
     "black": "clamp",
     "useMetadata": "repeat",
 }
+
+
+def read_image(asset: Sdf.AssetPath) -> bytes | None:
+    """The image that a value names; None where it names another file, or none.
+
+    :raises InputError: a pipe or device, or a file that may not be read
+    """
+    if not asset.resolvedPath:
+        return None
+    file = file_of(asset.resolvedPath)
+    check_regular(file, None if Ar.IsPackageRelativePath(asset.resolvedPath) else _MOST_IMAGE_BYTES)
+    opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(asset.resolvedPath))
+    data = bytes(opened.GetBuffer() or b"") if opened else b""  # an empty file has no buffer
+    return data if is_image(data) else None
+
+
+def copy_refusal(
+    where: object, attribute: Usd.Attribute, asset: Sdf.AssetPath, time: Usd.TimeCode = _DEFAULT
+) -> InputError | None:
+    """Why the file that a value of an attribute names may not be copied: it is outside the roots and the folder of the
+    layer that names it. A stage that is all in memory is the caller's own.
+    """
+    # the file of the layer that a value comes from; None where all of the stage is in memory
+    layer = _layer_of_value(attribute, time)
+    if layer is None or layer.anonymous:  # a repair in memory of what a file says
+        below = [layer for layer in attribute.GetStage().GetLayerStack() if not layer.anonymous]
+        layer = _layer_of_value(attribute, Usd.TimeCode.EarliestTime(), files=True) or next(iter(below), None)
+    namer = None if layer is None else file_of(layer.realPath or layer.identifier)
+    try:
+        if namer is not None:
+            check_copied(where, file_of(asset.resolvedPath), namer)
+    except InputError as error:
+        return error
+    return None
+
+
+def images_of(stage: Usd.Stage, known: Container[str] = ()) -> dict[str, bytes]:
+    """The images that a stage names, by resolved path, but those known.
+
+    :raises InputError: one that may not be copied
+    """
+    images: dict[str, bytes] = {}
+    for attribute, time, asset in _asset_values(stage):
+        data = None if asset.resolvedPath in known else read_image(asset)
+        if data is None:
+            continue
+        refusal = copy_refusal(attribute.GetPath(), attribute, asset, time)
+        if refusal is not None:
+            raise refusal
+        images[asset.resolvedPath] = data
+    return images
+
+
+def _asset_values(stage: Usd.Stage) -> Iterator[tuple[Usd.Attribute, Usd.TimeCode, Sdf.AssetPath]]:
+    """All values of attributes that name files."""
+    for top in (stage.GetPseudoRoot(), *stage.GetPrototypes()):
+        for prim in Usd.PrimRange(top, Usd.PrimAllPrimsPredicate):
+            for attribute in prim.GetAuthoredAttributes():
+                if attribute.GetTypeName().scalarType != Sdf.ValueTypeNames.Asset:
+                    continue
+                for time in (_DEFAULT, *map(Usd.TimeCode, attribute.GetTimeSamples())):
+                    value = attribute.Get(time)
+                    for one in [value] if isinstance(value, Sdf.AssetPath) else value or ():
+                        yield attribute, time, one
+
+
+def _layer_of_value(attribute: Usd.Attribute, time: Usd.TimeCode, *, files: bool = False) -> Sdf.Layer | None:
+    """The strongest layer with a value for a time; with `files`, of those that are not in memory alone."""
+    kinds = ("default",) if time.IsDefault() else ("default", "timeSamples")
+    for spec in attribute.GetPropertyStack(time):
+        if any(map(spec.HasInfo, kinds)) and not (files and spec.layer.anonymous):
+            return spec.layer
+    return None
 
 
 @reads_prim
@@ -129,7 +207,7 @@ def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
 
 
 _COLOR_FIELDS = ("diffuse_color", "emissive_color")
-_USD_NAMES = {
+USD_NAMES = {
     "diffuse_color": "diffuseColor",
     "emissive_color": "emissiveColor",
     "metallic": "metallic",
@@ -165,10 +243,10 @@ def author_texture(material: Usd.Prim, field: str, path: str) -> None:
     :raises InputError: the input is no texture
     """
     surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
-    given = _attribute(surface, _USD_NAMES[field]) if surface else None
+    given = _attribute(surface, USD_NAMES[field]) if surface else None
     shader = UsdShade.Shader(editable(given.GetPrim())) if given else None
     if not shader or shader.GetShaderId() != "UsdUVTexture":
-        raise InputError(material.GetPath(), f"no texture of its {_USD_NAMES[field]}, expected one")
+        raise InputError(material.GetPath(), f"no texture of its {USD_NAMES[field]}, expected one")
     put(shader.CreateInput("file", Sdf.ValueTypeNames.Asset).GetAttr(), Sdf.AssetPath(path))
     if field not in _COLOR_FIELDS:
         return
@@ -209,7 +287,7 @@ def author_materials(
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
         surface.CreateIdAttr("UsdPreviewSurface")
         prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-        for field, name in _USD_NAMES.items():
+        for field, name in USD_NAMES.items():
             value = getattr(material, field)
             if value == getattr(default, field):
                 continue  # the shader has the same

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
@@ -13,10 +13,17 @@ from pxr import Gf, Usd, UsdGeom
 from facepipe.core import tokens
 from facepipe.core.errors import InputError, SchemaError
 from facepipe.parts import KeyLamp, PhotoView
-from facepipe.stage.api_schemas import apply_schema, is_applied, put, put_value
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.prims import editable, free_path
-from facepipe.stage.values import floats, matrix, same, to_matrix, to_vec3f
+from facepipe.stage.prims import apply_schema, editable, free_path, is_applied, put, put_value
+from facepipe.stage.values import floats, matrix, reads_prim, same, to_matrix, to_vec3f
+
+MOST_PIXELS = 1 << 20  # a side
+LIGHT_ROWS = 9  # spherical harmonics up to the second order
+_FILM_METRES = 0.036  # metres of the longer side: that of a 35 mm camera
+_TENTHS_A_UNIT = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
+_FILM = (
+    *("focalLength", "horizontalAperture", "verticalAperture"),
+    *("horizontalApertureOffset", "verticalApertureOffset"),
+)
 
 
 def check_photos(where: object, photos: Sequence[PhotoView]) -> None:
@@ -67,17 +74,8 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
     film = _FILM_METRES / UsdGeom.GetStageMetersPerUnit(prim.GetStage()) * _TENTHS_A_UNIT
     pixel = 2.0 ** round(math.log2(film / max(photo.width, photo.height)))
     put(camera.CreateProjectionAttr(), UsdGeom.Tokens.perspective)
-    for name, pixels in zip(
-        _FILM_ATTRIBUTES,
-        _Film(
-            photo.focal,
-            photo.width,
-            photo.height,
-            photo.width / 2 - photo.center[0],
-            photo.center[1] - photo.height / 2,
-        ),
-        strict=True,
-    ):
+    offsets = (photo.width / 2 - photo.center[0], photo.center[1] - photo.height / 2)
+    for name, pixels in zip(_FILM, (photo.focal, photo.width, photo.height, *offsets), strict=True):
         put(prim.GetAttribute(name), pixels * pixel)
     put(camera.CreateClippingRangeAttr(), Gf.Vec2f(*photo.clipping))
     apply_schema(prim, tokens.PHOTO_API)
@@ -96,10 +94,6 @@ def _write(camera: UsdGeom.Camera, photo: PhotoView) -> None:
         (tokens.PHOTO_TINTS, to_vec3f(np.array([photo.tint[material] for material in names])) if names else None),
     ):
         put_value(prim, name, value)
-
-
-MOST_PIXELS = 1 << 20  # a side
-LIGHT_ROWS = 9  # spherical harmonics up to the second order
 
 
 def _photo_fault(photo: PhotoView) -> str | None:
@@ -147,26 +141,6 @@ def key_fault(key: KeyLamp) -> str | None:
     return None if exponent > 0 else f"key light with exponent {key.exponent:g}, expected more than 0"
 
 
-_FILM_METRES = 0.036  # metres of the longer side: that of a 35 mm camera
-_TENTHS_A_UNIT = 10.0  # UsdGeom.Camera has focal length and apertures in tenths of a stage unit
-
-
-_FILM_ATTRIBUTES = (  # in the order of `_Film`
-    *("focalLength", "horizontalAperture", "verticalAperture"),
-    *("horizontalApertureOffset", "verticalApertureOffset"),
-)
-
-
-class _Film(NamedTuple):
-    """Values of UsdGeom.Camera, in tenths of a stage unit."""
-
-    focal_length: float
-    horizontal_aperture: float
-    vertical_aperture: float
-    horizontal_offset: float
-    vertical_offset: float
-
-
 def is_photo(prim: Usd.Prim) -> bool:
     """Whether a prim is the camera of a photo."""
     return bool(prim.IsA(UsdGeom.Camera)) and is_applied(prim, tokens.PHOTO_API)
@@ -184,16 +158,16 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
         return prim.GetAttribute(name).Get()
 
     width, height = (int(side) for side in value(tokens.PHOTO_SIZE) or (0, 0))
-    film = _Film(*(float(value(name)) for name in _FILM_ATTRIBUTES))
-    if not min(width, height, film.horizontal_aperture, film.vertical_aperture) > 0:
+    focal, wide, high, aside, above = (float(value(name)) for name in _FILM)
+    if not min(width, height, wide, high) > 0:
         raise SchemaError(where, f"{width} x {height} pixels, or no aperture, expected both above 0")
     materials, tints = list(value(tokens.PHOTO_TINTED_MATERIALS) or []), floats(value(tokens.PHOTO_TINTS), 3).tolist()
     if len(materials) != len(tints):
         raise SchemaError(f"{where}.{tokens.PHOTO_TINTS}", f"{len(tints)} tints of {len(materials)} materials")
     # focal length and principal point in pixels, y down, of a film that `width` by `height` pixels cover. Pixels are as
     # wide as high, as the width says.
-    across, up = film.horizontal_aperture / width, film.vertical_aperture / height
-    center = (width / 2 - film.horizontal_offset / across, height / 2 + film.vertical_offset / up)
+    across, up = wide / width, high / height
+    center = (width / 2 - aside / across, height / 2 + above / up)
     near, far = UsdGeom.Camera(prim).GetClippingRangeAttr().Get()
     photo = PhotoView(
         name=str(prim.GetName()),
@@ -201,7 +175,7 @@ def read_photo(prim: Usd.Prim) -> PhotoView:
         width=width,
         height=height,
         transform=matrix(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode.Default())),
-        focal=film.focal_length / across,
+        focal=focal / across,
         center=center,
         clipping=(float(near), float(far)),
         light=floats(value(tokens.PHOTO_LIGHT), 3),

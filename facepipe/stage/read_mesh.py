@@ -1,26 +1,124 @@
-"""Meshes of a stage as parts."""
+"""Meshes of a stage as parts, with their blendshapes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel
 
 from facepipe.core import tokens
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import SchemaError, TopologyError
-from facepipe.parts import Landmarks, MaterialFaces, Mesh, Skin, UvSet
-from facepipe.stage.blendshapes import read_blendshapes
-from facepipe.stage.guard import reads_prim
+from facepipe.parts import Blendshape, Inbetween, Landmarks, MaterialFaces, Mesh, Skin, UvSet
 from facepipe.stage.prims import data_label, label
-from facepipe.stage.values import check_inside, floats, ints, matrix
+from facepipe.stage.values import check_inside, floats, ints, matrix, reads_prim
 
+MOST_INBETWEENS = 100  # of a shape: each is a curve through the weights of all
 UV_TYPES = ("texCoord2f[]", "float2[]", "texCoord2h[]", "texCoord2d[]")
 _FLOAT_ARRAYS = (Sdf.ValueTypeNames.FloatArray, Sdf.ValueTypeNames.DoubleArray, Sdf.ValueTypeNames.HalfArray)
+
+
+@reads_prim
+def read_blendshapes(prim: Usd.Prim, points: int) -> tuple[Blendshape, ...]:
+    """The blendshapes bound to a mesh, in the order of skel:blendShapes.
+
+    :raises SchemaError: names and targets that don't pair, a dangling target, a shape name twice
+    :raises TopologyError: indices or offsets that don't fit the mesh
+    """
+    api = UsdSkel.BindingAPI(prim)
+    names = [str(name) for name in api.GetBlendShapesAttr().Get() or []]
+    targets = api.GetBlendShapeTargetsRel().GetTargets()
+    if len(names) != len(targets):
+        raise SchemaError(prim.GetPath(), f"{len(names)} skel:blendShapes and {len(targets)} targets, expected as many")
+    if len(set(names)) != len(names):
+        raise SchemaError(prim.GetPath(), "a name occurs twice in skel:blendShapes")
+    return tuple(
+        _read_shape(UsdSkel.BlendShape(prim.GetStage().GetPrimAtPath(target)), str(target), name, points)
+        for name, target in zip(names, targets, strict=True)
+    )
+
+
+def _read_shape(shape: UsdSkel.BlendShape, where: str, name: str, points: int) -> Blendshape:
+    if not shape:
+        raise SchemaError(where, f"no BlendShape there, expected the target of '{name}'")
+    authored = shape.GetPointIndicesAttr().Get()
+    offsets = floats(shape.GetOffsetsAttr().Get(), 3)
+    # how many normal offsets and offsets of inbetweens a shape has, where it has some
+    arrays = [shape.GetNormalOffsetsAttr().Get()]
+    for inbetween in shape.GetInbetweens():
+        arrays += [inbetween.GetOffsets(), inbetween.GetNormalOffsets()]
+    others = [len(array) for array in arrays if array]
+    count = len(offsets) or max(others, default=0)
+    indices = ints(authored) if authored else np.arange(count, dtype=np.int32)
+    if not authored and count not in (0, points):
+        raise TopologyError(where, f"{count} offsets without pointIndices, expected {points}")
+    if others and not len(offsets):  # UsdSkel moves no point by the shape itself
+        offsets = np.zeros((len(indices), 3), np.float32)
+    check_inside(where, "pointIndices", indices, points)
+    unique, place = np.unique(indices, return_inverse=True)
+    merge = _Merge(where, len(indices), len(unique), place)
+    return Blendshape(
+        name=name,
+        point_indices=unique.astype(np.int32),
+        offsets=merge("offsets", offsets),
+        normal_offsets=merge.optional("normalOffsets", shape.GetNormalOffsetsAttr().Get()),
+        inbetweens=_inbetweens(shape, merge),
+        label=label(shape.GetPrim(), name) if shape.GetPrim().HasAuthoredDisplayName() else None,
+    )
+
+
+def _inbetweens(shape: UsdSkel.BlendShape, merge: _Merge) -> tuple[Inbetween, ...]:
+    parts = []
+    inbetweens = shape.GetInbetweens()
+    if len(inbetweens) > MOST_INBETWEENS:
+        raise SchemaError(merge.where, f"{len(inbetweens)} inbetweens, expected at most {MOST_INBETWEENS}")
+    for inbetween in inbetweens:
+        name = inbetween.GetAttr().GetName().removeprefix("inbetweens:")
+        weight = inbetween.GetWeight()
+        where = f"{merge.where}.inbetweens:{name}"
+        # UsdSkel has the neutral at 0 and the shape at 1: another sculpt there would be a second value at one weight
+        if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
+            raise SchemaError(where, f"weight {weight}, expected a number other than 0 and 1")
+        normals, offsets = inbetween.GetNormalOffsets(), floats(inbetween.GetOffsets(), 3)
+        if normals and not len(offsets):  # it turns normals alone
+            offsets = np.zeros((merge.count, 3), np.float32)
+        parts.append(
+            Inbetween(
+                name=name,
+                weight=float(weight),
+                offsets=merge(f"inbetweens:{name}", offsets),
+                normal_offsets=merge.optional(f"inbetweens:{name}:normalOffsets", normals),
+            )
+        )
+    if len({part.weight for part in parts}) != len(parts):
+        raise SchemaError(merge.where, "two inbetweens have the same weight")
+    return tuple(sorted(parts, key=lambda inbetween: inbetween.weight))
+
+
+class _Merge:
+    """Sorts what is parallel to pointIndices; offsets of a point named twice add up, as UsdSkel applies them."""
+
+    def __init__(self, where: str, count: int, unique: int, place: IntArray) -> None:
+        self.where, self.count, self.unique, self.place = where, count, unique, place
+        self.sorted = count == unique and bool((place == np.arange(count)).all())
+
+    def __call__(self, field: str, offsets: FloatArray) -> FloatArray:
+        if len(offsets) != self.count:
+            raise TopologyError(f"{self.where}.{field}", f"{len(offsets)} offsets, expected {self.count}")
+        if not np.isfinite(offsets).all():
+            raise SchemaError(f"{self.where}.{field}", "NaN or infinity, expected finite numbers")
+        if self.sorted:
+            return offsets
+        merged = np.zeros((self.unique, 3), dtype=np.float32)
+        np.add.at(merged, self.place, offsets)
+        return merged
+
+    def optional(self, what: str, value: Any) -> FloatArray | None:
+        return self(what, floats(value, 3)) if value else None
 
 
 class Binding(NamedTuple):

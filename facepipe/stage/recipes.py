@@ -23,12 +23,12 @@ from facepipe.core.policy.paths import check_copied, check_model, path_named, re
 from facepipe.core.reading import digest, files_in, is_file, read_json_object
 from facepipe.declare import to_json
 from facepipe.parts import FaceParts, Recipe
-from facepipe.stage.api_schemas import apply_schema, is_applied, put_value
-from facepipe.stage.assets import copy_refusal
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
-from facepipe.stage.guard import USD_ERRORS, errors_below, reads_prim, usd_errors
 from facepipe.stage.layer_files import open_layer
+from facepipe.stage.materials import copy_refusal
+from facepipe.stage.prims import apply_schema, is_applied, put_value
 from facepipe.stage.skeleton import read_recipe
+from facepipe.stage.values import USD_ERRORS, errors_below, reads_prim, usd_errors
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

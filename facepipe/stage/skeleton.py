@@ -17,14 +17,22 @@ from facepipe.core.reading import check_values
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
-from facepipe.stage.api_schemas import apply_schema, put_value, schema_attribute
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.prims import author_name, editable, exact_name, free_path, label
+from facepipe.stage.prims import (
+    apply_schema,
+    author_name,
+    editable,
+    exact_name,
+    free_path,
+    label,
+    put_value,
+    schema_attribute,
+)
 from facepipe.stage.values import (
     floats,
     matrices,
     matrix,
     quaternions,
+    reads_prim,
     same,
     to_floats,
     to_matrices,

@@ -14,11 +14,9 @@ from facepipe.core import tokens
 from facepipe.core.errors import FacepipeError, InputError, SchemaError
 from facepipe.core.reading import check_values
 from facepipe.parts import Curve, FaceParts, Slider, SliderNetwork
-from facepipe.rig.slider_network import network_fault
-from facepipe.rig.sliders import curves_fault, sliders_fault
-from facepipe.stage.api_schemas import apply_schema, check_property_name, is_applied, put, put_value, remove_schema
-from facepipe.stage.guard import reads_prim
-from facepipe.stage.values import floats, ints, same, to_floats
+from facepipe.rig.sliders import curves_fault, network_fault, sliders_fault
+from facepipe.stage.prims import apply_schema, check_property_name, is_applied, put, put_value, remove_schema
+from facepipe.stage.values import floats, ints, reads_prim, same, to_floats
 
 _NETWORK_PREFIX = tokens.NETWORK_LAYERS.rpartition(":")[0]
 

@@ -92,8 +92,8 @@ def apply_bones(
 
     from facepipe.parts import Animation
     from facepipe.rig import rest_coefficients
-    from facepipe.stage.animation_source import on_frames, play
     from facepipe.stage.author_changes import author_changes
+    from facepipe.stage.face import on_frames, play
     from facepipe.verbs.bone_payload import beyond_limits, check_fits, limit_warnings, within_limits
 
     check_fits(face, content)

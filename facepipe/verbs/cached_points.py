@@ -14,7 +14,7 @@ from facepipe.geometry.vectors import transformed
 from facepipe.parts import Mesh
 from facepipe.rig import build, mesh_spaces
 from facepipe.stage import open_face
-from facepipe.stage.point_cache import CachedMesh, PointCache
+from facepipe.stage.controls_over_time import CachedMesh, PointCache
 
 
 @dataclass(frozen=True, kw_only=True)

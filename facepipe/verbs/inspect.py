@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from facepipe.core.reports import Report, table
+from facepipe.core.reports import Report, Watch, table
 from facepipe.declare import source
-from facepipe.kinds import Inspector, Watch, action
+from facepipe.kinds import Inspector, action
 
 if TYPE_CHECKING:
     from facepipe.stage import Face

@@ -12,8 +12,7 @@ import pytest
 from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
-from facepipe.farm.plan import Plan, Step, each, plan_of
-from facepipe.farm.table import Row, read_table
+from facepipe.farm.plan import Plan, Row, Step, each, plan_of, read_table
 
 TREE = (
     "a.glb",

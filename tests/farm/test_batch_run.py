@@ -13,8 +13,7 @@ from conftest import PLAN, Runner
 
 from facepipe.core.errors import InputError
 from facepipe.farm.batch import batch
-from facepipe.farm.plan import RunOptions, each, read_plan
-from facepipe.farm.table import read_table
+from facepipe.farm.plan import RunOptions, each, read_plan, read_table
 
 
 def log(show: Path) -> list[str]:

@@ -22,7 +22,7 @@ import facepipe.stage
 from facepipe.cli import command_module, commands_of
 
 OURS = ("facepipe", "facepipe_schemas", "facepipe_gltf", "facepipe_onnx", "facepipe_web", "facepipe_blender")
-MOST_FOR_HELP, MOST_FOR_EXPORT = 33, 82
+MOST_FOR_HELP, MOST_FOR_EXPORT = 33, 64
 
 _PROGRAM = """
 import contextlib, io, json, sys

@@ -191,7 +191,7 @@ OPENED = {
         facepipe.heads.asset:_read facepipe.heads.asset:asset facepipe.heads.assembly:bone_sliders
         facepipe.heads.assembly:identity_sliders facepipe.heads.surfaces:picture_of
         facepipe.networks.masks:own_network facepipe.rig.conventions:_tables
-        facepipe.stage.api_schemas:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
+        facepipe.stage.prims:_layer facepipe_blender.addon:write_own_wheel facepipe_gltf.vrm.bones:_conventions
         facepipe_gltf.vrm.expressions:table facepipe_web.build:sources_digest facepipe_web.build:is_built
         facepipe_web.build:build facepipe_web.build:main facepipe_web.build:_locked facepipe_web.viewer:view
         """,
@@ -214,7 +214,7 @@ OPENED = {
         facepipe.scanning.photos.structure:_write_photos facepipe.scanning.photos.structure:_match
         facepipe.scanning.photos.structure:_triangulated
         facepipe.scanning.photos.surface:_poisson facepipe.stage.face:Face.deriving
-        facepipe.stage.levels:stage_at facepipe_blender.addon:build
+        facepipe.stage.files:stage_at facepipe_blender.addon:build
         facepipe_blender.addon:_write_zip facepipe_blender.export_stage:_remove facepipe_blender.export_stage:_finish
         facepipe_gltf.writer:report_of facepipe_gltf.writer:write_glb
         facepipe_web.viewer:write_assets facepipe_web.viewer:_Handler._file

@@ -25,7 +25,7 @@ from facepipe.neural import (
     load_neural_rig,
     save_neural_rig,
 )
-from facepipe.neural.sample_motion import BakeMotion
+from facepipe.neural.motion import BakeMotion
 from facepipe.parts import Animation, FaceParts
 from facepipe.rig import slide
 from facepipe.stage import save_parts

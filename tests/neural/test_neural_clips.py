@@ -14,7 +14,7 @@ from pxr import Sdf, Usd
 
 from facepipe.core.errors import InputError
 from facepipe.neural import FrameBlocksOptions, ReadClips, SampleMotion, SampleMotionOptions
-from facepipe.neural.sample_motion import controls_of
+from facepipe.neural.motion import controls_of
 from facepipe.stage import save_parts
 from facepipe.verbs.whole_faces import whole_face, whole_points
 

@@ -14,7 +14,6 @@ from facepipe_onnx import Deformer, export_encoder, validate
 from neural_training import turning_face
 
 from facepipe.core.errors import InputError, TopologyError
-from facepipe.geometry.point_choice import farthest_points, halved, informative_points, well_placed
 from facepipe.geometry.ridge import ridge
 from facepipe.neural import (
     Motion,
@@ -29,6 +28,7 @@ from facepipe.neural import (
     load_neural_rig,
     save_neural_rig,
 )
+from facepipe.neural.train_encoder import farthest_points, halved, informative_points, well_placed
 from facepipe.rig.neural_rig import NeuralEncoder, NeuralRig, inputs
 from facepipe.stage import save_parts
 

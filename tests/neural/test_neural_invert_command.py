@@ -22,8 +22,8 @@ from facepipe.parts import Animation
 from facepipe.rig import rest_coefficients
 from facepipe.rig.neural_rig import Control, NeuralRig, share_limits, values_of
 from facepipe.stage import save_parts
-from facepipe.stage.animation_source import play
 from facepipe.stage.controls_over_time import read_controls, save_controls
+from facepipe.stage.face import play
 from facepipe.verbs.whole_faces import Topology
 
 TOPOLOGY = Topology.of(turning_face())

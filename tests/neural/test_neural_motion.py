@@ -10,7 +10,7 @@ from neural_training import FEW, chewing_face
 
 from facepipe.core.errors import InputError, TopologyError
 from facepipe.neural import SampleMotion, SampleMotionOptions
-from facepipe.neural.sample_motion import controls_of
+from facepipe.neural.motion import controls_of
 from facepipe.verbs.whole_faces import whole_face, whole_points
 
 

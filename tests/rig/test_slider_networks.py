@@ -18,7 +18,7 @@ from facepipe.importers.slider_network import read_network
 from facepipe.parts import SliderNetwork
 from facepipe.rig import CHANNELS as NAMES
 from facepipe.rig import build, slide
-from facepipe.rig.slider_network import kept, network_fault
+from facepipe.rig.sliders import kept_outputs, network_fault
 
 TOLERANCE = 1e-5
 ACTIVE = {"tanh": np.tanh, "relu": lambda x: max(x, 0.0), "silu": lambda x: x / (1.0 + np.exp(-x))}
@@ -101,13 +101,13 @@ def test_networks_that_only_bones_or_only_shapes_are_left_of(tmp_path: Path) -> 
     described = Deformer(tmp_path / "a.onnx").metadata["slider_network"]
     assert (described["shapes"], described["layers"]) == (["mouthSmileLeft"], [4, 16, 4])
     assert described["info"] == {"trained_on": "nothing"}
-    own = kept(network(), lambda _: False, lambda _: True)
+    own = kept_outputs(network(), lambda _: False, lambda _: True)
     assert own is not None
     sliders = tuple(replace(one, channels=(), channel_curves=()) for one in SLIDERS)
     shapes_only = jointless(replace(whole, sliders=sliders, slider_network=own))
     export_parts(shapes_only, tmp_path / "b.onnx", Options(sliders=True, points=True))
     check_graph(shapes_only, Deformer(tmp_path / "b.onnx"))
-    assert kept(network(), lambda _: False, lambda _: False) is None
+    assert kept_outputs(network(), lambda _: False, lambda _: False) is None
 
 
 def test_sliders_that_do_nothing_but_through_the_network(tmp_path: Path) -> None:

@@ -19,9 +19,9 @@ from facepipe.core.policy.bounds import MOST_OF
 from facepipe.importers import load
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.stage import Face, open_face, save_parts
-from facepipe.stage.blendshapes import MOST_INBETWEENS
 from facepipe.stage.composition import MOST_STEPS
 from facepipe.stage.files import open_stage
+from facepipe.stage.read_mesh import MOST_INBETWEENS
 
 MANY = 2000  # USD runs off its stack from some 20,000 on
 

@@ -19,7 +19,7 @@ from facepipe.core.errors import InputError, SchemaError
 from facepipe.core.names import unique_identifiers
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.stage import save_parts
-from facepipe.stage.point_cache import read_point_cache
+from facepipe.stage.controls_over_time import read_point_cache
 
 
 def test_inbetweens_whose_names_are_no_identifiers_all_stay(tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ from facepipe.geometry.contacts import Contact, Sheet
 from facepipe.geometry.polygons import point_triangles
 from facepipe.importers.ict import EXPRESSIONS, shape_name
 from facepipe.parts import FaceParts
-from facepipe.rig.build_rig import build
 from facepipe.rig.conventions import ARKIT_SHAPES
-from facepipe.rig.rig import Rig
+from facepipe.rig.rig import Rig, build
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

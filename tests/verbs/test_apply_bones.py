@@ -19,7 +19,7 @@ from facepipe.parts import BoneLimits, FaceParts
 from facepipe.payload import PayloadContent, Precision, encode
 from facepipe.rig import rest_coefficients
 from facepipe.stage import Face, save_parts
-from facepipe.stage.animation_source import play
+from facepipe.stage.face import play
 from facepipe.verbs.apply_bones import apply_bones
 
 Capsys = pytest.CaptureFixture[str]

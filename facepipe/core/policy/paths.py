@@ -17,7 +17,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 
 ROOTS = "FACEPIPE_ROOTS"  # folders, separated as in PATH
 PROJECT = "facepipe.toml"  # marks the folder of a project
@@ -173,7 +173,7 @@ def private_folder(path: Path) -> Path:
 
     :raises InputError: it can't be made, is a link, or is another user's
     """
-    try:
+    with system_errors(path, "can't be made"):
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
         state = path.lstat()
         if not stat.S_ISDIR(state.st_mode):
@@ -182,8 +182,6 @@ def private_folder(path: Path) -> Path:
             if state.st_uid != os.geteuid():
                 raise InputError(path, "belongs to another user, expected a folder of your own")
             path.chmod(0o700)
-    except OSError as error:
-        raise InputError(path, f"can't be made: {error.strerror or error}") from error
     return path
 
 

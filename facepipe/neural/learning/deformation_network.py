@@ -26,14 +26,7 @@ CHECKED = 0.15  # of the frames, the last ones: when to stop
 
 
 def train_deformation_network(
-    inputs: FloatArray,
-    outputs: FloatArray,
-    deviations: FloatArray,
-    *,
-    width: int,
-    steps: int,
-    noise: float,
-    seed: int,
+    inputs: FloatArray, outputs: FloatArray, deviations: FloatArray, *, width: int, steps: int, noise: float, seed: int
 ) -> Callable[[FloatArray], FloatArray]:
     """(..., o) of (..., i), by two hidden layers; the steps that do best on the last frames.
 

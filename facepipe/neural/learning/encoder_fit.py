@@ -241,14 +241,6 @@ class EncoderSamples:
     controls: FloatArray  # (f, c) from -1 to 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class FittedEncoder:
-    """Weights by their names in the network, float32, and the steps taken."""
-
-    weights: dict[str, FloatArray]
-    steps: int
-
-
 def train_encoder(
     samples: EncoderSamples,
     checked: EncoderSamples,
@@ -263,7 +255,7 @@ def train_encoder(
     done: Callable[[], object] = lambda: None,
     state: Mapping[str, AnyArray] | None = None,
     keep: Callable[[Mapping[str, AnyArray]], object] = lambda _: None,
-) -> FittedEncoder:
+) -> tuple[dict[str, FloatArray], int]:
     """A network of least squared error beside a straight map, which it begins as.
 
     Adam with decoupled decay (Loshchilov and Hutter 2019) from a seed, on one thread: the same samples give the same
@@ -278,6 +270,7 @@ def train_encoder(
     :param done: called once for each step
     :param state: what `keep` was given in a training that was ended: it goes on from there
     :param keep: called with the state now and then, and in the end
+    :returns: weights by their names in the network, float32, and the steps taken
     :raises InputError: a state of another training
     """
     with one_thread():
@@ -296,4 +289,4 @@ def train_encoder(
             ("straight", "last", "offset"), last_layer(frames[0], frames[1], max(noise, LEAST_NOISE)), strict=True
         )
         weights |= {name: one.astype(np.float32) for name, one in solved}
-        return FittedEncoder(weights=weights, steps=descent.steps)
+        return weights, descent.steps

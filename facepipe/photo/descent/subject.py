@@ -17,8 +17,7 @@ from facepipe.parts import FaceParts, Slider
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
 from facepipe.rig import Rig, build
 from facepipe.rig.conventions import ARKIT_SHAPES
-from facepipe.rig.slider_network import check_network, shape_changes
-from facepipe.rig.sliders import independent
+from facepipe.rig.sliders import check_network, independent, shape_changes
 
 NUMBERS = 7  # rotation vector (3), middle of the head in pixels (2), log pixels per unit there, log distance
 FOCAL = 2.6  # of the photo's larger side, about 94 mm on a 36 mm frame: portraits have long lenses, and are cropped

@@ -17,8 +17,8 @@ from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import Animation, FaceParts, KeyLamp, PhotoView, Recipe, Slider
 from facepipe.photo.fit.report import Loss, PhotoFitReport, PhotoReport
 from facepipe.stage import Face
-from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.face import play
 from facepipe.verbs.sliders import SetSliders
 from facepipe.verbs.sliders.author_sliders import pose
 

@@ -42,9 +42,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from facepipe.core.errors import FacepipeError, InputError
-from facepipe.core.reports import table
+from facepipe.core.reports import Watch, table
 from facepipe.declare import beside, option, source
-from facepipe.kinds import Job, StageAction, Watch, action
+from facepipe.kinds import Job, StageAction, action
 from facepipe.photo.options import MODELS, LikenessOptions, PhotoFitOptions, PhotoTermOptions
 
 if TYPE_CHECKING:

@@ -20,14 +20,13 @@ from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
 from facepipe.core.images import open_image
 from facepipe.core.markup import heading, joined, page, tag
-from facepipe.core.reports import Report, not_in_json
+from facepipe.core.reports import Report, Watch, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.geometry.colors import from_srgb, to_srgb
 from facepipe.geometry.polygons import triangulate
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.heads.people import STYLES
 from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
-from facepipe.kinds import Watch
 from facepipe.parts import FaceParts, Mesh, PhotoView, Recipe, TextureInput
 from facepipe.photo import pictures
 from facepipe.photo.fit import read_photo

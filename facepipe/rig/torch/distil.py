@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -359,20 +360,20 @@ def _ranges(sliders: Sequence[Slider]) -> tuple[FloatArray, FloatArray]:
 
 def _with_gains(slider: Slider, driven: Sequence[Driven], gains: FloatArray) -> Slider:
     """The slider with its straight entries and the further `gains`, each channel and shape once."""
-    channels = [(joint, channel, gain) for (joint, channel, gain), curve in channel_entries(slider) if curve is None]
-    shapes = [(shape, gain) for (shape, gain), curve in shape_entries(slider) if curve is None]
+    # the slider's own gain and the learnt one of a channel are one number in the end
+    by_channel: dict[tuple[str, str], float] = defaultdict(float)
+    by_shape: dict[str, float] = defaultdict(float)
+    for (joint, channel, gain), curve in channel_entries(slider):
+        if curve is None:
+            by_channel[joint, channel] += gain
+    for (shape, gain), curve in shape_entries(slider):
+        if curve is None:
+            by_shape[shape] += gain
     for target, gain in zip(driven, gains.tolist(), strict=True):
         if gain and target.channel is not None:
-            channels.append((*target.channel, gain))
+            by_channel[target.channel] += gain
         elif gain and target.shape is not None:
-            shapes.append((target.shape, gain))
-    # the slider's own gain and the learnt one of a channel are one number in the end
-    by_channel: dict[tuple[str, str], float] = {}
-    for joint, channel, gain in channels:
-        by_channel[joint, channel] = by_channel.get((joint, channel), 0.0) + gain
-    by_shape: dict[str, float] = {}
-    for shape, gain in shapes:
-        by_shape[shape] = by_shape.get(shape, 0.0) + gain
+            by_shape[target.shape] += gain
     return replace(
         slider,
         channels=tuple((*key, gain) for key, gain in by_channel.items()),

@@ -16,8 +16,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Curve, Slider, SliderNetwork
 from facepipe.rig import CHANNELS, rest_coefficients
-from facepipe.rig.slider_network import check_network
-from facepipe.rig.sliders import channel_entries, response, shape_entries
+from facepipe.rig.sliders import channel_entries, check_network, response, shape_entries
 
 ACTIVATIONS = {"tanh": torch.tanh, "relu": torch.relu, "silu": torch.nn.functional.silu}
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from facepipe.core.reports import Watch
 from facepipe.declare import source
-from facepipe.kinds import Inspector, Watch, action
+from facepipe.kinds import Inspector, action
 from facepipe.scanning.database.database_report import DatabaseReport, report_of
 
 

@@ -14,11 +14,10 @@ import numpy as np
 
 from facepipe.core.arrays import Float32Array, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, not_in_json
+from facepipe.core.reports import Report, Watch, not_in_json
 from facepipe.core.threads import one_thread
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.rasterise import rasterise, screen_triangles
-from facepipe.kinds import Watch
 from facepipe.scanning.landmarks.find import found_sigmas
 from facepipe.scanning.photos.cameras import (
     Cameras,

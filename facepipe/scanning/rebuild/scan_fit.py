@@ -12,10 +12,10 @@ import numpy as np
 
 from facepipe.core.arrays import BoolArray, FloatArray
 from facepipe.core.errors import FacepipeError
+from facepipe.core.reports import Watch
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.registration import Registered, RegistrationOptions, ScanTarget
 from facepipe.geometry.similarity import Similarity
-from facepipe.kinds import Watch
 from facepipe.scanning.clean_scan import CleanScan
 from facepipe.scanning.rebuild.declared import UNITS
 from facepipe.scanning.rebuild.template import Template

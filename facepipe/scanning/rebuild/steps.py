@@ -19,7 +19,7 @@ import numpy as np
 from facepipe.core import __version__
 from facepipe.core.arrays import AnyArray, FloatArray
 from facepipe.core.atomic import collect
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, system_errors
 from facepipe.core.policy.paths import check_found, check_writable
 from facepipe.core.reports import Report
 from facepipe.geometry.similarity import Similarity
@@ -113,10 +113,8 @@ class WorkFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with system_errors(path, "can't be made"):
             self.place(CORRECTIONS).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(path, f"can't be made: {error.strerror or error}") from error
 
     def step(
         self,

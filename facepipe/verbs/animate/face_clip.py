@@ -20,8 +20,8 @@ from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.stage import Face
-from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.face import on_frames, play
 from facepipe.verbs.animate.clip_files import PARTS, Performance, angle_of
 from facepipe.verbs.animate.options import AnimateOptions
 

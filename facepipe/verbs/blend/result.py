@@ -16,8 +16,7 @@ from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.vectors import group_sums, transformed, unit_vectors
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe
 from facepipe.rig import mesh_spaces
-from facepipe.rig.slider_network import kept as kept_outputs
-from facepipe.rig.sliders import kept
+from facepipe.rig.sliders import kept, kept_outputs
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.blend.options import BlendOptions

@@ -25,8 +25,8 @@ from facepipe.payload import decode
 from facepipe.rig import CHANNELS, Rig, matrix_coefficients, mesh_spaces, rest_coefficients
 from facepipe.rig.trs import decompose
 from facepipe.stage import Face
-from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.face import play
 from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, local_shear, rest_shear, size_warning

@@ -15,8 +15,8 @@ from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts, Mesh
 from facepipe.rig import build, person_of, sample_transforms, sample_weights
 from facepipe.stage import Face, open_face
+from facepipe.stage.controls_over_time import read_loose_animations, read_point_cache
 from facepipe.stage.files import SUFFIXES as USD_SUFFIXES
-from facepipe.stage.point_cache import read_loose_animations, read_point_cache
 from facepipe.verbs.cached_points import cached_points
 from facepipe.verbs.whole_faces import match_meshes, world_to_world
 

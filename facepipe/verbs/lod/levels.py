@@ -12,10 +12,9 @@ from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.core.reports import Report, table
+from facepipe.core.reports import Report, Watch, table
 from facepipe.geometry.closest_points import closest_among, closest_places, place_shares
 from facepipe.geometry.geodesics import nearest_sources, surface_graph
-from facepipe.kinds import Watch
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_levels

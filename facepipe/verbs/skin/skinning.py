@@ -14,7 +14,7 @@ from facepipe.geometry.heat_weights import influences
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import Animation, FaceParts, Skeleton, Skin
 from facepipe.rig.animation import local_transforms
-from facepipe.rig.build_rig import mesh_spaces
+from facepipe.rig.rig import mesh_spaces
 from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.stage.values import same
 from facepipe.verbs.skin.surface import Surface

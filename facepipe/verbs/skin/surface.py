@@ -23,7 +23,7 @@ from facepipe.geometry.polygons import (
 )
 from facepipe.geometry.vectors import transformed
 from facepipe.parts import FaceParts
-from facepipe.rig.build_rig import mesh_spaces
+from facepipe.rig.rig import mesh_spaces
 
 LANDMARKS = "multipie68"
 _SAME = 1e-6  # border points nearer than this share of the face's size are one

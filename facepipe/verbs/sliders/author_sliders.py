@@ -17,9 +17,9 @@ from facepipe.payload import PayloadContent
 from facepipe.rig import CHANNELS, slide
 from facepipe.rig.sliders import sliders_fault
 from facepipe.stage import Face
-from facepipe.stage.animation_source import play
-from facepipe.stage.api_schemas import check_property_name
 from facepipe.stage.author_changes import author_changes
+from facepipe.stage.face import play
+from facepipe.stage.prims import check_property_name
 from facepipe.verbs.bone_payload import beyond_limits, check_limits, limit_warnings
 from facepipe.verbs.sliders.tables import SliderTable
 

@@ -15,7 +15,7 @@ from rebuild_project import PROJECT, rebuilt
 
 from facepipe.cooking import cook
 from facepipe.core.atomic import apart
-from facepipe.kinds import Bar, unwatched
+from facepipe.core.reports import Bar, unwatched
 
 Capsys = pytest.CaptureFixture[str]
 

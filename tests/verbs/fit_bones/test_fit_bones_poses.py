@@ -17,7 +17,7 @@ from facepipe.core.errors import FitError
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build, rest_coefficients
 from facepipe.stage import Face
-from facepipe.stage.animation_source import play
+from facepipe.stage.face import play
 from facepipe.verbs.fit_bones import FitBones, FitBonesReport, LimitRules, Target, read_limits, read_targets
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
 from facepipe.verbs.fit_bones.target_fits import half_scaled, with_half_scales
