@@ -11,7 +11,7 @@ from facepipe.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import rasterise, screen_triangles
-from facepipe.networks.masks import FaceMask, face_mask
+from facepipe.networks.files import FaceMask, face_mask
 from facepipe.parts import PhotoView
 from facepipe.pictures.lighting import PhotoLight, returned
 from facepipe.textures.skin_surface import SkinSurface

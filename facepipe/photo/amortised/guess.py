@@ -13,7 +13,7 @@ import torch
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.networks.onnx_file import properties, read_model
+from facepipe.networks.onnx_file import onnx_session, properties, read_model
 from facepipe.photo.amortised.graph import KEY, KIND, controls
 from facepipe.photo.amortised.network import COUNT, SIZE
 from facepipe.photo.amortised.pictures import Picture
@@ -84,13 +84,24 @@ def load_start(path: Path, subject: Subject) -> Guess:
     expected = controls(subject)
     if metadata.get("up_axis") != expected["up_axis"]:
         raise InputError(path, f"made for a face with another up axis, expected {expected['up_axis']}")
+    # run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads
+    module = OnnxModule(model, None, path)
+    zeros = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
+    if set(module.inputs) != set(zeros):
+        raise InputError(path, _OTHER)
+    with torch.no_grad():
+        module(*[zeros[name] for name in module.inputs])
+    try:
+        session = onnx_session(model.SerializeToString())
+    except Exception as error:  # onnxruntime's own classes share no other base
+        raise InputError(path, f"can't be run: {str(error)[:120]}") from None
     guess = Guess(
         path=path,
         subject=subject,
         metadata=metadata,
         sliders=_places(path, "slider", metadata.get("sliders"), expected["sliders"]),
         expressions=_places(path, "expression", metadata.get("expressions"), expected["expressions"]),
-        session=_session(path, model),
+        session=session,
     )
     counts = {"shares": len(subject.sliders), "expressions": len(subject.expressions), "pose": NUMBERS}
     inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
@@ -117,22 +128,3 @@ def _places(path: Path, kind: str, theirs: Any, controls: list[Any]) -> IntArray
             path, f"made for another face: {len(theirs)} {kind}s, expected the {len(controls)} of this one"
         )
     return np.array([theirs.index(one) for one in controls], dtype=np.int64)
-
-
-def _session(path: Path, model: Any) -> Any:
-    import onnxruntime as ort
-
-    # run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads
-    module = OnnxModule(model, None, path)
-    inputs = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
-    if set(module.inputs) != set(inputs):
-        raise InputError(path, _OTHER)
-    with torch.no_grad():
-        module(*[inputs[name] for name in module.inputs])
-    settings = ort.SessionOptions()
-    settings.intra_op_num_threads = 1
-    settings.log_severity_level = 4
-    try:
-        return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own classes share no other base
-        raise InputError(path, f"can't be run: {str(error)[:120]}") from None

@@ -257,7 +257,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         """
         import numpy as np
 
-        from facepipe.networks.masks import face_mask
+        from facepipe.networks.files import face_mask
         from facepipe.photo.descent.fit import fit_photos, pose_space
         from facepipe.photo.descent.landmark_rig import dense_points
         from facepipe.photo.descent.subject import Subject

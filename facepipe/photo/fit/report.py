@@ -19,7 +19,7 @@ from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.geometry.polygons import point_areas, point_normals, point_triangles
 from facepipe.geometry.rasterise import rasterise, screen_triangles
-from facepipe.networks.masks import face_mask
+from facepipe.networks.files import face_mask
 from facepipe.parts import FaceParts, TextureInput
 from facepipe.photo import pictures
 from facepipe.photo.fit.landmark_file import write_landmarks
