@@ -6,8 +6,7 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.pictures.face_picture import PictureOptions, picture, poses, save_png
-    from facepipe.pictures.heatmap import HeatMap
-    from facepipe.pictures.overlay import RegionColors, contact_sheet
+    from facepipe.pictures.overlay import HeatMap, RegionColors, contact_sheet
 else:
     __getattr__, __dir__ = lazy(__name__)
 

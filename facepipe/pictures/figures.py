@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.markup import Markup, joined, tag
-from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
+from facepipe.core.markup import Markup, tag
+from facepipe.pictures.overlay import NO_VALUE, STATIONS, ticks
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -211,16 +211,17 @@ def table_of_bars(
 ) -> Markup:
     """A name a row, and for each of its columns a bar with its number; None leaves a place empty."""
     head = tag("tr", tag("th"), *(tag("th", title, colspan=2) for title in titles)) if titles else ""
-    lines = [
-        tag("tr", tag("td", name), *(_cell(*place) if place else tag("td", colspan=2) for place in places))
-        for name, places in rows
-    ]
+    lines = []
+    for name, places in rows:
+        cells = [tag("td", name)]
+        for place in places:
+            if place:
+                cells += [tag("td", place[0], class_="track"), tag("td", f"{place[1]:.2f}", class_="number")]
+            else:
+                cells.append(tag("td", colspan=2))
+        lines.append(tag("tr", *cells))
     above = tag("caption", caption) if caption else ""
     columns = max((len(places) for _, places in rows), default=1)
     widths = [tag("col", style=f"width:{'36%' if columns == 1 else '240px'}")]
     widths += [tag("col"), tag("col", style="width:70px")] * columns
     return tag("table", above, tag("colgroup", *widths), head, *lines, class_="bars")
-
-
-def _cell(drawn: Markup, value: float) -> Markup:
-    return joined(tag("td", drawn, class_="track"), tag("td", f"{value:.2f}", class_="number"))

@@ -218,9 +218,8 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
 
         :raises FacepipeError: what can't be read, or landmarks that are not found
         """
-        from facepipe.photo.fit.landmark_file import read_landmarks
         from facepipe.photo.fit.photo_file import read_photo
-        from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks
+        from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks, read_landmarks
         from facepipe.photo.fit.report import PhotoInputs
 
         photos = [read_photo(path) for path in self.photos]

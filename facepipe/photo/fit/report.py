@@ -22,8 +22,8 @@ from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.networks.files import face_mask
 from facepipe.parts import FaceParts, TextureInput
 from facepipe.photo import pictures
-from facepipe.photo.fit.landmark_file import write_landmarks
 from facepipe.photo.fit.person_model import SCHEME
+from facepipe.photo.fit.photo_landmarks import write_landmarks
 from facepipe.photo.pictures import PhotoSheet, SheetPhoto, photo_page
 from facepipe.pictures import save_png
 from facepipe.pictures.occlusion import visible_sky

@@ -117,9 +117,8 @@ def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], li
     """
     from facepipe.photo.amortised.pictures import Picture
     from facepipe.photo.descent.fit import pose_space
-    from facepipe.photo.fit.landmark_file import read_landmarks
     from facepipe.photo.fit.photo_file import read_photo
-    from facepipe.photo.fit.photo_landmarks import own_landmarks
+    from facepipe.photo.fit.photo_landmarks import own_landmarks, read_landmarks
 
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected one of photos")

@@ -277,7 +277,10 @@ def write_frames(
                 pitch=round(look.pitch, 4),
             )
             chosen.append(one)
-            warnings += _refused(folder / name)
+            try:  # whether `facepipe fit-photo` would take it as it is
+                own_landmarks(read_photo(folder / name))
+            except InputError as error:
+                warnings.append(f"{name}: for fit-photo {error.what}")
             done()
         if frame.number >= last:
             break
@@ -295,12 +298,3 @@ def write_frames(
         with_face=len(seen.looks),
         warnings=tuple(warnings),
     )
-
-
-def _refused(file: Path) -> list[str]:
-    """Why `facepipe fit-photo` would not take a frame as it is: another face, or landmarks that can't be right."""
-    try:
-        own_landmarks(read_photo(file))
-    except InputError as error:
-        return [f"{file.name}: for fit-photo {error.what}"]
-    return []

@@ -17,7 +17,7 @@ from facepipe.core.errors import TopologyError
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import triangulate
-from facepipe.parts import FaceParts, Material, Mesh, TextureInput
+from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
 from facepipe.photo.renderer.light import KeyLight, shade
 from facepipe.photo.renderer.rasterise import (
@@ -101,7 +101,18 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
         opaque = np.array([material.opacity == 1.0 for material in materials])[chosen]
         corners, chosen = corners[opaque], chosen[opaque]
         points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
-        pieces.append((points + first, chosen, _uv_rows(mesh, corners, points, materials, chosen, uv)))
+        rows = np.zeros(corners.shape, dtype=np.int64)  # row 0 where no texture is
+        for uv_set in mesh.uv_sets:
+            used = [
+                i
+                for i, one in enumerate(materials)
+                if isinstance(one.diffuse_color, TextureInput) and one.diffuse_color.uv_set == uv_set.name
+            ]
+            shown = np.isin(chosen, used)
+            within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
+            rows[shown] = within[shown] + sum(map(len, uv))
+            uv.append(np.asarray(uv_set.values, dtype=np.float64))
+        pieces.append((points + first, chosen, rows))
         first += len(mesh.points)
     pieces.append((np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64)))
     triangles, of_triangle, uv_corners = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -116,29 +127,6 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
         uv=np.concatenate(uv),
         uv_corners=uv_corners,
     )
-
-
-def _uv_rows(
-    mesh: Mesh,
-    corners: IntArray,
-    points: IntArray,
-    materials: tuple[Material, ...],
-    materials_used: IntArray,
-    table: list[FloatArray],
-) -> IntArray:
-    """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
-    rows = np.zeros(corners.shape, dtype=np.int64)
-    for uv_set in mesh.uv_sets:
-        used = [
-            i
-            for i, one in enumerate(materials)
-            if (isinstance(one.diffuse_color, TextureInput) and one.diffuse_color.uv_set == uv_set.name)
-        ]
-        chosen = np.isin(materials_used, used)
-        within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
-        rows[chosen] = within[chosen] + sum(map(len, table))
-        table.append(np.asarray(uv_set.values, dtype=np.float64))
-    return rows
 
 
 def bilinear(texels: Tensor, uv: Tensor, wrap_s: _Wrap = "repeat", wrap_t: _Wrap = "repeat") -> Tensor:

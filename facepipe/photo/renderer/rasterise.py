@@ -171,8 +171,7 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
             row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
             first = row * raster.width + column
             pairs.append(torch.stack([first, first + step, 2 * first + dim]))
-        first, second, pair = torch.cat(pairs, dim=1)
-        inside, outside, pair = first, second, pair
+        inside, outside, pair = torch.cat(pairs, dim=1)
         free = ~torch.isin(pair, taken)
         inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
         corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
@@ -223,18 +222,13 @@ class Crossings:
         return torch.where(self.inside_first, reach, 1 - reach)
 
 
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def silhouettes(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
-    """The visible crossings, at most one between two pixels; without gradients.
+    """The visible crossings of silhouette edges, at most one between two pixels; without gradients.
 
     :param points: (n, 3) pixel x, pixel y and depth
     :param edges: (e, 4) of an `Outline`
     """
-    with torch.no_grad():
-        return _visible(_crossings(points.detach(), edges, raster), points.detach(), raster)
-
-
-def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
-    """All crossings of silhouette edges, seen or not, between two pixels of the image."""
     x, y, _ = take(points, edges.T).unbind(-1)
     dx, dy = x[1] - x[0], y[1] - y[0]
     one, other = (dx * (y[corner] - y[0]) - dy * (x[corner] - x[0]) for corner in (2, 3))
@@ -265,7 +259,7 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     far = near + torch.where(steep, 1, raster.width)
     nearness = 1 / depth[:, :2][owner]
     nearness = nearness[:, 0] + share * (nearness[:, 1] - nearness[:, 0])
-    return Crossings(
+    crossings = Crossings(
         ends=edges[owner, :2],
         steep=steep,
         line=line,
@@ -277,11 +271,8 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
         nearness=nearness,
         floor=nearness * (1 - _ROUNDING) + 2 * slope.clamp(max=0),
     )
-
-
-def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:
-    """Those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
-    one that reaches farthest: all of them together cover that much."""
+    # those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
+    # one that reaches farthest: all of them together cover that much
     inner, outer = raster.nearness[crossings.inside], raster.nearness[crossings.outside]
     seen = (outer < crossings.nearness * (1 - _ROUNDING)) & (inner > outer) & (inner >= crossings.floor)
     crossings = crossings.select(seen)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -53,9 +52,6 @@ from facepipe.textures.skin_surface import (
     template_texels,
     textures_of,
 )
-
-if TYPE_CHECKING:
-    pass
 
 PUPILS = "pupils"
 _EYE_TEXELS = 96  # a side of the picture as it is compared
