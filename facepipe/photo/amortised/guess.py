@@ -14,8 +14,7 @@ import torch
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.networks.onnx_file import onnx_session, properties, read_model
-from facepipe.photo.amortised.graph import KEY, KIND, controls
-from facepipe.photo.amortised.network import COUNT, SIZE
+from facepipe.photo.amortised.network import COUNT, KEY, KIND, SIZE, controls
 from facepipe.photo.amortised.pictures import Picture
 from facepipe.photo.descent.landmark_fit import State
 from facepipe.photo.descent.subject import NUMBERS, PoseSpace, Subject

@@ -68,8 +68,8 @@ class TrainPhoto(StartOptions, FileAction[TrainPhotoReport]):
     def write(self, job: Job) -> TrainPhotoReport:
         from facepipe.core.atomic import write_bytes
         from facepipe.importers import read_face
-        from facepipe.photo.amortised.graph import start_graph, start_metadata
-        from facepipe.photo.amortised.training import train_start
+        from facepipe.photo.amortised.network import start_graph
+        from facepipe.photo.amortised.training import start_metadata, train_start
         from facepipe.photo.descent.subject import Subject
 
         begin, parts = time.perf_counter(), read_face(self.face).parts()
