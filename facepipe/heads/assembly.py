@@ -285,6 +285,18 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
             **shapes,
             **{shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes},
         }
+    # limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes
+    lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(head.joints), 1))
+    upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(head.joints), 1))
+    for i, joint in enumerate(head.joints):
+        name = joint.rpartition("/")[2]
+        if name in ("root", "neck", "head"):
+            lower[i, :3], upper[i, :3] = 0.0, 0.0
+            lower[i, 3:6], upper[i, 3:6] = -0.7, 0.7
+        elif name == "jaw":
+            lower[i, 3], upper[i, 3] = -0.05, 0.45
+        elif name.startswith(("eye", "lid")):
+            lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,
@@ -293,7 +305,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
         animations=animations(frozenset(head.shapes)),
         played=TALK,
         sliders=(*sliders(frozenset(head.shapes)), *(identity_sliders() if controls == "measures" else bone_sliders())),
-        bone_limits=_bone_limits(head.joints),
+        bone_limits=BoneLimits(lower=lower, upper=upper),
         attribution=ATTRIBUTION,
     )
 
@@ -367,31 +379,10 @@ def skeleton(points: FloatArray) -> Skeleton:
     return Skeleton(joints=head.joints, bind_transforms=world, rest_transforms=rest)
 
 
-def _bone_limits(joints: tuple[str, ...]) -> BoneLimits:
-    """Limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes."""
-    lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(joints), 1))
-    upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(joints), 1))
-    for i, joint in enumerate(joints):
-        name = joint.rpartition("/")[2]
-        if name in ("root", "neck", "head"):
-            lower[i, :3], upper[i, :3] = 0.0, 0.0
-            lower[i, 3:6], upper[i, 3:6] = -0.7, 0.7
-        elif name == "jaw":
-            lower[i, 3], upper[i, 3] = -0.05, 0.45
-        elif name.startswith(("eye", "lid")):
-            lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
-    return BoneLimits(lower=lower, upper=upper)
-
-
 @one_thread()
 def average() -> FaceParts:
     """The bare average head, without materials."""
     return make_head(np.zeros(len(asset().modes)))
-
-
-def modes() -> FloatArray:
-    """(m, n, 3) offsets in centimetres of a standard deviation each, of all meshes' points one after another."""
-    return np.asarray(asset().modes, dtype=np.float64)
 
 
 @one_thread()

@@ -111,7 +111,12 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     blood = 0.03 * skin * _enlarged(patches, size)
     spots = np.zeros_like(grain) if small else _enlarged(_spots(look, tile, rng), size)
     melanin = skin * (0.05 * grain + spots)
-    hairs = _hairs(look, m, size, rng)
+    hairs = np.zeros((1, 1), np.float32)  # darkening by the dots of shaved hairs
+    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
+    if share.any():
+        dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
+        contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
+        hairs = np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
     for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
         light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding
         base[..., channel] = np.minimum(base[..., channel] * light, 255)
@@ -136,16 +141,6 @@ def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
         if dots.any():
             result += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
     return np.asarray(result * (1 - 0.6 * look.darkness) * skin)
-
-
-def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Generator) -> FloatArray:
-    """(size, size) darkening by the dots of shaved hairs."""
-    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
-    if not share.any():
-        return np.zeros((1, 1), np.float32)
-    dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
-    contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
-    return np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
 
 
 def roughness(look: Look, tile: int, size: int) -> FloatArray:

@@ -10,12 +10,4 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = [
-    "HeatMap",
-    "PictureOptions",
-    "RegionColors",
-    "contact_sheet",
-    "picture",
-    "poses",
-    "save_png",
-]
+__all__ = ["HeatMap", "PictureOptions", "RegionColors", "contact_sheet", "picture", "poses", "save_png"]

@@ -78,11 +78,7 @@ def _halved(pixels: ByteArray) -> list[ByteArray]:
 
 
 def bilinear(
-    pixels: AnyArray,
-    uv: FloatArray,
-    wrap_s: str = "repeat",
-    wrap_t: str = "repeat",
-    table: Float32Array | None = None,
+    pixels: AnyArray, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat", table: Float32Array | None = None
 ) -> Float32Array:
     """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up.
 

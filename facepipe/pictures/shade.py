@@ -403,30 +403,12 @@ class Shader:
             surfaces.base[:] = self.heatmap.colors(values[:, 9])
         elif self.paint is not None:
             surfaces.base[:] = values[:, 6:9]
-        samples = self._samples(surfaces, values, front, ids)
-        lit = self.studio.light(samples)
-        for highlights in (lit.highlights, lit.key_highlights):
-            highlights *= surfaces.gloss[:, None]
-        lit.highlights[:] += surfaces.emission
-        return Shaded(
-            base=surfaces.base * (1 - surfaces.metallic[:, None]),
-            lit=lit,
-            scattered=np.zeros_like(lit.diffuse),
-            key_light=_through(
-                self._key_light(values[:, :3], samples.normals, _turns(x, y) if grainy else None), surfaces.through
-            ),
-            opacity=surfaces.opacity,
-            presence=surfaces.presence,
-            depth=-values[:, 2],
-        )
-
-    def _samples(self, surfaces: Surfaces, values: FloatArray, front: BoolArray, ids: IntArray) -> Samples:
         normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
         inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
         # (m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open
         ahead, behind = np.split(values[:, 10:], 2, axis=1)
         behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
-        return Samples(
+        samples = Samples(
             normals=normals,
             towards_eye=_unit_normals(-values[:, :3]),
             up=self.camera.axes[:, 1].astype(np.float32),
@@ -438,6 +420,22 @@ class Shader:
             coat=surfaces.coat,
             coat_roughness=surfaces.coat_roughness,
             inside=inside,
+        )
+        lit = self.studio.light(samples)
+        for highlights in (lit.highlights, lit.key_highlights):
+            highlights *= surfaces.gloss[:, None]
+        lit.highlights[:] += surfaces.emission
+        (across, down), scale = _PATTERN  # radians that differ between neighbouring pixels
+        pattern = scale * ((across * np.floor(x) + down * np.floor(y)) % 1.0) % 1.0
+        turns = np.asarray(2 * np.pi * pattern) if grainy else None
+        return Shaded(
+            base=surfaces.base * (1 - surfaces.metallic[:, None]),
+            lit=lit,
+            scattered=np.zeros_like(lit.diffuse),
+            key_light=_through(self._key_light(values[:, :3], samples.normals, turns), surfaces.through),
+            opacity=surfaces.opacity,
+            presence=surfaces.presence,
+            depth=-values[:, 2],
         )
 
     def _key_light(self, position: FloatArray, normals: FloatArray, turns: FloatArray | None) -> FloatArray:
@@ -458,12 +456,6 @@ class Shader:
 def _through(light: FloatArray, share: FloatArray) -> FloatArray:
     """Shares of light (..., m) of which a share (m,) arrives in any case."""
     return light + share * (1 - light)
-
-
-def _turns(x: FloatArray, y: FloatArray) -> FloatArray:
-    """(m,) radians that differ between neighbouring pixels."""
-    (across, down), scale = _PATTERN
-    return np.asarray(2 * np.pi * (scale * ((across * np.floor(x) + down * np.floor(y)) % 1.0) % 1.0))
 
 
 def _unit_normals(vectors: FloatArray) -> FloatArray:

@@ -94,11 +94,7 @@ def held(values: Tensor) -> Tensor:
 def controls(subject: Subject) -> dict[str, Any]:
     """What a network's outputs stand for: sliders with their ranges, expressions, the axis that points up."""
     sliders = [
-        {
-            "name": slider.name,
-            "range": [short(slider.minimum), short(slider.maximum)],
-            "default": short(slider.default),
-        }
+        {"name": slider.name, "range": [short(slider.minimum), short(slider.maximum)], "default": short(slider.default)}
         for slider in subject.free_sliders
     ]
     shapes = [subject.rig.shapes[i] for i in subject.expressions]

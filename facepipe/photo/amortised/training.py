@@ -274,10 +274,7 @@ class NetworkDescent:
         return self.network
 
     def descend(
-        self,
-        pictures: Sequence[Picture],
-        options: StartOptions,
-        done: Callable[[], object],
+        self, pictures: Sequence[Picture], options: StartOptions, done: Callable[[], object]
     ) -> tuple[str, ...]:
         """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
         network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])

@@ -295,9 +295,7 @@ class LandmarkFit:
         slope = np.zeros_like(state.poses)
         slope[:, 5:] = focal[:, None] / priors.focal_sigma
         gradient = State(
-            shares=pull * off,
-            expressions=np.full_like(state.expressions, priors.expression_sparsity),
-            poses=slope,
+            shares=pull * off, expressions=np.full_like(state.expressions, priors.expression_sparsity), poses=slope
         ).vector()
         cost = 0.5 * float(pull @ off**2) + priors.expression_sparsity * float(state.expressions.sum())
         hessian = np.diag(State(shares=pull, expressions=0 * state.expressions, poses=0 * state.poses).vector())

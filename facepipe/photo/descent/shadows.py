@@ -56,12 +56,7 @@ def transfer_of(sky: Tensor, normals: Tensor) -> Tensor:
 
 
 def visibility(
-    points: Tensor,
-    triangles: Tensor,
-    direction: Tensor,
-    resolution: int = RESOLUTION,
-    *,
-    used: Tensor | None = None,
+    points: Tensor, triangles: Tensor, direction: Tensor, resolution: int = RESOLUTION, *, used: Tensor | None = None
 ) -> Tensor:
     """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), averaged over four pixels.
 

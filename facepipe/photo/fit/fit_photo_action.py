@@ -80,10 +80,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         "landmarks of a photo, in the order of the photos", default=(), flag="--landmarks", metavar="JSON"
     )
     landmarker: Path | None = source(
-        "find landmarks by MediaPipe: its model face_landmarker.task",
-        default=None,
-        flag="--landmarker",
-        metavar="TASK",
+        "find landmarks by MediaPipe: its model face_landmarker.task", default=None, flag="--landmarker", metavar="TASK"
     )
     database: Path | None = source(
         "faces of FACE's topology: who a person may be (default for the built-in head its own modes)",
@@ -143,12 +140,6 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             return values
         *photos, face = arguments.files
         return {**values, "face": face, **({"photos": tuple(photos)} if photos else {})}
-
-    @property
-    def options(self) -> PhotoFitOptions:
-        """The options of the fit."""
-        terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
-        return PhotoFitOptions(**terms, landmarks=self.landmark_weight)
 
     def check(self) -> None:
         super().check()
@@ -271,6 +262,8 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             except FacepipeError as error:
                 raise error.under(self.face) from None
             start = load_start(self.start, subject).together(pixels, [each.points for each in marks], spaces)
+        terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
+        options = PhotoFitOptions(**terms, landmarks=self.landmark_weight)
         # dense landmarks that were found count where the face has as many
         count = len(dense_points(parts))
         known = [(each, slice(0, count if len(each.dense) == count else 0)) for each in marks]
@@ -280,7 +273,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
                     parts,
                     pixels,
                     [np.vstack([each.points, each.dense[some]]) for each, some in known],
-                    self.options,
+                    options,
                     confidences=[np.append(each.confidence, each.dense_confidence[some]) for each, some in known],
                     expressions=self.expressions,
                     extractors=inputs.extractors,

@@ -243,11 +243,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     face = one_face(faces, index, str(photo.path))
     found = landmarks_in(photo, face.landmarks, "facepipe landmark network", str(photo.path))
     return replace(
-        found,
-        confidence=face.confidence,
-        dense=face.dense,
-        dense_confidence=face.dense_confidence,
-        pupils=face.pupils,
+        found, confidence=face.confidence, dense=face.dense, dense_confidence=face.dense_confidence, pupils=face.pupils
     )
 
 
