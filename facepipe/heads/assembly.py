@@ -273,10 +273,7 @@ def make(seed: int = 0, *, textures: int = 0, controls: Controls = "measures") -
 
 
 def make_head(identity: FloatArray, controls: Controls = "measures") -> FaceParts:
-    """The bare head of a person, in centimetres: without materials.
-
-    :param identity: (100,) weights of the identity modes, in standard deviations
-    """
+    """The bare head in centimetres, without materials, by (100,) standard deviations of the identity modes."""
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(fit_mouth(points), head.shapes)
@@ -406,10 +403,7 @@ def with_own_blinks(parts: FaceParts, points: FloatArray) -> FaceParts:
 
 @one_thread()
 def with_own_cards(parts: FaceParts, before: FaceParts) -> FaceParts:
-    """A face of the built-in head's topology, whose hair, brows and lashes lie on its skin as they did `before`.
-
-    Cards that somebody has changed stay as they are.
-    """
+    """A face of the built-in head whose cards lie on its skin as `before`; those that somebody has changed stay."""
     old, new = (next(mesh for mesh in face.meshes if mesh.name == "Head") for face in (before, parts))
     cards = {mesh.name: laid_again(mesh, old, new) for mesh in before.meshes}
     meshes = []

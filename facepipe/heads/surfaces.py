@@ -197,10 +197,7 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
 
 
 def kind_of(mesh: Mesh, head: Mesh, within: float = _AS_LAID) -> str | None:
-    """The set of cards that a mesh is, as it lies on a head; None where it is none, or was moved.
-
-    :param within: cm that points may be off
-    """
+    """The set of cards that a mesh is as it lies on a head, within so many cm; None: none, or one that was moved."""
     for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
         held = cards(kind)
         if len(mesh.points) == len(held.uv) and held.corners.max() < len(head.points):

@@ -80,12 +80,9 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
 def follow_face(image: FloatArray, landmarks: FloatArray, *, closer: bool = True) -> FoundFace | None:
     """The face that had `landmarks` (68, 2) in a picture a moment before; None where it is not near there any more.
 
-    As `find_landmarks`, but the picture is not searched.
+    As `find_landmarks`, but the picture (h, w, 3) is not searched.
 
-    :param image: (h, w, 3) sRGB 0..1
-    :param landmarks: in pixels of `image`
     :param closer: have the second look, which takes most of the time
-    :raises InputError: as `find_landmarks`
     """
     quarters = quarters_to_upright(landmarks)
     found = _faces(own_landmark_session(), _checked(image), quarters, closer=closer, near=landmarks)
@@ -229,11 +226,7 @@ def _crop(photo: torch.Tensor, landmarks: FloatArray, size: int) -> FloatArray |
 
 
 def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
-    """The face near landmarks by several crops of it, or None where they disagree or show nothing like one.
-
-    :param photo: (h, w, 3) sRGB 0..1, float32
-    :param landmarks: (68, 2) pixels
-    """
+    """The face near landmarks (68, 2) by several crops of it; None where they disagree or show nothing like one."""
     aligned = _crop(photo, landmarks, network.size)
     if aligned is None:
         return None

@@ -109,10 +109,7 @@ def presence_map(model: Any) -> tuple[bytes, int]:
 def landmarks_by_looks(
     network: LandmarkSession | DenseLandmarkSession, photo: torch.Tensor, matrices: list[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """(2 k, n, 2) landmarks in a photo (h, w, 3) by k crops (2, 3), as they are and then mirrored.
-
-    :return: also what else the network says of each crop
-    """
+    """(2 k, n, 2) landmarks in a photo by k crops (2, 3) as they are, then mirrored, and what else is said of each."""
     crops = crops_of(photo, matrices, network.size)
     places, further = network(np.concatenate([crops, crops[..., ::-1]]))
     places[len(crops) :] = [network.size, 0] + places[len(crops) :, network.mirrored] * [-1, 1]
@@ -211,10 +208,7 @@ class LandmarkSession(_CropSession):
         return landmarks * self.size, presence[:, 0]
 
     def presence_map(self, level: FloatArray) -> FloatArray:
-        """(r, c) presence in an sRGB picture's (3, h, w) windows as large as a crop, a cell apart, before its sigmoid.
-
-        :param level: sides that are multiples of a cell, and a crop's at least
-        """
+        """(r, c) presence before its sigmoid in a picture's (3, h, w), of whole cells, windows as large as a crop."""
         found: FloatArray = self._map.run(None, {"image": self._scaled(level)[None]})[0][0, 0]
         return found
 
@@ -269,12 +263,8 @@ def dense_landmarks(
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 2) landmarks, the first 68 those of Multi-PIE, the last two the pupils, and errors to expect of them (n,).
 
-    All in pixels; None: no crop.
-
-    After Wood et al., "3D Face Reconstruction with Dense Landmarks", ECCV 2022.
-
-    :param photo: (h, w, 3) sRGB 0..1, float32
-    :param landmarks: (68, 2) pixels, about where they are
+    In pixels of a photo (h, w, 3) with a face about at `landmarks` (68, 2); None: no crop. After Wood et al., "3D Face
+    Reconstruction with Dense Landmarks", ECCV 2022.
     """
     points = landmarks
     for _ in range(_ROUNDS):
@@ -300,13 +290,11 @@ class FaceMask:
 
 
 def face_mask(photo: Float32Array, landmarks: FloatArray) -> FaceMask:
-    """What a photo shows around a face, from far for the head and from near for the face.
+    """Where a photo (h, w, 3) of sRGB 0..1 shows face and hair at landmarks (68, 2): from far, and the face from near.
 
     Where hardly any of the landmarks inside the face lie on what the network takes for face, it does not know such
     faces: all is face then.
 
-    :param photo: (h, w, 3) sRGB 0..1
-    :param landmarks: (68, 2) pixels
     :raises InputError: landmarks that are nothing like a face's
     """
     network = own_mask_network()

@@ -157,10 +157,7 @@ def _square(low: FloatArray, high: FloatArray, width: int, height: int, size: in
 
 
 def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
-    """(crop.size, crop.size, c) resampled part of an image (h, w, c) that covers a photo of `size` (width, height).
-
-    Outside the photo all channels are NaN.
-    """
+    """(crop.size, crop.size, c) part of an image (h, w, c) of a photo of `size` (width, height); NaN outside it."""
     from PIL import Image
 
     resampled = np.full((crop.size, crop.size, channels.shape[2]), np.nan)
@@ -282,10 +279,7 @@ def _nearby(extreme: np.ufunc, samples: Samples) -> Samples:
 
 
 def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
-    """The photo, darker, with the edges of the fitted face that are not hidden.
-
-    :param screen: (n, 3) pixel x, pixel y of the photo and depth of all points, in mesh order
-    """
+    """The photo, darker, with the edges of the fitted face that are not hidden; `screen` as for `wireframe`."""
     image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.68))
     at = np.column_stack([crop.place(screen[:, :2]), screen[:, 2]])
     image.paste(WIRE, (0, 0), wireframe(parts, at, image.size))
@@ -293,10 +287,7 @@ def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: F
 
 
 def render_picture(render: FloatArray, photo: FloatArray, crop: Crop, *, on_photo: bool) -> Image:
-    """A render from the photo's camera, alone or over the photo.
-
-    :param render: (h, w, 4) linear colour on black and coverage 0..1, of all that the photo shows
-    """
+    """A render (h, w, 4), linear on black with coverage, from the photo's camera, alone or over the photo."""
     pixels = cut(np.asarray(render), crop, photo.shape[1::-1])
     cover = np.clip(pixels[..., 3:], 0, 1)
     ground = cut(photo, crop, photo.shape[1::-1]) if on_photo else np.array(GROUND) / 255

@@ -29,13 +29,10 @@ _SCATTERED = 2.5  # mm; standard deviation of where light leaves skin around whe
 
 
 def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width: float, focal: float) -> Float32Array:
-    """(h, w, 3) what scattering adds to diffuse light; negative where it takes some away.
+    """(h, w, 3) what scattering adds to diffuse light (h, w, 3); negative where it takes some away.
 
-    :param light: (h, w, 3) diffuse light, premultiplied by `share`
-    :param share: (h, w) of each pixel that surfaces cover
-    :param depth: (h, w) along the view, premultiplied by `share`
-    :param width: standard deviation of the blur, in units of depth
-    :param focal: pixels
+    Light and depth (h, w) along the view are premultiplied by the share (h, w) of each pixel that surfaces cover. The
+    standard deviation of the blur, `width`, is in units of depth, the focal length in pixels.
     """
     covered = float(share.sum())
     pixels = width * focal * covered / max(float(depth.sum()), 1e-12)
@@ -287,10 +284,7 @@ def layers(
 
 
 def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first: int) -> Layers:
-    """Fragments in order, with what comes past those before them.
-
-    :param first: number of the band's first pixel
-    """
+    """Fragments in order, with what comes past those before them; `first` is the number of the band's first pixel."""
     far = np.uint64(0xFFFFFFFF) - fragments.nearness.view(np.uint32).astype(np.uint64)
     order = np.argsort((fragments.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
     fragments, opacity = chosen(fragments, order), opacity[order]

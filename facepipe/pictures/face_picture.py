@@ -71,19 +71,13 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
 
 
 def pictures(parts: FaceParts, points: FloatArray | None, several: Sequence[PictureOptions]) -> list[Image]:
-    """Several shaded pictures of a face, quicker than one after the other.
-
-    :raises FacepipeError: as `picture`
-    """
+    """Several shaded pictures of a face, quicker than one `picture` after the other."""
     scene = build_scene(parts, points, max(options.size for options in several))
     return [_picture(parts, scene, options) for options in several]
 
 
 def poses(parts: FaceParts, several: Sequence[FloatArray | None], options: PictureOptions) -> list[Image]:
-    """Pictures of a face at several points, quicker than one after the other.
-
-    :raises FacepipeError: as `picture`
-    """
+    """Pictures of a face at several points, quicker than one `picture` after the other."""
     images, textures = [], None
     for points in several:
         scene = build_scene(parts, points, options.size, textures)

@@ -430,11 +430,9 @@ def hidden_harmonics(sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatAr
 
 
 def returned(hidden: FloatArray) -> FloatArray:
-    """(n, 1) share of the light that points send out that comes back from what hides the sky from them.
+    """(n, 1) share of light sent out by points that comes back from what hides the sky, `hidden_harmonics` (n, 9).
 
     In a crease whose walls have albedo a, light is 1 / (1 - a share) times what arrives: the series of bounces.
-
-    :param hidden: (n, 9) as `hidden_harmonics` gives
     """
     return np.asarray(_RETURNED * np.clip(-hidden[:, :1] / np.sqrt(1 / (4 * np.pi)), 0.0, 1.0))
 

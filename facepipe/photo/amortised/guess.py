@@ -35,10 +35,8 @@ class Guess:
     session: Any = field(repr=False)
 
     def __call__(self, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> State:
-        """Sliders, expression and pose of the person in a photo (h, w, 3) sRGB 0..1.
+        """Sliders, expression and pose of the person in a photo (h, w, 3) sRGB 0..1 with landmarks (68, 2).
 
-        :param landmarks: (68, 2) pixels
-        :param space: of the photo
         :raises InputError: landmarks that are nothing like a face's, or a network that gives no numbers
         """
         crop = Picture.from_photo(photo, landmarks, space).crop(landmarks)

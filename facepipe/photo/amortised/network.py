@@ -111,8 +111,6 @@ def start_graph(network: StartNetwork, metadata: Mapping[str, object]) -> bytes:
 
     Inputs `image` (b, 3, 128, 128) as in the metadata's mean and std, `landmarks` (b, 68, 2) in sides of the crop;
     outputs `shares` (b, f) and `expressions` (b, e) in 0..1, `pose` (b, 7) as `CropSpace`.
-
-    :param metadata: as ``facepipe.photo``
     """
     write = GraphWriter()
     off = write.add("Sub", "landmarks", write.constant("template", network.template))

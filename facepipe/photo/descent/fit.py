@@ -365,10 +365,7 @@ def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
 
 
 def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Priors:
-    """What stage one takes as likely.
-
-    :param slider_sigma: as for `fit_photos`
-    """
+    """What stage one takes as likely; `slider_sigma` as for `fit_photos`."""
     priors = Priors(
         landmark_sigma=options.landmark_sigma,
         expression_sparsity=COUNT * options.expression_sparsity,

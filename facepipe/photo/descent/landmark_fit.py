@@ -35,10 +35,7 @@ def standardised(marks: Tensor, outward: Tensor, targets: FloatArray, sigma: Flo
     """(..., l + 7, 2) how far landmarks are off targets, in standard deviations: the contour's across it and, weakly,
     along it; last the openings of lids and lips.
 
-    :param marks: (..., l, 2) pixels
-    :param outward: (..., 17, 2) directions across the contour
-    :param targets: (l, 2) pixels
-    :param sigma: (l, 1) pixels
+    In pixels: `marks` (..., l, 2), directions `outward` (..., 17, 2) across the contour, targets (l, 2), sigma (l, 1).
     """
     off = marks - torch.as_tensor(targets)
     doubt = np.maximum(sigma[_UPPER], sigma[_LOWER]) * np.sqrt((1 / sigma**2).mean())  # 1: as landmarks usually count

@@ -205,10 +205,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
 
     def _inputs(self) -> PhotoInputs:
-        """Photos, where their landmarks are, and the networks that compare them.
-
-        :raises FacepipeError: what can't be read, or landmarks that are not found
-        """
+        """Photos, where their landmarks are, and the networks that compare them."""
         from facepipe.photo.fit.photo_file import read_photo
         from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks, read_landmarks
         from facepipe.photo.fit.report import PhotoInputs
@@ -240,11 +237,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         return PhotoInputs(photos, landmarks, given, tuple(warnings))
 
     def _fit(self, parts: FaceParts, inputs: PhotoInputs, watch: Watch, slider_sigma: float | None = None) -> PhotoFit:
-        """The face fitted to the photos, with where their pupils are.
-
-        :param slider_sigma: as for `fit_photos`
-        :raises FacepipeError: what can't be fitted
-        """
+        """The face fitted to the photos, with where their pupils are; `slider_sigma` as for `fit_photos`."""
         import numpy as np
 
         from facepipe.networks.files import face_mask

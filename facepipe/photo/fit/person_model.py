@@ -73,10 +73,7 @@ class PersonModel:
         return tuple(f"identityMode{number:03}" for number in range(len(self.modes)))
 
     def fit_parts(self, expressions: frozenset[str]) -> FaceParts:
-        """The average person with sliders of the modes, in standard deviations, instead of the face's own.
-
-        :param expressions: shapes that stay
-        """
+        """The average person with sliders of the modes, in standard deviations, and the shapes of expressions."""
         parts = AuthorNeutral().changed(self.parts, self.mean)
         pieces = np.split(self.modes, np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1], axis=1)
         meshes = []

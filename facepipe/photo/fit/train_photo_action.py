@@ -111,10 +111,7 @@ def _under(face: Path) -> Iterator[None]:
 
 
 def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], list[str]]:
-    """The heads of the photos in a folder, and a line for each photo that shows none.
-
-    :raises InputError: no such folder, or no photo with a face in it
-    """
+    """The heads of the photos in a folder, and a line for each photo that shows none; at least one has to."""
     from facepipe.photo.amortised.pictures import Picture
     from facepipe.photo.descent.fit import pose_space
     from facepipe.photo.fit.photo_file import read_photo

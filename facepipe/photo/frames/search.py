@@ -255,9 +255,8 @@ def _sharpness(picture: FloatArray, face: FoundFace) -> float:
 def write_frames(
     clip: Clip, seen: Looks, kept: Sequence[int], folder: Path, done: Callable[[], object]
 ) -> ChosenFramesReport:
-    """Write the frames of some looks into a folder as PNG.
+    """Write the frames of looks `kept`, indices in order, into a folder as PNG.
 
-    :param kept: indices of looks, in their order
     :raises InputError: the clip can't be read
     """
     sharp, chosen, warnings = relative_sharpness(seen.looks), list[ChosenFrame](), list[str]()

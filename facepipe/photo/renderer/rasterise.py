@@ -48,22 +48,17 @@ class Raster:
         return self.height, self.width
 
     def paint(self, values: Tensor, background: Tensor) -> Tensor:
-        """(height, width, c) image of values (p, c) at the covered pixels, and of a background elsewhere.
-
-        :param background: (c,) or (height, width, c)
-        """
+        """(height, width, c) values (p, c) at the covered pixels, a background (c,) or (height, width, c) elsewhere."""
         size = (self.height, self.width, values.shape[1])
         flat = background.expand(size).reshape(-1, values.shape[1])
         return flat.scatter(0, self.pixels[:, None].expand_as(values), values).reshape(size)
 
 
 def rasterise(points: Tensor, triangles: Tensor, height: int, width: int) -> Raster:
-    """The nearest triangle at the centre of every pixel, seen from either side; without gradients.
+    """The nearest of triangles (t, 3) at the centre of every pixel, seen from either side; without gradients.
 
     Triangles with a corner that is not finite, nearer than `NEAR` or more than `FAR_OUT` pixels away are left out.
-
-    :param points: (n, 3) pixel x, pixel y and depth
-    :param triangles: (t, 3) int64 point numbers
+    Points (n, 3) are pixel x, pixel y and depth.
     """
     good = usable(points.detach())
     chosen = triangles.cpu().numpy()
@@ -112,11 +107,9 @@ def corner_areas(x: Tensor, y: Tensor) -> Tensor:
 
 
 def interpolate(values: Tensor, corners: Tensor, raster: Raster, weights: Tensor) -> Tensor:
-    """(p, c) values at the covered pixels, from those of the visible triangles' corners.
+    """(p, c) values (v, c) at the covered pixels by barycentric weights (p, 3), from the visible triangles' corners.
 
-    :param values: (v, c)
     :param corners: (t, 3) int64 rows of `values`: the triangles themselves, or face-varying ones
-    :param weights: (p, 3) barycentric coordinates
     """
     first, second, third = take(values, corners[raster.triangles]).unbind(dim=1)  # faster than sums over three
     return first * weights[:, :1] + second * weights[:, 1:2] + third * weights[:, 2:]
@@ -151,11 +144,9 @@ class Intersections:
 def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Raster, taken: Tensor) -> Intersections:
     """The crossings of planes; without gradients. Only triangles of different connected parts are looked at.
 
-    A line nearer to vertical counts between pixels side by side, the others between pixels above each other.
+    A line nearer to vertical counts between pixels side by side, the others between pixels above each other. Points
+    (n, 3) are pixel x, pixel y and depth; `parts` (t,) is the connected part of each triangle (t, 3).
 
-    :param points: (n, 3) pixel x, pixel y and depth
-    :param triangles: (t, 3)
-    :param parts: (t,) connected part of each triangle
     :param taken: numbers of pairs, as in `Crossings`, that are left out
     """
     with torch.no_grad():

@@ -93,9 +93,7 @@ def eye_pictures(
 ) -> list[tuple[SkinTexture, tuple[str, ...], bytes]]:
     """Textures of irises and of whites of eyes, the materials that show them, and their PNGs in photos' colours.
 
-    Without what no photo shows enough of, or has no picture in common.
-
-    :param scales: (3,) of each photo's light
+    Without what no photo, whose light has a scale (3,), shows enough of, or what has no picture in common.
     """
     pictures = []
     for white in (False, True):
@@ -397,10 +395,7 @@ class BakeSheet:
 
 
 def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeSheet:
-    """What a face shows that textures were just baked to, within `Face.deriving`.
-
-    :param photos: of the face before, whose cameras and poses it has
-    """
+    """What a face shows that textures were just baked to, within `Face.deriving`; photos are of the face before."""
     parts, textured = face.parts_so_far(), Face(face.stage, face.prim)
     views = {view.name: view for view in parts.photos}
     skin = next(number for number, mesh in enumerate(parts.meshes) if SCHEME in mesh.landmarks)
