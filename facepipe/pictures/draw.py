@@ -453,7 +453,9 @@ def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) 
     hidden = read(
         _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
     )
-    shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=shaded.lit.dimmed(open_to))
+    dimmed = {name: getattr(shaded.lit, name) * open_to[:, None] for name in ("diffuse", "highlights")}
+    lit = replace(shaded.lit, **dimmed)
+    shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=lit)
     light = np.stack([image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)
     change = read(spread(light, share, depth, _SCATTERED / mm, focal))
     return replace(shaded, scattered=scatter_share(shaded.base) * change)

@@ -52,10 +52,6 @@ class Lit:
     key_diffuse: FloatArray  # (m, 3) of the key where nothing hides it
     key_highlights: FloatArray  # (m, 3)
 
-    def dimmed(self, share: FloatArray) -> Lit:
-        """With a share (m,) of all light but the key's."""
-        return replace(self, diffuse=self.diffuse * share[:, None], highlights=self.highlights * share[:, None])
-
 
 @dataclass(frozen=True, kw_only=True)
 class Light:

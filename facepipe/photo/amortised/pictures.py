@@ -125,10 +125,10 @@ def _inverse(quaternion: Tensor) -> Tensor:
     return torch.cat([quaternion[..., :1], -quaternion[..., 1:]], dim=-1)
 
 
-def noisy_landmarks(picture: Picture, sigma: float, rng: np.random.Generator) -> FloatArray:
+def noisy_landmarks(landmarks: FloatArray, sigma: float, rng: np.random.Generator) -> FloatArray:
     """(68, 2) with noise of up to `sigma`, a share of the distance of the outer eye corners."""
-    spread = sigma * rng.uniform(0, 1) * max(eye_distance(picture.landmarks), 1.0)
-    return np.asarray(picture.landmarks + spread * rng.standard_normal(picture.landmarks.shape))
+    spread = sigma * rng.uniform(0, 1) * max(eye_distance(landmarks), 1.0)
+    return np.asarray(landmarks + spread * rng.standard_normal(landmarks.shape))
 
 
 def batch(crops: Sequence[Crop]) -> tuple[Tensor, Tensor]:

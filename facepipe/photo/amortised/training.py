@@ -18,7 +18,6 @@ from torch.nn.functional import normalize
 
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.face_crops import face_crop, to_crop
-from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import FaceParts
 from facepipe.photo.amortised.network import (
     KIND,
@@ -188,7 +187,17 @@ class WarmUp:
                 waiting.extend(self._rng.permutation(len(renders)).tolist())
             chosen = [renders[i] for i in waiting[:BATCH]]
             del waiting[:BATCH]
-            return self._pictures(chosen)
+            crops = [one.crop(noisy_landmarks(one.landmarks, self._sigma, self._rng)) for one in chosen]
+            truths = [one.truth for one in chosen if one.truth is not None]
+            people = People(
+                shares=np.stack([truth.shares for truth in truths]),
+                expressions=np.stack([truth.expressions for truth in truths]),
+                poses=np.stack([truth.pose for truth in truths]),
+            )
+            matrices, up_axis = np.stack([crop.matrix for crop in crops]), self._portraits.subject.parts.up_axis
+            space = CropSpace(space=self._portraits.space, crop=matrices, side=SIZE, up_axis=up_axis)
+            images, marks = batch(crops)
+            return varied(images, self._rng), marks, Taught.from_people(people, space)
 
         self._descend(self._options.batches, example, done)
 
@@ -216,31 +225,11 @@ class WarmUp:
     def _people(self) -> tuple[None, Tensor, Taught]:
         subject, space, rng = self._portraits.subject, self._portraits.space, self._rng
         people = random_people(subject, space, LANDMARK_BATCH, rng)
-        exact = self._portraits.marks(people)
-        marks = np.array(exact)
-        for one in marks:
-            one += self._sigma * self._rng.uniform() * eye_distance(one) * self._rng.standard_normal(one.shape)
+        marks = [noisy_landmarks(one, self._sigma, rng) for one in self._portraits.marks(people)]
         matrices = np.stack([face_crop(mark, SIZE) for mark in marks])
         places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
         crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
         return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
-
-    def _pictures(self, chosen: Sequence[Picture]) -> tuple[Tensor, Tensor, Taught]:
-        crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
-        truths = [one.truth for one in chosen if one.truth is not None]
-        people = People(
-            shares=np.stack([truth.shares for truth in truths]),
-            expressions=np.stack([truth.expressions for truth in truths]),
-            poses=np.stack([truth.pose for truth in truths]),
-        )
-        space = CropSpace(
-            space=self._portraits.space,
-            crop=np.stack([crop.matrix for crop in crops]),
-            side=SIZE,
-            up_axis=self._portraits.subject.parts.up_axis,
-        )
-        images, marks = batch(crops)
-        return varied(images, self._rng), marks, Taught.from_people(people, space)
 
 
 class NetworkDescent:
@@ -250,7 +239,7 @@ class NetworkDescent:
         self.network, self.best = network, dict[str, float]()
         self._loss = loss
         rng = np.random.default_rng([seed, 4])
-        self._marks = [noisy_landmarks(one, loss.options.landmark_sigma, rng) for one in judged]
+        self._marks = [noisy_landmarks(one.landmarks, loss.options.landmark_sigma, rng) for one in judged]
         self._judged = judged
         self._state = copy.deepcopy(network.state_dict())
         self.judge()
@@ -283,7 +272,7 @@ class NetworkDescent:
         for step in range(options.steps):
             optimiser.zero_grad()
             chosen = [pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)]
-            marks = [noisy_landmarks(one, self._loss.options.landmark_sigma, rng) for one in chosen]
+            marks = [noisy_landmarks(one.landmarks, self._loss.options.landmark_sigma, rng) for one in chosen]
             crops = [picture.crop(each) for picture, each in zip(chosen, marks, strict=True)]
             images, places = batch(crops)
             outputs = network(varied(images, rng), places)

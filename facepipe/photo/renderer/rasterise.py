@@ -283,12 +283,12 @@ class Outline:
     parts: Tensor  # (t,) int64 number of the connected part that each triangle belongs to
 
     @classmethod
-    def from_triangles(cls, triangles: IntArray, point_count: int, device: torch.device | str = "cpu") -> Outline:
+    def from_triangles(cls, triangles: IntArray, point_count: int) -> Outline:
         """The outline of triangles (t, 3)."""
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         part = components(point_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
         numbers = (triangles, mesh_edges(triangles), part[triangles[:, 0]].astype(np.int64))
-        one, other, last = (torch.as_tensor(each, device=device) for each in numbers)
+        one, other, last = map(torch.as_tensor, numbers)
         return cls(triangles=one, edges=other, parts=last)
 
 
