@@ -21,8 +21,7 @@ from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
 from facepipe.photo.amortised.guess import Guess, load_start
 from facepipe.photo.amortised.network import POSE_MEAN, POSE_STD, SIZE, Output, held, start_graph
-from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture
-from facepipe.photo.amortised.renders import Portraits, random_people
+from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture, Portraits, random_people
 from facepipe.photo.amortised.training import PictureLoss, Trained, relative_pose, start_metadata, train_start
 from facepipe.photo.descent.fit import fit_photos, pose_space
 from facepipe.photo.descent.joint_loss import single

@@ -32,8 +32,18 @@ from facepipe.photo.amortised.network import (
     held,
     short,
 )
-from facepipe.photo.amortised.pictures import HEAD, Crop, CropSpace, Picture, batch, noisy_landmarks, varied
-from facepipe.photo.amortised.renders import People, Portraits, random_people
+from facepipe.photo.amortised.pictures import (
+    HEAD,
+    Crop,
+    CropSpace,
+    People,
+    Picture,
+    Portraits,
+    batch,
+    noisy_landmarks,
+    random_people,
+    varied,
+)
 from facepipe.photo.descent.descent import Unknowns
 from facepipe.photo.descent.fit import pose_space, priors_of
 from facepipe.photo.descent.joint_loss import JointLoss, single

@@ -114,7 +114,26 @@ class PersonModel:
         :param sliders: that may move, those of who a person is
         """
         person, change = self.points(weights), AuthorNeutral().changed
-        values, beyond = self._nearest(person, sliders)
+        wanted, values = (person - whole_points(self.parts))[self.face], dict[str, float]()
+        beyond = wanted
+        if sliders:
+            # ``min_s |D s - d|^2 / (m sigma^2 / places) + |(s - default) / spread|^2`` of the face's m offsets d and
+            # what a slider does at its end, D: sliders work together linearly but for what joints do
+            ends = np.array([slider.maximum - slider.default for slider in sliders])
+            moved = _moves_by(self.parts, sliders)
+            moves = np.stack([moved({slider.name: slider.maximum})[self.face] for slider in sliders])
+            flat = moves.reshape(len(sliders), -1) / ends[:, None]
+            scale = _PLACES / (len(wanted) * _APART_MM**2)
+            spread = _SLIDER_SPREAD * np.array([slider.maximum - slider.minimum for slider in sliders])
+            hessian = scale * flat @ flat.T + np.diag(1 / spread**2)
+            low, high = (
+                np.array([getattr(one, end) - one.default for one in sliders]) for end in ("minimum", "maximum")
+            )
+            off = BoxedQuadratic(hessian).minimise(-scale * flat @ wanted.ravel(), low, high)
+            for slider, value in zip(sliders, off, strict=True):
+                values[slider.name] = float(np.float32(slider.default + value))
+            beyond = wanted - (off @ flat).reshape(-1, 3)
+        apart = np.linalg.norm(beyond, axis=1)
         parts = change(self.parts, person)
         for _ in range(_ROUNDS if values else 0):
             parts = change(self.parts, person - _moves_by(parts, sliders)(values))
@@ -127,33 +146,10 @@ class PersonModel:
         report = IdentityReport(
             modes=len(weights),
             deviations=float(np.sqrt(np.mean(weights**2))),
-            beyond_sliders_mean_mm=float(beyond.mean()),
-            beyond_sliders_max_mm=float(beyond.max()),
+            beyond_sliders_mean_mm=float(apart.mean()),
+            beyond_sliders_max_mm=float(apart.max()),
         )
         return values, report
-
-    def _nearest(self, person: FloatArray, sliders: Sequence[Slider]) -> tuple[dict[str, float], FloatArray]:
-        """Values of sliders next to a person, within their ranges, and how far (m,) points of the face are from it.
-
-        ``min_s |D s - d|^2 / (m sigma^2 / places) + |(s - default) / spread|^2`` of the face's offsets d and what a
-        slider does at its end, D: sliders work together linearly but for what joints do.
-        """
-        wanted = (person - whole_points(self.parts))[self.face]
-        if not sliders:
-            return {}, np.linalg.norm(wanted, axis=1)
-        ends = np.array([slider.maximum - slider.default for slider in sliders])
-        moved = _moves_by(self.parts, sliders)
-        moves = np.stack([moved({slider.name: slider.maximum})[self.face] for slider in sliders])
-        flat = moves.reshape(len(sliders), -1) / ends[:, None]
-        scale = _PLACES / (len(wanted) * _APART_MM**2)
-        spread = _SLIDER_SPREAD * np.array([slider.maximum - slider.minimum for slider in sliders])
-        hessian = scale * flat @ flat.T + np.diag(1 / spread**2)
-        low, high = (np.array([getattr(one, end) - one.default for one in sliders]) for end in ("minimum", "maximum"))
-        off = BoxedQuadratic(hessian).minimise(-scale * flat @ wanted.ravel(), low, high)
-        values = {
-            slider.name: float(np.float32(slider.default + value)) for slider, value in zip(sliders, off, strict=True)
-        }
-        return values, np.linalg.norm(wanted - (off @ flat).reshape(-1, 3), axis=1)
 
 
 def _moves_by(parts: FaceParts, sliders: Sequence[Slider]) -> Callable[[Mapping[str, float]], FloatArray]:

@@ -141,6 +141,7 @@ class Intersections:
         return lead[0] / (lead[0] - lead[1])
 
 
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Raster, taken: Tensor) -> Intersections:
     """The crossings of planes; without gradients. Only triangles of different connected parts are looked at.
 
@@ -149,29 +150,25 @@ def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Rast
 
     :param taken: numbers of pairs, as in `Crossings`, that are left out
     """
-    with torch.no_grad():
-        points = points.detach()
-        shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
-        shown[raster.pixels] = raster.triangles
-        part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
-        pairs = []
-        for dim, step in ((1, 1), (0, raster.width)):
-            one, other = (
-                part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim]))
-            )
-            row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
-            first = row * raster.width + column
-            pairs.append(torch.stack([first, first + step, 2 * first + dim]))
-        inside, outside, pair = torch.cat(pairs, dim=1)
-        free = ~torch.isin(pair, taken)
-        inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
-        corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
-        width = raster.width
-        here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
-        # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
-        across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
-        keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
-        return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
+    shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
+    shown[raster.pixels] = raster.triangles
+    part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
+    pairs = []
+    for dim, step in ((1, 1), (0, raster.width)):
+        one, other = (part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim])))
+        row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
+        first = row * raster.width + column
+        pairs.append(torch.stack([first, first + step, 2 * first + dim]))
+    inside, outside, pair = torch.cat(pairs, dim=1)
+    free = ~torch.isin(pair, taken)
+    inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
+    corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
+    width = raster.width
+    here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
+    # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
+    across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
+    keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
+    return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
 
 
 def _lead(points: Tensor, corners: Tensor, pixel: Tensor, width: int) -> Tensor:
