@@ -128,7 +128,16 @@ def loss_chart(history: Sequence[Mapping[str, float]], title: str = "") -> Marku
     axes = _axes(terms, len(history))
     others = [name for name in terms if name != TOTAL]
     colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(others)} | {TOTAL: "currentColor"}
-    curves = [_curve(axes, terms[name], colors[name], 2.4 if name == TOTAL else 1.6) for name in reversed(terms)]
+    curves = []
+    for name in reversed(terms):
+        rows = axes.y(terms[name])
+        known = np.flatnonzero(np.isfinite(rows))
+        runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
+        # a run of one step becomes a dot: a line of no length with round ends.
+        lines = ("L".join(f"{axes.x(step):.1f} {rows[step]:.1f}" for step in (*run, run[-1])) for run in runs)
+        look = {"stroke": colors[name], "stroke_width": 2.4 if name == TOTAL else 1.6}
+        round_ends = {"stroke_linejoin": "round", "stroke_linecap": "round"}
+        curves.append(tag("path", d="".join(f"M{line}" for line in lines), fill="none", **look, **round_ends))
     height = max(_HEIGHT + 44, _TOP + _LINE * len(terms) + 8)
     return _chart(height, tag("text", title, x=0, y=14), *_grid(axes), *curves, *_legend(terms, colors))
 
@@ -180,17 +189,6 @@ def _grid(axes: Axes) -> Iterator[Markup]:
         yield tag("line", x1=column, x2=column, y1=_HEIGHT, y2=_HEIGHT + 4, stroke="currentColor", stroke_opacity=0.5)
         yield tag("text", text, x=column, y=_HEIGHT + 18, text_anchor="middle", fill_opacity=0.65)
     yield tag("text", "step", x=(_LEFT + right) // 2, y=_HEIGHT + 36, text_anchor="middle", fill_opacity=0.65)
-
-
-def _curve(axes: Axes, losses: FloatArray, color: str, width: float) -> Markup:
-    rows = axes.y(losses)
-    known = np.flatnonzero(np.isfinite(rows))
-    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
-    # a run of one step becomes a dot: a line of no length with round ends.
-    path = "".join(f"M{'L'.join(f'{axes.x(step):.1f} {rows[step]:.1f}' for step in (*run, run[-1]))}" for run in runs)
-    return tag(
-        "path", d=path, fill="none", stroke=color, stroke_width=width, stroke_linejoin="round", stroke_linecap="round"
-    )
 
 
 def _legend(terms: Mapping[str, FloatArray], colors: Mapping[str, str]) -> Iterator[Markup]:

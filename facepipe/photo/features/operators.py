@@ -279,19 +279,15 @@ def _resize(node: Node, x: Tensor, *inputs: Tensor | None) -> Tensor:
         if size != x.shape[axis] or factor != 1:
             node.room(size, x.shape[axis])
             place = torch.arange(size, dtype=torch.float64, device=x.device)
-            where = coordinates(place, x.shape[axis], size, factor)
-            x = (x.movedim(axis, -1) @ _weights(node, x, axis, where).T).movedim(-1, axis)
+            # places in old cells, of which those at the border stand for those outside
+            where = coordinates(place, x.shape[axis], size, factor).clamp(0, x.shape[axis] - 1)
+            if node.choice("mode", "nearest", ("nearest", "linear")) == "nearest":
+                rounding = node.choice("nearest_mode", "floor" if early else "round_prefer_floor", _ROUNDINGS)
+                where = _ROUNDINGS[rounding](where)
+            distance = (where[:, None] - torch.arange(x.shape[axis], device=x.device)).abs()
+            weights = (1 - distance).clamp(min=0).to(x.dtype)
+            x = (x.movedim(axis, -1) @ weights.T).movedim(-1, axis)
     return x
-
-
-def _weights(node: Node, x: Tensor, axis: int, where: Tensor) -> Tensor:
-    """(new, old) weights of the old cells around places `where` (new,), in cells."""
-    where = where.clamp(0, x.shape[axis] - 1)  # the border cells stand for those outside
-    if node.choice("mode", "nearest", ("nearest", "linear")) == "nearest":
-        usual = "floor" if node.opset <= 10 else "round_prefer_floor"
-        where = _ROUNDINGS[node.choice("nearest_mode", usual, _ROUNDINGS)](where)
-    distance = (where[:, None] - torch.arange(x.shape[axis], device=x.device)).abs()
-    return (1 - distance).clamp(min=0).to(x.dtype)
 
 
 _Ints = Sequence[int]

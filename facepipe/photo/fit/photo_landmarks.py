@@ -277,7 +277,16 @@ def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Lan
     # of several faces each element is a list of points
     if faces and not all(isinstance(one, list) and (not one or isinstance(one[0], list)) for one in faces):
         faces = [faces]
-    points = _points(where, one_face(faces, index, where), _COUNTS[scheme])
+    face, counts = one_face(faces, index, where), _COUNTS[scheme]
+    if not isinstance(face, list) or len(face) not in counts:
+        given = f"{len(face)} points" if isinstance(face, list) else _shown(face)
+        raise InputError(where, f"{given}, expected {' or '.join(map(str, counts))}")
+    for number, point in enumerate(face):
+        good = isinstance(point, list) and len(point) in (2, 3)
+        # NaN fails the comparison
+        if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in point):
+            raise InputError(f"{where} -> {number}", f"{_shown(point)}, expected finite numbers [x, y] or [x, y, z]")
+    points = np.array([point[:2] for point in face], dtype=np.float64)
     units = content.get("units", "pixels")
     if isinstance(units, str) and units.startswith(("normalized", "normalised")):
         points = points * np.array(photo.size, dtype=np.float64)
@@ -306,19 +315,6 @@ def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:
         head["confidence"] = np.round(landmarks.confidence, 3).tolist()
     fields = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items())
     write_bytes(path, f'{{{fields},\n"multipie68": [\n  {rows}\n]}}\n'.encode())
-
-
-def _points(where: str, value: object, counts: tuple[int, ...]) -> FloatArray:
-    """(n, 2) of a list of points."""
-    if not isinstance(value, list) or len(value) not in counts:
-        found = f"{len(value)} points" if isinstance(value, list) else _shown(value)
-        raise InputError(where, f"{found}, expected {' or '.join(map(str, counts))}")
-    for number, point in enumerate(value):
-        good = isinstance(point, list) and len(point) in (2, 3)
-        # NaN fails the comparison
-        if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in point):
-            raise InputError(f"{where} -> {number}", f"{_shown(point)}, expected finite numbers [x, y] or [x, y, z]")
-    return np.array([point[:2] for point in value], dtype=np.float64)
 
 
 def _shown(value: object) -> str:

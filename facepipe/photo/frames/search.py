@@ -69,13 +69,17 @@ def look_at(picture: FloatArray, face: FoundFace, number: int, time: float) -> L
         return None
     if (marks < 0).any() or (marks > (width, height)).any():
         return None
-    yaw, pitch = turn(marks)
+    head = asset()
+    view = turned_view(head.points[head.landmarks][_CONTOUR:], marks[_CONTOUR:])
+    right, down = view / np.linalg.norm(view, axis=1, keepdims=True)
+    # a face that looks at the camera looks along its own z; the camera, from the head, is where `ahead` points
+    ahead = np.cross(right, -down)
     size = face_size(marks)
     return Look(
         number=number,
         time=time,
-        yaw=yaw,
-        pitch=pitch,
+        yaw=float(-np.arctan2(ahead[0], ahead[2])),
+        pitch=float(-np.arcsin(np.clip(ahead[1], -1, 1))),
         sharpness=sharp,
         lids=float(np.mean([_gap(marks, pairs) for pairs in _LIDS])) / size,
         lips=_gap(marks, _LIPS) / size,
@@ -92,16 +96,6 @@ def sharpness(picture: FloatArray, landmarks: FloatArray) -> float:
     luma = crop.numpy().transpose(1, 2, 0) @ _LUMA
     detail = gaussian_laplace(luma, _GRAIN)[_FACE, _FACE]
     return float(detail.std() / max(float(luma[_FACE, _FACE].mean()), 0.02))
-
-
-def turn(landmarks: FloatArray) -> tuple[float, float]:
-    """Yaw to the person's left and pitch upwards, radians, of a head with (68, 2) landmarks; however it is rolled."""
-    head = asset()
-    view = turned_view(head.points[head.landmarks][_CONTOUR:], landmarks[_CONTOUR:])
-    right, down = view / np.linalg.norm(view, axis=1, keepdims=True)
-    ahead = np.cross(right, -down)
-    # a face that looks at the camera looks along its own z; the camera, from the head, is where `ahead` points
-    return float(-np.arctan2(ahead[0], ahead[2])), float(-np.arcsin(np.clip(ahead[1], -1, 1)))
 
 
 def _gap(marks: FloatArray, pairs: tuple[tuple[int, int], ...]) -> float:
