@@ -382,6 +382,11 @@ def average() -> FaceParts:
     return make_head(np.zeros(len(asset().modes)))
 
 
+def modes() -> FloatArray:
+    """(m, n, 3) offsets in centimetres of a standard deviation each, of all meshes' points one after another."""
+    return np.asarray(asset().modes, dtype=np.float64)
+
+
 @one_thread()
 def with_parts_fitted(points: FloatArray) -> FloatArray:
     """Points (n, 3) of a person in centimetres, with eyeballs that fit the lids, a mouth's inside behind the skin."""

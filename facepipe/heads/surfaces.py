@@ -164,18 +164,18 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
-    skin = head.skin
-    if skin is not None:
+    influences = head.skin
+    if influences is not None:
         # the strongest four of the influences of what holds each point
-        joints = skin.joint_indices[held.corners].reshape(len(held.shares), -1)
-        weights = (skin.joint_weights[held.corners] * held.shares[..., None]).reshape(joints.shape)
-        dense = np.zeros((len(joints), int(skin.joint_indices.max()) + 1))
+        joints = influences.joint_indices[held.corners].reshape(len(held.shares), -1)
+        weights = (influences.joint_weights[held.corners] * held.shares[..., None]).reshape(joints.shape)
+        dense = np.zeros((len(joints), int(influences.joint_indices.max()) + 1))
         np.add.at(dense, (np.arange(len(joints))[:, None], joints), weights)
         strongest = np.argsort(-dense, axis=1, kind="stable")[:, :4]
         weights = np.take_along_axis(dense, strongest, axis=1)
         weights /= weights.sum(axis=1, keepdims=True)
         strongest = np.where(weights > 0, strongest, 0).astype(np.int32)
-        skin = replace(skin, joint_indices=strongest, joint_weights=weights)
+        influences = replace(influences, joint_indices=strongest, joint_weights=weights)
     # normals are those of the skin where cards lie on it, level and outwards where they hang
     outwards = (held.carry(head.points) + held.offsets - head.points.mean(axis=0)) * [1, 0, 1]
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
@@ -188,7 +188,7 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         face_vertex_indices=indices,
         normals=np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True)),
         uv_sets=(UvSet(values=held.uv),),
-        skin=skin,
+        skin=influences,
         blendshapes=tuple(shape for shape in shapes if shape is not None),
         regions={one: zeros + (one == region) for one in head.regions},
         material=name,

@@ -182,9 +182,10 @@ def person_model(parts: FaceParts, where: str, database: Path | None = None) -> 
     if any(name not in {mesh.name for mesh in parts.meshes} for name in head.parts):
         return None
     from facepipe.heads.assembly import average
+    from facepipe.heads.assembly import modes as own_modes
 
     try:
-        return _on(parts, where, average(), 10 * head.modes.astype(np.float64), built_in=True)
+        return _on(parts, where, average(), 10 * own_modes(), built_in=True)
     except TopologyError:
         return None
 

@@ -95,7 +95,7 @@ def eye_pictures(
 
     Without what no photo, whose light has a scale (3,), shows enough of, or what has no picture in common.
     """
-    pictures = []
+    made = []
     for white in (False, True):
         found: list[FloatArray] = [np.zeros((0, 3))]
         textures = _eye_textures(parts, white=white)
@@ -116,8 +116,8 @@ def eye_pictures(
         linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
         table = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
         materials = tuple(dict.fromkeys(name for _, texture in textures for name in texture.materials))
-        pictures.append((textures[0][1], materials, _png(table[levels, np.arange(3)])))
-    return pictures
+        made.append((textures[0][1], materials, _png(table[levels, np.arange(3)])))
+    return made
 
 
 def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
