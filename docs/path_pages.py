@@ -149,7 +149,7 @@ FIELDS = (
     ),
     FileField("OBJ, MTL", "mtllib, map_Kd", "facepipe.importers.wavefront:_beside", "check_copied", _BELOW),
     FileField("ONNX", "external_data location", "facepipe_onnx.read:_tensor_problem", "", "refused, whatever it says"),
-    FileField("landmarks JSON", "image", "facepipe.photo.fit.landmark_file:read_landmarks", "", _CONFORMS),
+    FileField("landmarks JSON", "image", "facepipe.photo.fit.photo_landmarks:read_landmarks", "", _CONFORMS),
     # what lies in a folder, or beside a file
     FileField("folder of shapes", "*.obj", "facepipe.importers.obj:_files", "files_in", _FOUND),
     FileField("folder of shapes", "landmarks.json", "facepipe.importers.obj:read", "file_beside", _FOUND),

@@ -37,9 +37,9 @@ from facepipe.importers import ict, load
 from facepipe.importers.scan_file import read_scan
 from facepipe.importers.scan_landmarks import read_scan_landmarks
 from facepipe.parts import FaceParts, Material, Mesh
+from facepipe.photo.pictures import wireframe
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture
 from facepipe.pictures.camera import LENS, MARGIN, Camera, View, portrait
-from facepipe.pictures.wireframe import wireframe
 from facepipe.rig.trs import rotation_matrices
 from facepipe.scanning.database import create_database, save_database
 from facepipe.stage import Face

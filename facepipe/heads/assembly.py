@@ -273,10 +273,7 @@ def make(seed: int = 0, *, textures: int = 0, controls: Controls = "measures") -
 
 
 def make_head(identity: FloatArray, controls: Controls = "measures") -> FaceParts:
-    """The bare head of a person, in centimetres: without materials.
-
-    :param identity: (100,) weights of the identity modes, in standard deviations
-    """
+    """The bare head in centimetres, without materials, by (100,) standard deviations of the identity modes."""
     head = asset()
     points = head.points + np.tensordot(np.asarray(identity, np.float32), head.modes, axes=1)
     points, shapes = fit_eyes(fit_mouth(points), head.shapes)
@@ -285,6 +282,18 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
             **shapes,
             **{shape.name: {1.0: shape.offsets} for direction in directions() for shape in direction.shapes},
         }
+    # limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes
+    lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(head.joints), 1))
+    upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(head.joints), 1))
+    for i, joint in enumerate(head.joints):
+        name = joint.rpartition("/")[2]
+        if name in ("root", "neck", "head"):
+            lower[i, :3], upper[i, :3] = 0.0, 0.0
+            lower[i, 3:6], upper[i, 3:6] = -0.7, 0.7
+        elif name == "jaw":
+            lower[i, 3], upper[i, 3] = -0.05, 0.45
+        elif name.startswith(("eye", "lid")):
+            lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
     return FaceParts(
         name="Face",
         meters_per_unit=0.01,
@@ -293,7 +302,7 @@ def make_head(identity: FloatArray, controls: Controls = "measures") -> FacePart
         animations=animations(frozenset(head.shapes)),
         played=TALK,
         sliders=(*sliders(frozenset(head.shapes)), *(identity_sliders() if controls == "measures" else bone_sliders())),
-        bone_limits=_bone_limits(head.joints),
+        bone_limits=BoneLimits(lower=lower, upper=upper),
         attribution=ATTRIBUTION,
     )
 
@@ -367,22 +376,6 @@ def skeleton(points: FloatArray) -> Skeleton:
     return Skeleton(joints=head.joints, bind_transforms=world, rest_transforms=rest)
 
 
-def _bone_limits(joints: tuple[str, ...]) -> BoneLimits:
-    """Limits that keep the face whole: 0.8 cm, 0.4 rad and 30 % for face joints, wider turns for jaw, neck and eyes."""
-    lower = np.tile(np.repeat([-0.8, -0.4, 0.7], 3), (len(joints), 1))
-    upper = np.tile(np.repeat([0.8, 0.4, 1.3], 3), (len(joints), 1))
-    for i, joint in enumerate(joints):
-        name = joint.rpartition("/")[2]
-        if name in ("root", "neck", "head"):
-            lower[i, :3], upper[i, :3] = 0.0, 0.0
-            lower[i, 3:6], upper[i, 3:6] = -0.7, 0.7
-        elif name == "jaw":
-            lower[i, 3], upper[i, 3] = -0.05, 0.45
-        elif name.startswith(("eye", "lid")):
-            lower[i, 3:6], upper[i, 3:6] = -0.6, 0.6
-    return BoneLimits(lower=lower, upper=upper)
-
-
 @one_thread()
 def average() -> FaceParts:
     """The bare average head, without materials."""
@@ -415,10 +408,7 @@ def with_own_blinks(parts: FaceParts, points: FloatArray) -> FaceParts:
 
 @one_thread()
 def with_own_cards(parts: FaceParts, before: FaceParts) -> FaceParts:
-    """A face of the built-in head's topology, whose hair, brows and lashes lie on its skin as they did `before`.
-
-    Cards that somebody has changed stay as they are.
-    """
+    """A face of the built-in head whose cards lie on its skin as `before`; those that somebody has changed stay."""
     old, new = (next(mesh for mesh in face.meshes if mesh.name == "Head") for face in (before, parts))
     cards = {mesh.name: laid_again(mesh, old, new) for mesh in before.meshes}
     meshes = []

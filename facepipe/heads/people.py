@@ -148,7 +148,11 @@ def draw(seed: int) -> Person:
     tone, as_man = float(random.uniform(1.0, TONES)), sex > 0
     hair = _pick(random, _at(_HAIR, tone))
     fair = {"dark": 1.0, "brown": 1.0}
-    eyes = {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()}
+    eyes = _pick(random, {name: share * fair.get(name, _FAIR[hair]) for name, share in _at(_EYES, tone).items()})
+    # the older the likelier; more than half never are, as they colour their hair
+    grey, white = _GREYING / (1.0 + np.exp((np.array([55.0, 72.0]) - years) / 5.0))
+    chance = random.random()
+    hair = "white" if chance < white else "grey" if chance < grey else hair
     shares = {name: own[as_man] for name, own in _STYLES.items()}
     shares["coils"] *= float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), _COILS))
     return Person(
@@ -158,8 +162,8 @@ def draw(seed: int) -> Person:
         look=Look(
             seed=seed,
             tone=tone,
-            eyes=_pick(random, eyes),
-            hair=_greyed(random, hair, years),
+            eyes=eyes,
+            hair=hair,
             style=_pick(random, shares),
             redness=float(random.uniform(0.2, 0.8)),
             lips=float(random.uniform(0.3, 0.7) - 0.15 * sex),
@@ -173,13 +177,6 @@ def draw(seed: int) -> Person:
 
 def _at(shares: Mapping[str, tuple[float, float, float]], tone: float) -> dict[str, float]:
     return {name: float(np.interp(tone, (_LIGHT, _MIDDLE, _DARK), own)) for name, own in shares.items()}
-
-
-def _greyed(random: np.random.Generator, hair: str, years: float) -> str:
-    """Grey or white, the older the likelier; more than half never are, as they colour their hair."""
-    grey, white = _GREYING / (1.0 + np.exp((np.array([55.0, 72.0]) - years) / 5.0))
-    chance = random.random()
-    return "white" if chance < white else "grey" if chance < grey else hair
 
 
 def _pick(random: np.random.Generator, shares: Mapping[str, float]) -> str:

@@ -109,43 +109,35 @@ def albedo(look: Look, tile: int, size: int) -> FloatArray:
     grain = gaussian_filter(rng.standard_normal((size, size), np.float32), size / 1400)
     patches = gaussian_filter(rng.standard_normal((size // 4, size // 4), np.float32), size / 1400) * 3
     blood = 0.03 * skin * _enlarged(patches, size)
-    spots = np.zeros_like(grain) if small else _enlarged(_spots(look, tile, rng), size)
+    spots, fine = np.zeros_like(grain), (1024, 1024)
+    if not small:
+        # melanin of freckles, moles and the spots of age
+        zone = m["cheeks"] + 0.8 * m["bridge"] + 0.5 * m["nose"] + 0.25 * m["forehead"] + 0.12 * m["neck"]
+        zone = _enlarged(np.clip(zone, 0, 1), fine[0])
+        bare = _enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), fine[0])
+        spots = np.zeros(fine, np.float32)
+        kinds = (  # share of texels, radius in texels, strength
+            (0.004 * look.freckles * zone, 1.7, 0.55),
+            (0.0008 * look.freckles * zone, 3.0, 0.5),
+            (0.000006 * bare, 1.7, 1.8),
+            (0.00007 * max(look.age - 0.4, 0) * bare, 4.0, 0.45),
+        )
+        for density, radius, strength in kinds:
+            dots = (rng.random(fine, np.float32) < density) * rng.uniform(0.3, 1.0, fine).astype(np.float32)
+            if dots.any():
+                spots += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
+        spots = _enlarged(np.asarray(spots * (1 - 0.6 * look.darkness) * bare), size)
     melanin = skin * (0.05 * grain + spots)
-    hairs = _hairs(look, m, size, rng)
+    hairs = np.zeros((1, 1), np.float32)  # darkening by the dots of shaved hairs
+    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
+    if share.any():
+        dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
+        contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
+        hairs = np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
     for channel, (red, brown) in enumerate(zip(_BLOOD.tolist(), _MELANIN.tolist(), strict=True)):
         light = np.exp((blood * red + melanin * brown + hairs) * np.float32(-1 / 2.2))  # in sRGB's encoding
         base[..., channel] = np.minimum(base[..., channel] * light, 255)
     return np.asarray(base)
-
-
-def _spots(look: Look, tile: int, rng: np.random.Generator) -> FloatArray:
-    """(1024, 1024) melanin of freckles, moles and the spots of age."""
-    m, size = masks(tile), 1024
-    zone = m["cheeks"] + 0.8 * m["bridge"] + 0.5 * m["nose"] + 0.25 * m["forehead"] + 0.12 * m["neck"]
-    zone = _enlarged(np.clip(zone, 0, 1), size)
-    skin = _enlarged((1 - m["lips"]) * (1 - m["scalp"]) * (1 - m["socket"]) * (1 - m["mouth"]), size)
-    result = np.zeros((size, size), np.float32)
-    kinds = (  # share of texels, radius in texels, strength
-        (0.004 * look.freckles * zone, 1.7, 0.55),
-        (0.0008 * look.freckles * zone, 3.0, 0.5),
-        (0.000006 * skin, 1.7, 1.8),
-        (0.00007 * max(look.age - 0.4, 0) * skin, 4.0, 0.45),
-    )
-    for density, radius, strength in kinds:
-        dots = (rng.random((size, size), np.float32) < density) * rng.uniform(0.3, 1.0, (size, size)).astype(np.float32)
-        if dots.any():
-            result += strength * np.minimum(gaussian_filter(dots, radius) * 2 * np.pi * radius**2, 1.2)
-    return np.asarray(result * (1 - 0.6 * look.darkness) * skin)
-
-
-def _hairs(look: Look, m: dict[str, FloatArray], size: int, rng: np.random.Generator) -> FloatArray:
-    """(size, size) darkening by the dots of shaved hairs."""
-    share = np.clip(look.beard * m["beard"] + (0.9 * m["scalp"] if look.style == "stubble" else 0), 0, 1)
-    if not share.any():
-        return np.zeros((1, 1), np.float32)
-    dots = (rng.random((size, size), np.float32) < 0.06 * _enlarged(share, size)).astype(np.float32)
-    contrast = float(np.clip(np.log(look.skin.mean() / look.hair_color.mean()), 0.0, 2.0))
-    return np.asarray(contrast * np.minimum(1.6 * gaussian_filter(dots, size / 2600), 1.0))
 
 
 def roughness(look: Look, tile: int, size: int) -> FloatArray:

@@ -22,7 +22,7 @@ from facepipe.heads import skin
 from facepipe.heads.asset import STEP, arrays
 from facepipe.heads.people import IRIS, STYLES, Look
 from facepipe.heads.skin import jpeg
-from facepipe.parts import Blendshape, Color, FaceParts, Inbetween, Material, Mesh, Skin, Texture, TextureInput, UvSet
+from facepipe.parts import Blendshape, Color, FaceParts, Inbetween, Material, Mesh, Texture, TextureInput, UvSet
 
 SMALLEST = 16  # texels a side
 SKIN = ("M_Face", "M_BackHead")  # of the skin's tiles
@@ -164,6 +164,18 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
     triangles = point_triangles(head.face_vertex_counts, head.face_vertex_indices)
     shapes = (_shape(held, shape, head.points, triangles) for shape in head.blendshapes)
     zeros = np.zeros(len(held.uv))
+    influences = head.skin
+    if influences is not None:
+        # the strongest four of the influences of what holds each point
+        joints = influences.joint_indices[held.corners].reshape(len(held.shares), -1)
+        weights = (influences.joint_weights[held.corners] * held.shares[..., None]).reshape(joints.shape)
+        dense = np.zeros((len(joints), int(influences.joint_indices.max()) + 1))
+        np.add.at(dense, (np.arange(len(joints))[:, None], joints), weights)
+        strongest = np.argsort(-dense, axis=1, kind="stable")[:, :4]
+        weights = np.take_along_axis(dense, strongest, axis=1)
+        weights /= weights.sum(axis=1, keepdims=True)
+        strongest = np.where(weights > 0, strongest, 0).astype(np.int32)
+        influences = replace(influences, joint_indices=strongest, joint_weights=weights)
     # normals are those of the skin where cards lie on it, level and outwards where they hang
     outwards = (held.carry(head.points) + held.offsets - head.points.mean(axis=0)) * [1, 0, 1]
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
@@ -176,7 +188,7 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
         face_vertex_indices=indices,
         normals=np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True)),
         uv_sets=(UvSet(values=held.uv),),
-        skin=None if head.skin is None else _card_skin(held, head.skin),
+        skin=influences,
         blendshapes=tuple(shape for shape in shapes if shape is not None),
         regions={one: zeros + (one == region) for one in head.regions},
         material=name,
@@ -185,10 +197,7 @@ def card_mesh(name: str, held: Cards, head: Mesh, region: str) -> Mesh:
 
 
 def kind_of(mesh: Mesh, head: Mesh, within: float = _AS_LAID) -> str | None:
-    """The set of cards that a mesh is, as it lies on a head; None where it is none, or was moved.
-
-    :param within: cm that points may be off
-    """
+    """The set of cards that a mesh is as it lies on a head, within so many cm; None: none, or one that was moved."""
     for kind in ("brows", "lashes", *(style for style, (_, picture) in STYLES.items() if picture)):
         held = cards(kind)
         if len(mesh.points) == len(held.uv) and held.corners.max() < len(head.points):
@@ -257,15 +266,3 @@ def _lift(held: Cards, points: FloatArray, skin: FloatArray, triangles: IntArray
     height = np.einsum("nc,nc->n", points - skin[closest], normals)
     rows = np.broadcast_to(np.arange(held.grid[1])[:, None], held.grid).ravel()
     return np.asarray(np.where(rows > 0, np.maximum(_CLEAR * rows - height, 0.0), 0.0)[:, None] * normals)
-
-
-def _card_skin(held: Cards, skin: Skin) -> Skin:
-    """The strongest four of the influences of what holds each point."""
-    joints = skin.joint_indices[held.corners].reshape(len(held.shares), -1)
-    weights = (skin.joint_weights[held.corners] * held.shares[..., None]).reshape(joints.shape)
-    dense = np.zeros((len(joints), int(skin.joint_indices.max()) + 1))
-    np.add.at(dense, (np.arange(len(joints))[:, None], joints), weights)
-    strongest = np.argsort(-dense, axis=1, kind="stable")[:, :4]
-    weights = np.take_along_axis(dense, strongest, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    return replace(skin, joint_indices=np.where(weights > 0, strongest, 0).astype(np.int32), joint_weights=weights)

@@ -11,16 +11,16 @@ from scipy.ndimage import maximum_filter
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.geometry.face_crops import TEMPLATE, face_crop, from_crop, turned_crop
-from facepipe.geometry.landmarks import MIRRORED, face_size, quarter_turned, quarters_to_upright
+from facepipe.geometry.landmarks import face_size, quarter_turned, quarters_to_upright
 from facepipe.networks.files import (
     COUNT,
     PUPILS,
-    DenseLandmarkSession,
     LandmarkSession,
+    crops_of,
     dense_landmarks,
+    landmarks_by_looks,
     own_dense_session,
     own_landmark_session,
-    sample_crop,
 )
 from facepipe.rig.torch import torch
 
@@ -80,12 +80,9 @@ def find_landmarks(image: FloatArray, model: Path | None = None) -> list[FoundFa
 def follow_face(image: FloatArray, landmarks: FloatArray, *, closer: bool = True) -> FoundFace | None:
     """The face that had `landmarks` (68, 2) in a picture a moment before; None where it is not near there any more.
 
-    As `find_landmarks`, but the picture is not searched.
+    As `find_landmarks`, but the picture (h, w, 3) is not searched.
 
-    :param image: (h, w, 3) sRGB 0..1
-    :param landmarks: in pixels of `image`
     :param closer: have the second look, which takes most of the time
-    :raises InputError: as `find_landmarks`
     """
     quarters = quarters_to_upright(landmarks)
     found = _faces(own_landmark_session(), _checked(image), quarters, closer=closer, near=landmarks)
@@ -133,34 +130,27 @@ def _faces(
         centre, side = face.landmarks.mean(axis=0), np.ptp(face.landmarks, axis=0).max() / 0.6
         if all(np.linalg.norm(centre - other.landmarks.mean(axis=0)) > _SAME * side for other in faces):
             faces.append(face)
-    faces = [replace(face, landmarks=face.landmarks * scale) for face in faces]
-    if faces and closer:
-        second = own_dense_session()
-        faces = [_looked_closer(second, torch.as_tensor(turned), face) for face in faces]
     found, size = [], (turned.shape[1], turned.shape[0])
     for face in faces:
+        face = replace(face, landmarks=face.landmarks * scale)
+        nearer = dense_landmarks(own_dense_session(), torch.as_tensor(turned), face.landmarks) if closer else None
+        if nearer is not None:
+            points, errors = nearer
+            trust = np.minimum(1, (_EXACT * face_size(points[:COUNT]) / errors) ** 2)
+            face = FoundFace(
+                landmarks=points[:COUNT],
+                presence=face.presence,
+                confidence=trust[:COUNT],
+                dense=points[COUNT:-PUPILS],
+                dense_confidence=trust[COUNT:-PUPILS],
+                pupils=np.column_stack([points, errors])[-PUPILS:],
+            )
         landmarks, dense = (quarter_turned(places, -quarters, size) for places in (face.landmarks, face.dense))
         pupils = face.pupils
         if pupils is not None:
             pupils = np.column_stack([quarter_turned(pupils[:, :2], -quarters, size), pupils[:, 2]])
         found.append(replace(face, landmarks=landmarks, dense=dense, pupils=pupils))
     return found
-
-
-def _looked_closer(network: DenseLandmarkSession, photo: torch.Tensor, face: FoundFace) -> FoundFace:
-    found = dense_landmarks(network, photo, face.landmarks)
-    if found is None:
-        return face
-    points, errors = found
-    confidence = np.minimum(1, (_EXACT * face_size(points[:COUNT]) / errors) ** 2)
-    return FoundFace(
-        landmarks=points[:COUNT],
-        presence=face.presence,
-        confidence=confidence[:COUNT],
-        dense=points[COUNT:-PUPILS],
-        dense_confidence=confidence[COUNT:-PUPILS],
-        pupils=np.column_stack([points, errors])[-PUPILS:],
-    )
 
 
 def _shrunk(photo: torch.Tensor) -> tuple[torch.Tensor, FloatArray]:
@@ -205,7 +195,7 @@ def _settled(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArra
         matrices = [matrix for one in _distinct(landmarks) if (matrix := _crop(photo, one, network.size)) is not None]
         if not matrices:
             return []
-        places, presence = network(_crops(photo, matrices, network.size))
+        places, presence = network(crops_of(photo, matrices, network.size))
         kept = zip(places, matrices, presence, strict=True)
         landmarks = np.array([from_crop(one, matrix) for one, matrix, sure in kept if sure > _MAYBE])
     return list(_distinct(landmarks))
@@ -235,24 +225,13 @@ def _crop(photo: torch.Tensor, landmarks: FloatArray, size: int) -> FloatArray |
     return matrix
 
 
-def _crops(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatArray:
-    return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
-
-
 def _judged(network: LandmarkSession, photo: torch.Tensor, landmarks: FloatArray) -> FoundFace | None:
-    """The face near landmarks by several crops of it, or None where they disagree or show nothing like one.
-
-    :param photo: (h, w, 3) sRGB 0..1, float32
-    :param landmarks: (68, 2) pixels
-    """
+    """The face near landmarks (68, 2) by several crops of it; None where they disagree or show nothing like one."""
     aligned = _crop(photo, landmarks, network.size)
     if aligned is None:
         return None
     matrices = [turned_crop(aligned, turn, scale, network.size) for turn, scale in _LOOKS]
-    crops = _crops(photo, matrices, network.size)
-    places, presence = network(np.concatenate([crops, crops[..., ::-1]]))
-    places[len(crops) :] = [network.size, 0] + places[len(crops) :, MIRRORED] * [-1, 1]
-    looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)])
+    looks, presence = landmarks_by_looks(network, photo, matrices)
     mean = looks.mean(axis=0)
     final = _crop(photo, mean, network.size)
     if final is None or presence.mean() < _SURE:

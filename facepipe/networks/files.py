@@ -1,28 +1,36 @@
-"""The shipped networks: where they are, those of landmarks in onnxruntime, and crops of pictures for them."""
+"""The shipped networks: crops of pictures for them, where they are, sessions of onnxruntime, and what they see.
+
+That is many landmarks of a face, and where a photo shows nothing but a face, and where hair.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from facepipe.core.arrays import FloatArray
+from facepipe.core.arrays import Float32Array, FloatArray
 from facepipe.core.errors import InputError
-from facepipe.geometry.face_crops import face_crop, from_crop, turned_crop
-from facepipe.networks.onnx_file import read_model
+from facepipe.geometry.face_crops import face_crop, from_crop, plain_crop, to_crop, turned_crop
+from facepipe.geometry.landmarks import MIRRORED
+from facepipe.networks.onnx_file import PROPERTY, onnx_session, read_model
 
 if TYPE_CHECKING:
     from facepipe.rig.torch import torch
 
+_WIDE, _NEAR = 2.0, 1.0  # sides of crops in those of `face_crop`: a head with its hair, and a face
+_INSIDE, _KNOWN = slice(17, None), 0.25  # landmarks inside the face, and the least mean share of face at them
+_FADE = 0.1  # of a near crop's side, over which it takes over from the wide one
 _OPERATORS = ("Sigmoid", "Gemm", "Flatten", "GlobalAveragePool")  # from presence back to the features
 _BATCH = 32
-_KEY = "facepipe.features"
 COUNT, PUPILS = 68, 2
 # Crops that landmarks are the mean of, each as it is and mirrored: turn in radians, scale.
 _LOOKS = ((0.0, 1.0), (0.08, 1.05), (-0.08, 0.96))
@@ -98,6 +106,21 @@ def presence_map(model: Any) -> tuple[bytes, int]:
     return result.SerializeToString(), size // window
 
 
+def landmarks_by_looks(
+    network: LandmarkSession | DenseLandmarkSession, photo: torch.Tensor, matrices: list[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """(2 k, n, 2) landmarks in a photo by k crops (2, 3) as they are, then mirrored, and what else is said of each."""
+    crops = crops_of(photo, matrices, network.size)
+    places, further = network(np.concatenate([crops, crops[..., ::-1]]))
+    places[len(crops) :] = [network.size, 0] + places[len(crops) :, network.mirrored] * [-1, 1]
+    return np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)]), further
+
+
+def crops_of(photo: torch.Tensor, matrices: list[FloatArray], size: int) -> FloatArray:
+    """(k, 3, size, size) several of `sample_crop`."""
+    return np.concatenate([sample_crop(photo, matrix, size).numpy() for matrix in matrices])
+
+
 def landmark_model() -> Path:
     """The file that finds the 68 landmarks of a face in a crop, and whether there is one."""
     return _own("landmarks.onnx")
@@ -117,15 +140,6 @@ def _own(name: str) -> Path:
     return Path(str(files("facepipe.networks") / name))
 
 
-def _session(data: bytes) -> Any:
-    import onnxruntime as ort
-
-    settings = ort.SessionOptions()
-    settings.intra_op_num_threads = 1
-    settings.log_severity_level = 4
-    return ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
-
-
 class _CropSession:
     """An ONNX file that looks at crops of faces."""
 
@@ -140,12 +154,12 @@ class _CropSession:
         where = "landmark network" if isinstance(source, bytes) else source
         data = source if isinstance(source, bytes) else read_model(source).SerializeToString()
         try:
-            self._session = _session(data)
+            self._session = onnx_session(data)
         except Exception as error:  # onnxruntime's own classes share no other base
             raise InputError(where, f"can't be read: {str(error)[:120]}, expected an ONNX landmark network") from None
         outputs = {output.name for output in self._session.get_outputs()}
         try:
-            described = json.loads(self._session.get_modelmeta().custom_metadata_map[_KEY])
+            described = json.loads(self._session.get_modelmeta().custom_metadata_map[PROPERTY])
             known = described["kind"] == self.kind and set(self.outputs) <= outputs
             self.size = int(described["size"])
             self._mean, self._std = (np.asarray(described[key], np.float32).reshape(3, 1, 1) for key in ("mean", "std"))
@@ -153,7 +167,7 @@ class _CropSession:
         except (LookupError, TypeError, ValueError):
             known = False
         if not known:
-            what = f"no landmark network, expected '{_KEY}' of kind {self.kind} and both its outputs"
+            what = f"no landmark network, expected '{PROPERTY}' of kind {self.kind} and both its outputs"
             raise InputError(where, what)
 
     def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
@@ -174,6 +188,7 @@ class LandmarkSession(_CropSession):
     """An ONNX file of the kind ``landmarks``."""
 
     kind, outputs = "landmarks", ("landmarks", "presence")
+    mirrored = MIRRORED
     cell: int  # pixels between the windows of a map
 
     def _describe(self, described: Mapping[str, Any], data: bytes) -> None:
@@ -181,7 +196,7 @@ class LandmarkSession(_CropSession):
 
         graph, self.cell = presence_map(load_from_string(data))
         try:
-            self._map = _session(graph)
+            self._map = onnx_session(graph)
         except Exception as error:  # of onnxruntime
             raise ValueError("its map can't be read") from error
 
@@ -193,10 +208,7 @@ class LandmarkSession(_CropSession):
         return landmarks * self.size, presence[:, 0]
 
     def presence_map(self, level: FloatArray) -> FloatArray:
-        """(r, c) presence in an sRGB picture's (3, h, w) windows as large as a crop, a cell apart, before its sigmoid.
-
-        :param level: sides that are multiples of a cell, and a crop's at least
-        """
+        """(r, c) presence before its sigmoid in a picture's (3, h, w), of whole cells, windows as large as a crop."""
         found: FloatArray = self._map.run(None, {"image": self._scaled(level)[None]})[0][0, 0]
         return found
 
@@ -224,6 +236,22 @@ def own_landmark_session() -> LandmarkSession:
     return LandmarkSession(landmark_model())
 
 
+class MaskNetwork(_CropSession):
+    """An ONNX file of the kind ``face-mask``."""
+
+    kind, outputs = "face-mask", ("shares",)
+
+    def __call__(self, crops: Float32Array) -> Float32Array:
+        """(b, 3, s, s) shares of face, hair and all else in cells of sRGB crops (b, 3, S, S) in 0..1."""
+        return self._run(crops)[0].astype(np.float32)
+
+
+@cache
+def own_mask_network() -> MaskNetwork:
+    """The network of faces and hair, loaded once."""
+    return MaskNetwork(_own("face_mask.onnx").read_bytes())
+
+
 @cache
 def own_dense_session() -> DenseLandmarkSession:
     """The network of `dense_landmark_model`, loaded once."""
@@ -235,12 +263,8 @@ def dense_landmarks(
 ) -> tuple[FloatArray, FloatArray] | None:
     """(n, 2) landmarks, the first 68 those of Multi-PIE, the last two the pupils, and errors to expect of them (n,).
 
-    All in pixels; None: no crop.
-
-    After Wood et al., "3D Face Reconstruction with Dense Landmarks", ECCV 2022.
-
-    :param photo: (h, w, 3) sRGB 0..1, float32
-    :param landmarks: (68, 2) pixels, about where they are
+    In pixels of a photo (h, w, 3) with a face about at `landmarks` (68, 2); None: no crop. After Wood et al., "3D Face
+    Reconstruction with Dense Landmarks", ECCV 2022.
     """
     points = landmarks
     for _ in range(_ROUNDS):
@@ -249,12 +273,53 @@ def dense_landmarks(
         except InputError:
             return None
         matrices = [turned_crop(aligned, turn, scale / network.zoom, network.size) for turn, scale in _LOOKS]
-        crops = np.concatenate([sample_crop(photo, matrix, network.size).numpy() for matrix in matrices])
-        places, errors = network(np.concatenate([crops, crops[..., ::-1]]))
-        places[len(crops) :] = [network.size, 0] + places[len(crops) :, network.mirrored] * [-1, 1]
-        errors[len(crops) :] = errors[len(crops) :, network.mirrored]
-        looks = np.array([from_crop(one, matrix) for one, matrix in zip(places, matrices * 2, strict=True)])
+        looks, errors = landmarks_by_looks(network, photo, matrices)
+        errors[len(matrices) :] = errors[len(matrices) :, network.mirrored]
         points = looks.mean(axis=0)
     spread = ((looks - points) ** 2).sum(axis=2).mean(axis=0)
     scales = np.array([np.hypot(*matrix[:, 0]) for matrix in matrices * 2])
     return points, np.sqrt(((errors * scales[:, None]) ** 2).mean(axis=0) + spread)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceMask:
+    """Shares of a photo's pixels, 0..1; beyond the head both are 0."""
+
+    face: Float32Array  # (h, w) skin, eyes and mouth, ears and neck
+    hair: Float32Array  # (h, w)
+
+
+def face_mask(photo: Float32Array, landmarks: FloatArray) -> FaceMask:
+    """Where a photo (h, w, 3) of sRGB 0..1 shows face and hair at landmarks (68, 2): from far, and the face from near.
+
+    Where hardly any of the landmarks inside the face lie on what the network takes for face, it does not know such
+    faces: all is face then.
+
+    :raises InputError: landmarks that are nothing like a face's
+    """
+    network = own_mask_network()
+    shares = np.zeros((2, *photo.shape[:2]), np.float32)
+    aligned = face_crop(landmarks, network.size)
+    for scale in (_WIDE, _NEAR):
+        matrix = turned_crop(aligned, 0.0, scale, network.size)
+        crop = plain_crop(photo, matrix, network.size).transpose(2, 0, 1)
+        seen, mirrored = network(np.stack([crop, crop[..., ::-1]]))[:, :2]
+        shown = (seen + mirrored[..., ::-1]) / 2
+        # what the crop shows goes over what was there, fading in from the crop's border
+        size = network.size
+        height, width = shares.shape[1:]
+        corners = np.array([(0, 0), (size, 0), (0, size), (size, size)]) @ matrix[:, :2].T + matrix[:, 2]
+        left, top = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, (width, height))
+        right, bottom = np.clip(np.ceil(corners.max(axis=0)).astype(int), 0, (width, height))
+        places = np.stack(np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5), axis=-1)
+        inside = to_crop(places, matrix) / size  # 0..1 of the crop
+        border = np.minimum(inside, 1 - inside).min(axis=-1)
+        amount = np.clip(border / _FADE, 0, 1).astype(np.float32)
+        at = np.moveaxis(inside[..., ::-1], -1, 0) * shown.shape[1] - 0.5
+        window = shares[:, top:bottom, left:right]
+        for one, channel in zip(window, shown, strict=True):
+            one += amount * (map_coordinates(channel, at, order=1, mode="nearest") - one)
+    column, row = np.clip(landmarks[_INSIDE], 0, np.array(photo.shape[1::-1]) - 1).astype(np.int64).T
+    if shares[0, row, column].mean() < _KNOWN:
+        return FaceMask(face=np.ones_like(shares[0]), hair=np.zeros_like(shares[1]))
+    return FaceMask(face=shares[0], hair=shares[1])

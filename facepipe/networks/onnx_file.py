@@ -172,6 +172,16 @@ def read_model(path: Path) -> Any:
     return model
 
 
+def onnx_session(data: bytes) -> Any:
+    """The network of a file's bytes in onnxruntime, on one thread, which says nothing."""
+    import onnxruntime as ort
+
+    settings = ort.SessionOptions()
+    settings.intra_op_num_threads = 1
+    settings.log_severity_level = 4
+    return ort.InferenceSession(data, settings, providers=["CPUExecutionProvider"])
+
+
 def opset(model: Any) -> int:
     """Version of the default operator set."""
     return next(int(one.version) for one in model.opset_import if one.domain in _DOMAINS)

@@ -6,6 +6,6 @@ FORMER = {
     "facepipe.learn.photo": ("facepipe.photo.descent",),
     "facepipe.learn.photo.amortised": ("facepipe.photo.amortised",),
     "facepipe.photo_options": ("facepipe.photo.options",),
-    "facepipe.processors.photo_fit": ("facepipe.photo.fit", "facepipe.networks.masks"),
+    "facepipe.processors.photo_fit": ("facepipe.photo.fit", "facepipe.networks.files"),
     "facepipe.processors.photo_texture": ("facepipe.photo.texture",),
 }

@@ -29,8 +29,6 @@ class PhotoTermOptions(Ranged):
     """Steps, weights of the terms of the joint loss ([0166]) but for the landmarks, and how likely values are.
 
     A weight of 0 switches a term off; networks whose terms are off are not run.
-
-    :raises InputError: a number out of range
     """
 
     iterations: int = option(45, "steps of gradient descent; 0: landmarks alone", 0, 100_000)
@@ -90,10 +88,7 @@ class PhotoFitOptions(PhotoTermOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class StartOptions(Ranged):
-    """How long a network for first guesses is trained, and on what.
-
-    :raises InputError: a number out of range
-    """
+    """How long a network for first guesses is trained, and on what."""
 
     people: int = option(100_000, "random people to learn from first, by their landmarks alone", 0, 100_000_000)
     renders: int = option(2000, "random renders of FACE with known parameters", 0, 200_000)

@@ -1,18 +1,22 @@
-"""The report page of a fit to photos, and its pictures of each photo: square areas of it with what was fitted."""
+"""The report page of a fit to photos, and its pictures of each photo: square areas of it with what was fitted.
+
+Over a picture the edges of the face are drawn without those that its surface hides.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.core.arrays import ByteArray, Float32Array, FloatArray, IntArray
 from facepipe.core.markup import Markup, heading, joined, page, tag
 from facepipe.geometry.colors import from_srgb, to_srgb
-from facepipe.geometry.rasterise import NEAR
-from facepipe.parts import FaceParts, Material, PhotoView, Slider, TextureInput
+from facepipe.geometry.polygons import edges
+from facepipe.geometry.rasterise import NEAR, rasterise, screen_triangles
+from facepipe.parts import FaceParts, Material, PhotoView, TextureInput
 from facepipe.pictures.camera import Camera, View, y_up
 from facepipe.pictures.draw import draw
 from facepipe.pictures.face_picture import PictureOptions
@@ -21,10 +25,11 @@ from facepipe.pictures.figures import TOTAL, bar, figure, loss_chart, table_of_b
 from facepipe.pictures.lighting import PhotoLights
 from facepipe.pictures.scene import build_scene
 from facepipe.pictures.shade import Shader
-from facepipe.pictures.wireframe import wireframe
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+Samples = TypeVar("Samples", ByteArray, FloatArray)
 
 LARGEST = 1024  # pixels of a render's longer side
 _SAMPLES = 2
@@ -44,6 +49,9 @@ ACTIVE = 0.02  # share of the range (of 1 for a weight) beyond which a control c
 HIDDEN = 0.05  # share of a region that is in no photo, from which on it is listed
 SIDES: tuple[View, ...] = ("front", "three-quarter", "side")  # that the neutral is seen from
 FRAMED = 0.85  # a crop smaller than this share of the photo is framed in it
+EDGES_FINE = 3  # samples per pixel and direction: lines are three samples, one pixel, wide
+EDGES_SLACK = 2e-4  # of the depth: a point is hidden by what is nearer by more than that
+EDGES_LONG, EDGES_SHORT = 7.0, 0.25  # pixels from which edges are drawn in full; opacity of the shortest
 
 
 def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> FloatArray:
@@ -61,7 +69,10 @@ def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> Float
         points,
         size,
     )
-    shader = Shader(scene, camera_of(view, parts.up_axis).scaled(fine * share), lights=PhotoLights(view=view))
+    transform = np.asarray(view.transform, dtype=np.float64)
+    axes, eye = y_up(transform[:3, :3].T, parts.up_axis), y_up(transform[None, :3, 3], parts.up_axis)[0]
+    camera = Camera(axes=axes, eye=eye, focal=view.focal, center=view.center)
+    shader = Shader(scene, camera.scaled(fine * share), lights=PhotoLights(view=view))
     mm = 1000 * parts.meters_per_unit
     drawn = []
     for level in (0.0, 1.0):
@@ -73,13 +84,6 @@ def photo_render(parts: FaceParts, view: PhotoView, points: FloatArray) -> Float
     coverage = 1 - (on_white - on_black).mean(axis=2, keepdims=True)
     image = np.concatenate([on_black, coverage.clip(0, 1)], axis=2)
     return np.asarray(image.reshape(height, fine, width, fine, 4).mean(axis=(1, 3)))
-
-
-def camera_of(view: PhotoView, up_axis: str) -> Camera:
-    """The camera of a photo in the Y-up world."""
-    transform = np.asarray(view.transform, dtype=np.float64)
-    axes, eye = transform[:3, :3].T, transform[:3, 3]
-    return Camera(axes=y_up(axes, up_axis), eye=y_up(eye[None], up_axis)[0], focal=view.focal, center=view.center)
 
 
 def _with_tint(material: Material, tint: tuple[float, float, float] | None) -> Material:
@@ -153,10 +157,7 @@ def _square(low: FloatArray, high: FloatArray, width: int, height: int, size: in
 
 
 def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
-    """(crop.size, crop.size, c) resampled part of an image (h, w, c) that covers a photo of `size` (width, height).
-
-    Outside the photo all channels are NaN.
-    """
+    """(crop.size, crop.size, c) part of an image (h, w, c) of a photo of `size` (width, height); NaN outside it."""
     from PIL import Image
 
     resampled = np.full((crop.size, crop.size, channels.shape[2]), np.nan)
@@ -182,17 +183,6 @@ def cut(channels: FloatArray, crop: Crop, size: tuple[int, int]) -> FloatArray:
 def photo_picture(photo: FloatArray, crop: Crop) -> Image:
     """The photo (h, w, 3), sRGB 0..1, as it is."""
     return _image(cut(photo, crop, photo.shape[1::-1]))
-
-
-def framed(image: Image, crop: Crop, part: Crop) -> Image:
-    """The picture of `crop` with a frame around what `part` shows."""
-    from PIL import ImageDraw
-
-    (x0, y0), (x1, y1) = crop.place(np.array([(part.left, part.top), (part.left + part.side, part.top + part.side)]))
-    pen = ImageDraw.Draw(image)
-    for wider, color in ((1, CASING), (0, GIVEN)):
-        pen.rectangle((round(x0) - wider, round(y0) - wider, round(x1) + wider, round(y1) + wider), outline=color)
-    return image
 
 
 def landmark_picture(photo: FloatArray, crop: Crop, given: FloatArray, fitted: FloatArray) -> Image:
@@ -229,11 +219,67 @@ def fitted_mark(image: Image, centers: FloatArray, radius: float) -> None:
     dots.paint(image, FITTED)
 
 
-def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
-    """The photo, darker, with the edges of the fitted face that are not hidden.
+def wireframe(parts: FaceParts, screen: FloatArray, size: tuple[int, int]) -> Image:
+    """How much of each pixel is covered by visible edges: a mask of `size` (width, height), 8 bits.
 
-    :param screen: (n, 3) pixel x, pixel y of the photo and depth of all points, in mesh order
+    Short edges are fainter, so that a dense mesh gives a tone, no blot.
+
+    :param screen: (n, 3) pixel x, pixel y (down) and depth of the points of all meshes, in mesh order
     """
+    from PIL import Image
+
+    width, height = size[0] * EDGES_FINE, size[1] * EDGES_FINE
+    scene = build_scene(parts, None)
+    points = np.asarray(screen, dtype=np.float64) * (EDGES_FINE, EDGES_FINE, 1.0)
+    solid = scene.triangles[~scene.see_through]
+    # (e, 2) polygon edges of opaque surfaces between points that face the camera and are in front of it
+    (ax, ay), (bx, by), (cx, cy) = points[solid.T, :2].transpose(0, 2, 1)
+    ahead = (points[solid, 2] > NEAR).all(axis=1)
+    facing = ahead & ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0)  # y points down
+    seen = np.zeros(len(points), dtype=bool)
+    seen[solid[facing]] = True
+    meshes: list[IntArray] = [np.zeros((0, 2), np.int64)]
+    start = 0
+    for mesh in parts.meshes:
+        meshes.append(edges(mesh.face_vertex_counts, mesh.face_vertex_indices)[0] + start)
+        start += len(mesh.points)
+    pairs = np.concatenate(meshes)
+    pairs = np.asarray(pairs[seen[pairs].all(axis=1)])
+    cover = np.zeros((height, width), np.uint8)
+    if len(pairs):
+        depth = np.maximum(points[:, 2:], NEAR / 2)
+        homogeneous = np.hstack([points[:, :2] * depth, np.ones_like(depth), depth])
+        nearness = rasterise(screen_triangles(homogeneous, solid), width, height).nearness
+        farthest = _nearby(np.minimum, nearness)  # steep surfaces must not hide their own edges
+        ends = points[pairs]
+        # set the samples along edges (e, 2, 3) where nothing is nearer
+        rows, columns = cover.shape
+        low, high = ends[..., :2].min(axis=1), ends[..., :2].max(axis=1)
+        ends = ends[(high > 0).all(axis=1) & (low < (columns, rows)).all(axis=1)]
+        length = np.linalg.norm(ends[:, 1, :2] - ends[:, 0, :2], axis=1)
+        count = np.minimum(np.ceil(length), 4 * (columns + rows)).astype(np.int64) + 1
+        which = np.repeat(np.arange(len(ends)), count)
+        share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)) / np.maximum(count - 1, 1)[which]
+        at = ends[which, 0, :2] * (1 - share[:, None]) + ends[which, 1, :2] * share[:, None]
+        line_nearness = (1 - share) / ends[which, 0, 2] + share / ends[which, 1, 2]
+        column, row = np.floor(at).astype(np.int64).T
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        column, row, line_nearness, which = column[inside], row[inside], line_nearness[inside], which[inside]
+        clear = line_nearness >= farthest[row, column] * (1 - EDGES_SLACK)
+        tone = np.clip(length / EDGES_FINE / EDGES_LONG, EDGES_SHORT, 1.0)[which] * 255
+        np.maximum.at(cover, (row[clear], column[clear]), np.rint(tone[clear]).astype(np.uint8))
+    return Image.fromarray(_nearby(np.maximum, cover)).reduce(EDGES_FINE)
+
+
+def _nearby(extreme: np.ufunc, samples: Samples) -> Samples:
+    """The extreme of each sample (h, w) and its neighbours, with 0 around all of them."""
+    padded = np.pad(samples, 1)
+    rows = extreme(extreme(padded[:-2], padded[1:-1]), padded[2:])
+    return np.asarray(extreme(extreme(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]))
+
+
+def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: FloatArray) -> Image:
+    """The photo, darker, with the edges of the fitted face that are not hidden; `screen` as for `wireframe`."""
     image = _image(_toned(cut(photo, crop, photo.shape[1::-1]), 0.68))
     at = np.column_stack([crop.place(screen[:, :2]), screen[:, 2]])
     image.paste(WIRE, (0, 0), wireframe(parts, at, image.size))
@@ -241,10 +287,7 @@ def wireframe_picture(photo: FloatArray, crop: Crop, parts: FaceParts, screen: F
 
 
 def render_picture(render: FloatArray, photo: FloatArray, crop: Crop, *, on_photo: bool) -> Image:
-    """A render from the photo's camera, alone or over the photo.
-
-    :param render: (h, w, 4) linear colour on black and coverage 0..1, of all that the photo shows
-    """
+    """A render (h, w, 4), linear on black with coverage, from the photo's camera, alone or over the photo."""
     pixels = cut(np.asarray(render), crop, photo.shape[1::-1])
     cover = np.clip(pixels[..., 3:], 0, 1)
     ground = cut(photo, crop, photo.shape[1::-1]) if on_photo else np.array(GROUND) / 255
@@ -378,6 +421,8 @@ def grid(figures: Sequence[Markup], columns: int) -> Markup:
 
 def _of_photo(sheet: PhotoSheet, photo: SheetPhoto) -> list[Markup]:
     """The five pictures of a photo, with captions."""
+    from PIL import ImageDraw
+
     height, width = photo.photo.shape[:2]
     square = whole(width, height, SIZE)
     marks = np.concatenate([photo.targets, photo.landmarks])
@@ -385,7 +430,11 @@ def _of_photo(sheet: PhotoSheet, photo: SheetPhoto) -> list[Markup]:
     close = close_up(marks, width, height, SIZE)
     image = photo_picture(photo.photo, square)
     if near.side < FRAMED * max(width, height):
-        image = framed(image, square, near)
+        corners = np.array([(near.left, near.top), (near.left + near.side, near.top + near.side)])
+        (left, top), (right, bottom) = np.rint(square.place(corners)).astype(int).tolist()
+        pen = ImageDraw.Draw(image)
+        for wider, color in ((1, CASING), (0, GIVEN)):
+            pen.rectangle((left - wider, top - wider, right + wider, bottom + wider), outline=color)
     landmarks = landmark_picture(photo.photo, close, photo.targets, photo.landmarks)
     error = f"{photo.landmark_error:.2f} px, {photo.landmark_error / photo.eye_distance:.1%}"
     alike = "" if photo.similarity is None else f"similarity {photo.similarity:.3f}"
@@ -448,7 +497,11 @@ def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:
     """The sliders that have moved, by group; the others are counted."""
     sliders = sheet.parts.sliders
     free = [slider for slider in sliders if slider.name in sheet.sliders]
-    moved = [slider for slider in free if _moved(slider, sheet.sliders[slider.name]) > ACTIVE]
+    moved = []
+    for slider in free:
+        reach = slider.maximum - slider.minimum
+        if reach > 0 and abs(sheet.sliders[slider.name] - slider.default) / reach > ACTIVE:
+            moved.append(slider)
     yield heading("Sliders", f"{len(moved)} of {len(free)} moved from the default" if free else "none fitted")
     tables = []
     for group in dict.fromkeys(slider.group for slider in moved):
@@ -460,12 +513,6 @@ def _sliders(sheet: PhotoSheet) -> Iterator[Markup]:
     yield tag("div", *tables, class_="flow")
     still = f"within {ACTIVE:.0%} of the range from their default"
     yield _counted({still: len(free) - len(moved), "not fitted": len(sliders) - len(free)})
-
-
-def _moved(slider: Slider, value: float) -> float:
-    """Distance from the default as a share of the range."""
-    reach = slider.maximum - slider.minimum
-    return abs(value - slider.default) / reach if reach > 0 else 0.0
 
 
 def _counted(counts: Mapping[str, int]) -> Markup:

@@ -55,10 +55,7 @@ def y_up(points: FloatArray, up_axis: str) -> FloatArray:
 
 
 def portrait(points: FloatArray, view: View, width: int, height: int, right: int = 0) -> Camera:
-    """A camera with a long lens that has all of `points` (n, 3), Y up, inside a picture.
-
-    :param right: pixels of its width that are kept for a bar or a legend
-    """
+    """A long-lens camera with all `points` (n, 3), Y up, in a picture but for `right` pixels of its width."""
     yaw, pitch = VIEWS[view] if isinstance(view, str) else view
     backward = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
     across = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -30,13 +29,10 @@ _SCATTERED = 2.5  # mm; standard deviation of where light leaves skin around whe
 
 
 def spread(light: Float32Array, share: Float32Array, depth: Float32Array, width: float, focal: float) -> Float32Array:
-    """(h, w, 3) what scattering adds to diffuse light; negative where it takes some away.
+    """(h, w, 3) what scattering adds to diffuse light (h, w, 3); negative where it takes some away.
 
-    :param light: (h, w, 3) diffuse light, premultiplied by `share`
-    :param share: (h, w) of each pixel that surfaces cover
-    :param depth: (h, w) along the view, premultiplied by `share`
-    :param width: standard deviation of the blur, in units of depth
-    :param focal: pixels
+    Light and depth (h, w) along the view are premultiplied by the share (h, w) of each pixel that surfaces cover. The
+    standard deviation of the blur, `width`, is in units of depth, the focal length in pixels.
     """
     covered = float(share.sum())
     pixels = width * focal * covered / max(float(depth.sum()), 1e-12)
@@ -187,20 +183,29 @@ def fragments(
     stops[row_group, rows % samples] = spans.start + spans.count
     first = np.flatnonzero(new)
     owner, row, column = spans.owner[first], spans.row[first] // samples, starts.min(axis=1) // samples
-    plane = _planes(screen, owner, row * samples, column * samples)
+    # of each row of pixels the nearness of its triangle's plane in the first sample, its change to the right and down,
+    # and the least and most anywhere in the triangle
+    slope, down = (each[owner] for each in screen.gradient)
+    begin = screen.nearness[owner] + (column * samples + 0.5 - screen.x[0, owner]) * slope
+    begin = begin + (row * samples + 0.5 - screen.y[0, owner]) * down
+    planes = [each.astype(np.float32) for each in (begin, slope, down, *screen.limits[:, owner])]
+    begin, slope, down, _, high = planes
     group, step = expand(-(-stops.max(axis=1) // samples) - column)
     pixel = ((row - top // samples) * width + column)[group] + step
     beside = (step * samples).astype(np.float32)
-    shown = np.flatnonzero(plane.most(group, beside, samples) > behind.reshape(-1)[pixel])
+    corner = begin + (np.maximum(slope, 0) + np.maximum(down, 0)) * (samples - 1)
+    most = np.minimum(corner[group] + beside * slope[group], high[group])
+    shown = np.flatnonzero(most > behind.reshape(-1)[pixel])
     group, pixel = group[shown], pixel[shown]
     row, column = row[group], column[group] + step[shown]
-    nearness_at = plane.nearness(group, beside[shown])
+    begin, slope, down, low, high = (each[group] for each in planes)
+    begin = begin + beside[shown] * slope
     covered, right, below, total = (np.zeros(len(group), np.float32) for _ in range(4))
     for y in range(samples):
         start, stop = starts[group, y], stops[group, y]
         for x in range(samples):
             at = column * samples + x
-            nearness = nearness_at(x, y)
+            nearness = np.clip(begin + (x * slope + y * down), low, high)
             seen = (start <= at) & (at < stop)
             seen &= nearest[row * samples + y - top, at] < nearness
             covered += seen
@@ -217,38 +222,6 @@ def fragments(
         x=(column[at] + (right[at] / covered + 0.5) / samples).astype(np.float32),
         y=(row[at] + (below[at] / covered + 0.5) / samples).astype(np.float32),
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Planes:
-    """Nearness of triangles in rows of pixels, g of them, in samples from the first one of each row."""
-
-    start: Float32Array  # (g,)
-    slope: Float32Array  # (g,) to the right
-    down: Float32Array  # (g,)
-    low: Float32Array  # (g,) least and most anywhere in the triangle
-    high: Float32Array  # (g,)
-
-    def nearness(self, group: IntArray, right: Float32Array) -> Callable[[int, int], Float32Array]:
-        """(k,) nearness x and y samples beside and below those that are (k,) samples to the right in rows `group`."""
-        slope, down, low, high = (each[group] for each in (self.slope, self.down, self.low, self.high))
-        start = self.start[group] + right * slope
-        return lambda x, y: np.clip(start + (x * slope + y * down), low, high)
-
-    def most(self, group: IntArray, right: Float32Array, samples: int) -> Float32Array:
-        """(k,) bound of the nearness in pixels that start (k,) samples to the right in rows `group`."""
-        corner = self.start + (np.maximum(self.slope, 0) + np.maximum(self.down, 0)) * (samples - 1)
-        return np.asarray(np.minimum(corner[group] + right * self.slope[group], self.high[group]))
-
-
-def _planes(screen: ScreenTriangles, owner: IntArray, row: IntArray, column: IntArray) -> _Planes:
-    """The planes of triangles from the samples in `row` and `column` on, each (g,)."""
-    slope, down = (each[owner] for each in screen.gradient)
-    start = screen.nearness[owner]
-    start = start + (column + 0.5 - screen.x[0, owner]) * slope + (row + 0.5 - screen.y[0, owner]) * down
-    values = (start, slope, down, *screen.limits[:, owner])
-    start, slope, down, low, high = (each.astype(np.float32) for each in values)
-    return _Planes(start=start, slope=slope, down=down, low=low, high=high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,10 +284,7 @@ def layers(
 
 
 def _stacked(shader: Shader, fragments: Fragments, opacity: Float32Array, first: int) -> Layers:
-    """Fragments in order, with what comes past those before them.
-
-    :param first: number of the band's first pixel
-    """
+    """Fragments in order, with what comes past those before them; `first` is the number of the band's first pixel."""
     far = np.uint64(0xFFFFFFFF) - fragments.nearness.view(np.uint32).astype(np.uint64)
     order = np.argsort((fragments.pixel.astype(np.uint64) << np.uint64(32)) | far, kind="stable")
     fragments, opacity = chosen(fragments, order), opacity[order]
@@ -377,11 +347,7 @@ def draw(shader: Shader, size: int, background: Float32Array, samples: int, mm: 
     if len(spots.pixel):
         shaded = shader.shade(spots.triangle, spots.x, spots.y, grainy=shader.studio.soft)
         if shader.studio.soft:
-            row, column = np.divmod(spots.pixel, size)
-            top, left = row.min(), column.min()
-            shape = int(row.max() - top) + 1, int(column.max() - left) + 1
-            window = _Window(shape=shape, place=(row - top) * shape[1] + column - left)
-            shaded = _softened(shaded, spots, window, shader.camera.focal, mm)
+            shaded = _softened(shaded, spots, size, shader.camera.focal, mm)
         color = shaded.toned(shader.studio.tone) * spots.share[:, None]
         picture *= 1 - np.bincount(spots.pixel, spots.share, len(picture))[:, None]
         for channel in range(3):
@@ -464,35 +430,32 @@ def _spots(shader: Shader, raster: Raster, samples: int, top: int) -> Spots:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Window:
-    """The rectangle of the picture where things are."""
-
-    shape: tuple[int, int]
-    place: IntArray  # (m,) of the spots, row by row
-
-    def image(self, values: FloatArray) -> Float32Array:
-        """Sums of the spots' values (m,) in pixels."""
-        return np.bincount(self.place, values, int(np.prod(self.shape))).reshape(self.shape).astype(np.float32)
-
-    def read(self, image: Float32Array) -> Float32Array:
-        """(m, ...) the spots' values of an image."""
-        return image.reshape(-1, *image.shape[2:])[self.place]
-
-
-def _softened(shaded: Shaded, spots: Spots, window: _Window, focal: float, mm: float) -> Shaded:
+def _softened(shaded: Shaded, spots: Spots, size: int, focal: float, mm: float) -> Shaded:
     """Samples with shadows free of grain, and with the light that comes to them below the surface."""
-    share, depth = window.image(spots.share), window.image(spots.share * shaded.depth)
-    open_to = window.read(open_share(depth, share, _HOLLOW_MM / mm, focal))
-    apart = np.abs(shaded.depth * window.read(share) - window.read(depth)) > _STEP / focal * shaded.depth
+    row, column = np.divmod(spots.pixel, size)
+    top, left = row.min(), column.min()
+    shape = int(row.max() - top) + 1, int(column.max() - left) + 1  # of the part of the picture where things are
+    place = (row - top) * shape[1] + column - left
+
+    def image(values: FloatArray) -> Float32Array:
+        return np.bincount(place, values, int(np.prod(shape))).reshape(shape).astype(np.float32)
+
+    def read(pixels: Float32Array) -> Float32Array:
+        return np.asarray(pixels.reshape(-1, *pixels.shape[2:])[place])
+
+    share, depth = image(spots.share), image(spots.share * shaded.depth)
+    open_to = read(open_share(depth, share, _HOLLOW_MM / mm, focal))
+    apart = np.abs(shaded.depth * read(share) - read(depth)) > _STEP / focal * shaded.depth
     open_to[apart] = 1.0  # edges before something farther away are no hollows
-    values = window.image(spots.share * shaded.key_light)
+    values = image(spots.share * shaded.key_light)
     # (h, w) values without the grain of single pixels: means over 5 by 5 of them at about the same depth
     far = _mean(depth, share)
-    hidden = window.read(
+    hidden = read(
         _blurred(np.dstack([values, share]), far, np.ones(3, np.float32), 8 * float(far.max()) / focal)[..., 0]
     )
-    shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=shaded.lit.dimmed(open_to))
-    light = np.stack([window.image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)
-    change = window.read(spread(light, share, depth, _SCATTERED / mm, focal))
+    dimmed = {name: getattr(shaded.lit, name) * open_to[:, None] for name in ("diffuse", "highlights")}
+    lit = replace(shaded.lit, **dimmed)
+    shaded = replace(shaded, key_light=hidden * np.sqrt(open_to), lit=lit)
+    light = np.stack([image(spots.share * channel) for channel in shaded.diffuse.T], axis=-1)
+    change = read(spread(light, share, depth, _SCATTERED / mm, focal))
     return replace(shaded, scattered=scatter_share(shaded.base) * change)

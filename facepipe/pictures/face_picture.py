@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import Float32Array, FloatArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import replacing
 from facepipe.core.errors import InputError
 from facepipe.geometry.colors import from_srgb
@@ -17,9 +17,8 @@ from facepipe.parts import FaceParts
 from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, View, portrait
 from facepipe.pictures.draw import draw
-from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.lighting import Portrait, Studio
-from facepipe.pictures.overlay import RegionColors, draw_landmarks, draw_legend, legend_width
+from facepipe.pictures.overlay import HeatMap, RegionColors, draw_landmarks, draw_legend, legend_width
 from facepipe.pictures.scene import Scene, build_scene, world_points
 from facepipe.pictures.shade import Shader
 
@@ -72,19 +71,13 @@ def picture(parts: FaceParts, points: FloatArray | None, options: PictureOptions
 
 
 def pictures(parts: FaceParts, points: FloatArray | None, several: Sequence[PictureOptions]) -> list[Image]:
-    """Several shaded pictures of a face, quicker than one after the other.
-
-    :raises FacepipeError: as `picture`
-    """
+    """Several shaded pictures of a face, quicker than one `picture` after the other."""
     scene = build_scene(parts, points, max(options.size for options in several))
     return [_picture(parts, scene, options) for options in several]
 
 
 def poses(parts: FaceParts, several: Sequence[FloatArray | None], options: PictureOptions) -> list[Image]:
-    """Pictures of a face at several points, quicker than one after the other.
-
-    :raises FacepipeError: as `picture`
-    """
+    """Pictures of a face at several points, quicker than one `picture` after the other."""
     images, textures = [], None
     for points in several:
         scene = build_scene(parts, points, options.size, textures)
@@ -107,8 +100,15 @@ def _picture(parts: FaceParts, scene: Scene, options: PictureOptions) -> Image:
         points = scene.points if options.framing is None else world_points(parts, options.framing, "framing")
         camera = portrait(points[used], options.view, options.size, options.size, right)
     shader = Shader(scene, camera, options.heatmap, paint, options.studio)
-    mm = 1000 * parts.meters_per_unit
-    image = Image.fromarray(draw(shader, options.size, _behind(options), options.samples, mm))
+    if options.backdrop is not None:
+        behind = np.asarray(options.backdrop, dtype=np.float32)
+    else:
+        middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
+        across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
+        distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
+        behind = middle + (corner - middle) * (distance**2 * (3 - 2 * distance))[..., None]
+    linear = from_srgb(behind).astype(np.float32)
+    image = Image.fromarray(draw(shader, options.size, linear, options.samples, 1000 * parts.meters_per_unit))
     if options.landmarks is not None:
         draw_landmarks(image, parts, scene, camera, options.landmarks, numbered=options.written)
     if options.heatmap is not None and options.bar and options.written:
@@ -125,14 +125,3 @@ def save_png(image: Image, path: str | os.PathLike[str]) -> None:
     """
     with replacing(path) as temporary:
         image.save(temporary, format="PNG", compress_level=3)  # a twelfth larger than with 6, in half the time
-
-
-def _behind(options: PictureOptions) -> Float32Array:
-    """(size, size, 3) linear background: the backdrop, one colour, or a blend from the middle to the corners."""
-    if options.backdrop is not None:
-        return from_srgb(np.asarray(options.backdrop, dtype=np.float32)).astype(np.float32)
-    middle, corner = np.broadcast_to(np.array(options.background, dtype=np.float32), (2, 3))
-    across = (np.arange(options.size, dtype=np.float32) + 0.5) / options.size * 2 - 1
-    distance = np.sqrt((across[None, :] ** 2 + across[:, None] ** 2) / 2)
-    share = (distance**2 * (3 - 2 * distance))[..., None]
-    return from_srgb(middle + (corner - middle) * share).astype(np.float32)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.markup import Markup, joined, tag
-from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
+from facepipe.core.markup import Markup, tag
+from facepipe.pictures.overlay import NO_VALUE, STATIONS, ticks
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -128,7 +128,16 @@ def loss_chart(history: Sequence[Mapping[str, float]], title: str = "") -> Marku
     axes = _axes(terms, len(history))
     others = [name for name in terms if name != TOTAL]
     colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(others)} | {TOTAL: "currentColor"}
-    curves = [_curve(axes, terms[name], colors[name], 2.4 if name == TOTAL else 1.6) for name in reversed(terms)]
+    curves = []
+    for name in reversed(terms):
+        rows = axes.y(terms[name])
+        known = np.flatnonzero(np.isfinite(rows))
+        runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
+        # a run of one step becomes a dot: a line of no length with round ends.
+        lines = ("L".join(f"{axes.x(step):.1f} {rows[step]:.1f}" for step in (*run, run[-1])) for run in runs)
+        look = {"stroke": colors[name], "stroke_width": 2.4 if name == TOTAL else 1.6}
+        round_ends = {"stroke_linejoin": "round", "stroke_linecap": "round"}
+        curves.append(tag("path", d="".join(f"M{line}" for line in lines), fill="none", **look, **round_ends))
     height = max(_HEIGHT + 44, _TOP + _LINE * len(terms) + 8)
     return _chart(height, tag("text", title, x=0, y=14), *_grid(axes), *curves, *_legend(terms, colors))
 
@@ -182,17 +191,6 @@ def _grid(axes: Axes) -> Iterator[Markup]:
     yield tag("text", "step", x=(_LEFT + right) // 2, y=_HEIGHT + 36, text_anchor="middle", fill_opacity=0.65)
 
 
-def _curve(axes: Axes, losses: FloatArray, color: str, width: float) -> Markup:
-    rows = axes.y(losses)
-    known = np.flatnonzero(np.isfinite(rows))
-    runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
-    # a run of one step becomes a dot: a line of no length with round ends.
-    path = "".join(f"M{'L'.join(f'{axes.x(step):.1f} {rows[step]:.1f}' for step in (*run, run[-1]))}" for run in runs)
-    return tag(
-        "path", d=path, fill="none", stroke=color, stroke_width=width, stroke_linejoin="round", stroke_linecap="round"
-    )
-
-
 def _legend(terms: Mapping[str, FloatArray], colors: Mapping[str, str]) -> Iterator[Markup]:
     """Names with their last losses at the right, the largest first."""
     last = {name: losses[np.isfinite(losses)][-1:] for name, losses in terms.items()}
@@ -211,16 +209,17 @@ def table_of_bars(
 ) -> Markup:
     """A name a row, and for each of its columns a bar with its number; None leaves a place empty."""
     head = tag("tr", tag("th"), *(tag("th", title, colspan=2) for title in titles)) if titles else ""
-    lines = [
-        tag("tr", tag("td", name), *(_cell(*place) if place else tag("td", colspan=2) for place in places))
-        for name, places in rows
-    ]
+    lines = []
+    for name, places in rows:
+        cells = [tag("td", name)]
+        for place in places:
+            if place:
+                cells += [tag("td", place[0], class_="track"), tag("td", f"{place[1]:.2f}", class_="number")]
+            else:
+                cells.append(tag("td", colspan=2))
+        lines.append(tag("tr", *cells))
     above = tag("caption", caption) if caption else ""
     columns = max((len(places) for _, places in rows), default=1)
     widths = [tag("col", style=f"width:{'36%' if columns == 1 else '240px'}")]
     widths += [tag("col"), tag("col", style="width:70px")] * columns
     return tag("table", above, tag("colgroup", *widths), head, *lines, class_="bars")
-
-
-def _cell(drawn: Markup, value: float) -> Markup:
-    return joined(tag("td", drawn, class_="track"), tag("td", f"{value:.2f}", class_="number"))

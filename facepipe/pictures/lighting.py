@@ -52,10 +52,6 @@ class Lit:
     key_diffuse: FloatArray  # (m, 3) of the key where nothing hides it
     key_highlights: FloatArray  # (m, 3)
 
-    def dimmed(self, share: FloatArray) -> Lit:
-        """With a share (m,) of all light but the key's."""
-        return replace(self, diffuse=self.diffuse * share[:, None], highlights=self.highlights * share[:, None])
-
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
@@ -213,7 +209,17 @@ class Portrait:
             for number, box in enumerate(self.boxes)
         ]
         view = _View(samples)
-        diffuse, key_diffuse = (one * (1 - view.sheen) for one in self._diffuse(samples, open_sky, boxes))
+        # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
+        seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
+        # The mean of a linear dome over the cosine lobe.
+        total = seen * self._dome(samples.normals @ samples.up * 2 / 3)
+        creep = _CREEP / _SCATTER * scatter_share(samples.base)
+        each = []
+        for box, arriving in zip(self.boxes, boxes, strict=True):
+            wrap = creep + 0.4 * box.spread
+            cosine = (samples.normals @ box.axes[2])[:, None]
+            each.append(arriving * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2)
+        diffuse, key_diffuse = (one * (1 - view.sheen) for one in (sum(each[1:], start=total), each[0]))
         highlights, key_highlights = self._reflected(view, samples.up, open_sky, boxes)
         if samples.coat.any():
             coat = _View(replace(samples, mirror=np.full_like(samples.mirror, _COAT), roughness=samples.coat_roughness))
@@ -223,22 +229,6 @@ class Portrait:
             dome, key = self._reflected(coat, samples.up, open_sky, boxes)
             highlights, key_highlights = highlights + amount * dome, key_highlights + amount * key
         return Lit(diffuse=diffuse, highlights=highlights, key_diffuse=key_diffuse, key_highlights=key_highlights)
-
-    def _diffuse(
-        self, samples: Samples, open_sky: FloatArray, boxes: Sequence[FloatArray]
-    ) -> tuple[FloatArray, FloatArray]:
-        """(m, 3) diffuse light of all but the key, and of the key."""
-        # Light lost in a crease comes back from its coloured walls (geometric series of bounces).
-        seen = open_sky / (1 - samples.base * (1 - open_sky) * 0.9)
-        # The mean of a linear dome over the cosine lobe.
-        total = seen * self._dome(samples.normals @ samples.up * 2 / 3)
-        creep = _CREEP / _SCATTER * scatter_share(samples.base)
-        each = []
-        for box, light in zip(self.boxes, boxes, strict=True):
-            wrap = creep + 0.4 * box.spread
-            cosine = (samples.normals @ box.axes[2])[:, None]
-            each.append(light * np.maximum(cosine + wrap, 0) / (1 + wrap) ** 2)
-        return sum(each[1:], start=total), each[0]
 
     def _reflected(
         self, view: _View, up: FloatArray, open_sky: FloatArray, boxes: Sequence[FloatArray]
@@ -410,7 +400,7 @@ class PhotoLights:
 
     def light(self, samples: Samples) -> Lit:
         """Matt light of harmonics, and of the lamp with its highlight."""
-        light = self._light
+        light = PhotoLight(view=self.view, hidden=np.zeros((0, 9)), arriving=np.zeros(0))
         # The first is what a material's map of occlusion left of it; the fit had the shape's own shadows alone.
         hidden = samples.carried[:, 1:] / np.maximum(samples.carried[:, :1], 1e-3) - 1
         diffuse = light.ambient(samples.normals, hidden) * samples.inside[:, None]
@@ -420,10 +410,6 @@ class PhotoLights:
         glint = light.mirrored(samples.normals, samples.towards_eye, rough)
         none = np.zeros_like(diffuse)
         return Lit(diffuse=diffuse, highlights=none, key_diffuse=matt, key_highlights=glint)
-
-    @property
-    def _light(self) -> PhotoLight:
-        return PhotoLight(view=self.view, hidden=np.zeros((0, 9)), arriving=np.zeros(0))
 
     def tone(self, color: FloatArray) -> FloatArray:
         """Linear light as linear colours 0..1 of a screen."""
@@ -440,11 +426,9 @@ def hidden_harmonics(sky: Sky, normals: FloatArray, axes: FloatArray) -> FloatAr
 
 
 def returned(hidden: FloatArray) -> FloatArray:
-    """(n, 1) share of the light that points send out that comes back from what hides the sky from them.
+    """(n, 1) share of light sent out by points that comes back from what hides the sky, `hidden_harmonics` (n, 9).
 
     In a crease whose walls have albedo a, light is 1 / (1 - a share) times what arrives: the series of bounces.
-
-    :param hidden: (n, 9) as `hidden_harmonics` gives
     """
     return np.asarray(_RETURNED * np.clip(-hidden[:, :1] / np.sqrt(1 / (4 * np.pi)), 0.0, 1.0))
 

@@ -1,4 +1,4 @@
-"""What is written over a picture and below several: landmarks, regions, the colour bar, captions of contact sheets."""
+"""Heat maps and regions to paint on a face, and what is written over and below pictures: bar, legend, captions."""
 
 from __future__ import annotations
 
@@ -15,13 +15,23 @@ from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.parts import FaceParts, all_regions
 from facepipe.pictures.camera import Camera
-from facepipe.pictures.heatmap import NO_VALUE, HeatMap, colors, ticks
 from facepipe.pictures.scene import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
+# Eleven sRGB stations of viridis (CC0), a perceptually even map that colour-blind readers can distinguish.
+STATIONS = (
+    np.array(
+        [
+            (68, 1, 84), (72, 36, 117), (65, 68, 135), (53, 95, 141), (42, 120, 142), (33, 144, 141),
+            (34, 168, 132), (68, 191, 112), (122, 209, 81), (189, 223, 38), (253, 231, 37),
+        ]
+    )
+    / 255.0
+)  # fmt: skip
+NO_VALUE = (0.55, 0.55, 0.55)  # sRGB grey of points without a value
 PAPER = (250, 250, 251)
 INK = (38, 40, 46)
 DOT = (226, 40, 52)
@@ -38,6 +48,72 @@ PALETTE = (
     / 255.0
 )  # fmt: skip
 NONE = "no region"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatMap:
+    """A quantity to paint on the face.
+
+    :raises InputError: infinite values
+    """
+
+    values: FloatArray  # (n,) one per point of all meshes in mesh order; NaN: no value
+    label: str = ""
+    unit: str = "mm"
+    range: tuple[float, float] | None = None  # None: from 0 (or the least, if below) to the largest, rounded outward
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", np.asarray(self.values, dtype=np.float64))
+        if np.isinf(self.values).any():
+            raise InputError("heat map", "infinite values, expected finite ones or NaN for none")
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The values at the ends of the colour bar."""
+        if self.range is not None:
+            return self.range
+        known = self.values[np.isfinite(self.values)]
+        if not len(known):
+            return 0.0, 1.0
+        low, high = min(0.0, float(known.min())), max(0.0, float(known.max()))
+        step = tick_step(low, high) if high > low else 1.0
+        bottom = float(np.floor(low / step - 1e-9) * step) if low < 0 else 0.0
+        if high <= 0:
+            return bottom, 0.0 if low < 0 else 1.0
+        # rounded up to half a step, so that the colours are used up to the end
+        return bottom, float(np.ceil(high / step * 2 - 1e-9) * step / 2)
+
+    def colors(self, values: FloatArray) -> FloatArray:
+        """(m, 3) linear colours of values (m,); outside the range the end colour, NaN grey."""
+        low, high = self.limits
+        return from_srgb(colors((values - low) / (high - low)))
+
+
+def colors(shares: FloatArray) -> FloatArray:
+    """(m, 3) sRGB colours in 0..1 of shares (m,) of the range; NaN is grey."""
+    known = np.isfinite(shares)
+    at = np.clip(np.where(known, shares, 0.0), 0.0, 1.0)
+    stations = np.linspace(0, 1, len(STATIONS))
+    found = np.stack([np.interp(at, stations, STATIONS[:, channel]) for channel in range(3)], axis=1)
+    return np.where(known[:, None], found, NO_VALUE)
+
+
+def tick_step(low: float, high: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that gives about 5 intervals."""
+    rough = (high - low) / 5
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(power * next(factor for factor in (1, 2, 5, 10) if factor * power >= rough * 0.999))
+
+
+def ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Values and their texts along the bar."""
+    step = tick_step(low, high)
+    decimals = max(0, -int(np.floor(np.log10(step))))
+    first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
+    return [
+        (value, f"{value:.3g}" if not value or decimals > 4 or abs(value) >= 1e6 else f"{value:.{decimals}f}")
+        for value in (k * step for k in range(first, last + 1))
+    ]
 
 
 def contact_sheet(images: Sequence[tuple[str, Image]], columns: int) -> Image:
@@ -267,7 +343,11 @@ def draw_legend(image: Image, regions: RegionColors) -> None:
         box = (round(left), round(y - letters * 0.5), round(left + letters), round(y + letters * 0.5))
         pen.rectangle(box, fill=tuple(int(value) for value in color * 255 + 0.5), outline=INK, width=line)
         at = left + letters * 1.6
-        pen.text((at, y), _shortened(name, letters, right - at), fill=INK, font=font(letters), anchor="lm")
+        if font(letters).getlength(name) > right - at:
+            while name and font(letters).getlength(f"{name}...") > right - at:
+                name = name[:-1]
+            name = f"{name}..."
+        pen.text((at, y), name, fill=INK, font=font(letters), anchor="lm")
     if len(shown) < len(entries):
         text = f"and {len(entries) - len(shown)} more"
         pen.text((left, top + step * (len(shown) + 0.5)), text, fill=INK, font=font(letters), anchor="lm")
@@ -276,11 +356,3 @@ def draw_legend(image: Image, regions: RegionColors) -> None:
 def _letters(regions: RegionColors, size: int) -> float:
     """Height of the letters that lets all names stand below each other, or the least that can be read."""
     return max(8.0, min(text_size(size), size * 0.92 / 1.7 / len(regions.entries)))
-
-
-def _shortened(name: str, letters: float, room: float) -> str:
-    if font(letters).getlength(name) <= room:
-        return name
-    while name and font(letters).getlength(f"{name}...") > room:
-        name = name[:-1]
-    return f"{name}..."

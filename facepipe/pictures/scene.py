@@ -78,16 +78,9 @@ def _halved(pixels: ByteArray) -> list[ByteArray]:
 
 
 def bilinear(
-    pixels: AnyArray,
-    uv: FloatArray,
-    wrap_s: str = "repeat",
-    wrap_t: str = "repeat",
-    table: Float32Array | None = None,
+    pixels: AnyArray, uv: FloatArray, wrap_s: str = "repeat", wrap_t: str = "repeat", table: Float32Array | None = None
 ) -> Float32Array:
-    """(m, c) values of pixels (h, w, c), top row first, at UVs (m, 2) with v up.
-
-    :param table: what 8-bit pixels stand for; None: themselves
-    """
+    """(m, c) values of pixels (h, w, c), top row first, by a table of 8 bits if given, at UVs (m, 2) with v up."""
     height, width = pixels.shape[:2]
     x = uv[:, 0] * width - 0.5
     y = (1.0 - uv[:, 1]) * height - 0.5

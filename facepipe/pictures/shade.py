@@ -14,9 +14,9 @@ from facepipe.core.threads import mapped
 from facepipe.geometry.rasterise import barycentrics, interpolated
 from facepipe.parts import Material, Texture, TextureInput
 from facepipe.pictures.camera import Camera
-from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.lighting import EVEN, PORTRAIT, Lit, PhotoLights, Portrait, Samples, Studio
 from facepipe.pictures.occlusion import SHADOW_RESOLUTION, DepthMap, depth_map
+from facepipe.pictures.overlay import HeatMap
 from facepipe.pictures.scene import Scene
 
 T = TypeVar("T")
@@ -131,7 +131,7 @@ class Materials:
                     surfaces.gloss[at] = 1 - (1 - _STRANDS) * matt
                     surfaces.through[at] = _THROUGH * matt
                 if material.normal is not None:
-                    self._bend(_as_normals(material.normal), surfaces, at, own_ids, own_weights)
+                    self._bend(material.normal, surfaces, at, own_ids, own_weights)
         metal = surfaces.metallic[:, None]
         surfaces.mirror[:] += (surfaces.base - surfaces.mirror) * metal
         return surfaces
@@ -145,7 +145,10 @@ class Materials:
                 at = np.flatnonzero(kind == number)
                 read = self._read(material.opacity, ids[at], weights[at], whole=material.opacity_threshold > 0)
                 if read is not None:
-                    opacity[at] = _cut(read[0][:, 0], material.opacity_threshold, read[1])
+                    found: FloatArray = read[0][:, 0]
+                    if material.opacity_threshold > 0:  # cut with an edge of a pixel at most, and of half a texel
+                        found = np.asarray((found - material.opacity_threshold) / np.clip(read[1], 0.02, 0.5) + 0.5)
+                    opacity[at] = np.clip(found, 0.0, 1.0)
         return opacity
 
     def _read(
@@ -167,6 +170,8 @@ class Materials:
         self, source: TextureInput, surfaces: Surfaces, at: IntArray, ids: IntArray, weights: Float32Array
     ) -> None:
         """Turn normals by a normal map; where a pixel spans many of its bumps, roughen the surface instead."""
+        if source.scale[:2] == (1.0, 1.0):  # files that don't author scale and bias mean 2 and -1
+            source = replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
         read = self._read(source, ids, weights, color=False)
         if read is None:
             return
@@ -239,20 +244,6 @@ def _inputs(material: Material) -> list[TextureInput]:
     """What a material reads from textures."""
     values = (getattr(material, name) for name in _TEXTURED)
     return [value for value in values if isinstance(value, TextureInput)]
-
-
-def _as_normals(source: TextureInput) -> TextureInput:
-    """The input as vectors: files that don't author scale and bias mean 2 and -1."""
-    if source.scale[:2] != (1.0, 1.0):
-        return source
-    return replace(source, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
-
-
-def _cut(opacity: Float32Array, threshold: float, texels: Float32Array) -> Float32Array:
-    """Opacities as they are, or cut at a threshold with an edge of a pixel at most, and of half a texel."""
-    if threshold <= 0:
-        return np.clip(opacity, 0.0, 1.0)
-    return np.clip((opacity - threshold) / np.clip(texels, 0.02, 0.5) + 0.5, 0.0, 1.0)
 
 
 def _constant(value: T | TextureInput, otherwise: T) -> T:
@@ -412,30 +403,12 @@ class Shader:
             surfaces.base[:] = self.heatmap.colors(values[:, 9])
         elif self.paint is not None:
             surfaces.base[:] = values[:, 6:9]
-        samples = self._samples(surfaces, values, front, ids)
-        lit = self.studio.light(samples)
-        for highlights in (lit.highlights, lit.key_highlights):
-            highlights *= surfaces.gloss[:, None]
-        lit.highlights[:] += surfaces.emission
-        return Shaded(
-            base=surfaces.base * (1 - surfaces.metallic[:, None]),
-            lit=lit,
-            scattered=np.zeros_like(lit.diffuse),
-            key_light=_through(
-                self._key_light(values[:, :3], samples.normals, _turns(x, y) if grainy else None), surfaces.through
-            ),
-            opacity=surfaces.opacity,
-            presence=surfaces.presence,
-            depth=-values[:, 2],
-        )
-
-    def _samples(self, surfaces: Surfaces, values: FloatArray, front: BoolArray, ids: IntArray) -> Samples:
         normals = surfaces.normals * np.where(front, 1, -1).astype(np.float32)[:, None]
         inside = np.where(front | self.scene.double_sided[ids], 1.0, INSIDE).astype(np.float32)
         # (m, c) what the studio knows of the side that is seen; the inside of a single-sided mesh lies open
         ahead, behind = np.split(values[:, 10:], 2, axis=1)
         behind = np.where(self.scene.double_sided[ids][:, None], behind, np.float32(1))
-        return Samples(
+        samples = Samples(
             normals=normals,
             towards_eye=_unit_normals(-values[:, :3]),
             up=self.camera.axes[:, 1].astype(np.float32),
@@ -447,6 +420,22 @@ class Shader:
             coat=surfaces.coat,
             coat_roughness=surfaces.coat_roughness,
             inside=inside,
+        )
+        lit = self.studio.light(samples)
+        for highlights in (lit.highlights, lit.key_highlights):
+            highlights *= surfaces.gloss[:, None]
+        lit.highlights[:] += surfaces.emission
+        (across, down), scale = _PATTERN  # radians that differ between neighbouring pixels
+        pattern = scale * ((across * np.floor(x) + down * np.floor(y)) % 1.0) % 1.0
+        turns = np.asarray(2 * np.pi * pattern) if grainy else None
+        return Shaded(
+            base=surfaces.base * (1 - surfaces.metallic[:, None]),
+            lit=lit,
+            scattered=np.zeros_like(lit.diffuse),
+            key_light=_through(self._key_light(values[:, :3], samples.normals, turns), surfaces.through),
+            opacity=surfaces.opacity,
+            presence=surfaces.presence,
+            depth=-values[:, 2],
         )
 
     def _key_light(self, position: FloatArray, normals: FloatArray, turns: FloatArray | None) -> FloatArray:
@@ -467,12 +456,6 @@ class Shader:
 def _through(light: FloatArray, share: FloatArray) -> FloatArray:
     """Shares of light (..., m) of which a share (m,) arrives in any case."""
     return light + share * (1 - light)
-
-
-def _turns(x: FloatArray, y: FloatArray) -> FloatArray:
-    """(m,) radians that differ between neighbouring pixels."""
-    (across, down), scale = _PATTERN
-    return np.asarray(2 * np.pi * (scale * ((across * np.floor(x) + down * np.floor(y)) % 1.0) % 1.0))
 
 
 def _unit_normals(vectors: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.geometry.coarse_surface import Look
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.pinhole import Pinhole
@@ -44,26 +44,22 @@ def draw_surface(look: Look, view: Pinhole) -> tuple[FloatArray, FloatArray]:
     ids = raster.triangle[row, column]
     weights = barycentrics(screen, look.triangles, ids, column + 0.5, row + 0.5)
     corners = look.triangles[ids]
-    pixels = np.full((side, side, 3), _BEHIND)
-    pixels[row, column] = _lit(look, fine.axes, weights, corners)
-    image = to_srgb(pixels.reshape(view.size, _SAMPLES, view.size, _SAMPLES, 3).mean(axis=(1, 3)))
-    depth = np.full((side, side), np.inf)
-    depth[row, column] = 1.0 / raster.nearness[row, column]
-    return image, depth.reshape(view.size, _SAMPLES, view.size, _SAMPLES).min(axis=(1, 3))
-
-
-def _lit(look: Look, axes: FloatArray, weights: FloatArray, corners: IntArray) -> FloatArray:
-    """(m, 3) linear colours."""
-    normals = np.einsum("mk,mkc->mc", weights, (look.normals @ axes.T)[corners])
+    normals = np.einsum("mk,mkc->mc", weights, (look.normals @ fine.axes.T)[corners])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     shade = 0.25 + 0.15 * normals[:, 1] + 0.75 * np.maximum(normals @ _LAMP, 0.0)
     inside = normals[:, 2] < _INSIDE
     if look.colors is None:
         shade[inside] = _FLAT
-        return np.asarray(shade[:, None] * np.array(_CLAY))
-    colors = np.einsum("mk,mkc->mc", weights, look.colors[corners]) * (0.5 + 0.5 * shade[:, None])
-    colors[inside] = _FLAT * look.colors.mean(axis=0)
-    return np.asarray(colors)
+        colors = shade[:, None] * np.array(_CLAY)
+    else:
+        colors = np.einsum("mk,mkc->mc", weights, look.colors[corners]) * (0.5 + 0.5 * shade[:, None])
+        colors[inside] = _FLAT * look.colors.mean(axis=0)
+    pixels = np.full((side, side, 3), _BEHIND)
+    pixels[row, column] = colors
+    image = to_srgb(pixels.reshape(view.size, _SAMPLES, view.size, _SAMPLES, 3).mean(axis=(1, 3)))
+    depth = np.full((side, side), np.inf)
+    depth[row, column] = 1.0 / raster.nearness[row, column]
+    return image, depth.reshape(view.size, _SAMPLES, view.size, _SAMPLES).min(axis=(1, 3))
 
 
 def scan_sheet(look: Look, views: Sequence[Pinhole], landmarks: FloatArray) -> Image:
@@ -71,26 +67,22 @@ def scan_sheet(look: Look, views: Sequence[Pinhole], landmarks: FloatArray) -> I
 
     :param landmarks: (l, 3), rows of NaN are left out
     """
-    from PIL import Image
-
-    pictures = [np.asarray(_picture(look, view, landmarks)) for view in views]
-    return Image.fromarray(np.hstack(pictures))
-
-
-def _picture(look: Look, view: Pinhole, landmarks: FloatArray) -> Image:
     from PIL import Image, ImageDraw
 
-    fine = Pinhole(axes=view.axes, eye=view.eye, focal=view.focal * _FINE, size=view.size * _FINE)
-    pixels, depth = draw_surface(look, fine)
-    image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
-    pen, letters, radius = ImageDraw.Draw(image), font(fine.size / 60), fine.size / 220
-    for number, (place, far) in enumerate(zip(*fine.project(landmarks), strict=True)):
-        if not np.isfinite(place).all() or not ((place >= 0) & (place < fine.size)).all():
-            continue
-        x, y = place.tolist()
-        hidden = far > depth[int(y), int(x)] * (1 + _SLACK)
-        box = (x - radius, y - radius, x + radius, y + radius)
-        pen.ellipse(box, fill=_HIDDEN if hidden else DOT, outline=(255, 255, 255), width=_FINE)
-        if not hidden:
-            pen.text((x + 1.5 * radius, y), str(number), fill=INK, font=letters, anchor="lm")
-    return image.reduce(_FINE)
+    pictures = []
+    for view in views:
+        fine = Pinhole(axes=view.axes, eye=view.eye, focal=view.focal * _FINE, size=view.size * _FINE)
+        pixels, depth = draw_surface(look, fine)
+        image = Image.fromarray((pixels * 255 + 0.5).astype(np.uint8))
+        pen, letters, radius = ImageDraw.Draw(image), font(fine.size / 60), fine.size / 220
+        for number, (place, far) in enumerate(zip(*fine.project(landmarks), strict=True)):
+            if not np.isfinite(place).all() or not ((place >= 0) & (place < fine.size)).all():
+                continue
+            x, y = place.tolist()
+            hidden = far > depth[int(y), int(x)] * (1 + _SLACK)
+            box = (x - radius, y - radius, x + radius, y + radius)
+            pen.ellipse(box, fill=_HIDDEN if hidden else DOT, outline=(255, 255, 255), width=_FINE)
+            if not hidden:
+                pen.text((x + 1.5 * radius, y), str(number), fill=INK, font=letters, anchor="lm")
+        pictures.append(np.asarray(image.reduce(_FINE)))
+    return Image.fromarray(np.hstack(pictures))

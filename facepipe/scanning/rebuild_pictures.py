@@ -14,9 +14,8 @@ from facepipe.parts import FaceParts, Mesh
 from facepipe.pictures import overlay
 from facepipe.pictures.camera import Camera, View, portrait
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
-from facepipe.pictures.heatmap import HeatMap
 from facepipe.pictures.lighting import PORTRAIT
-from facepipe.pictures.overlay import PAPER, contact_sheet
+from facepipe.pictures.overlay import PAPER, HeatMap, contact_sheet
 from facepipe.scans import Scan
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import point_normals
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.geometry.vectors import unit_vectors
-from facepipe.networks.masks import FaceMask, face_mask
+from facepipe.networks.files import FaceMask, face_mask
 from facepipe.parts import PhotoView
 from facepipe.pictures.lighting import PhotoLight, returned
 from facepipe.textures.skin_surface import SkinSurface

@@ -11,8 +11,7 @@ from with_torch import torch
 
 from facepipe import heads
 from facepipe.geometry.face_crops import TEMPLATE, face_crop, plain_crop, turned_crop
-from facepipe.networks.files import sample_crop
-from facepipe.networks.masks import FaceMask, face_mask
+from facepipe.networks.files import FaceMask, face_mask, sample_crop
 from facepipe.pictures import PictureOptions, picture
 from facepipe.pictures.lighting import Light, Studio
 from facepipe.rig import build

@@ -31,8 +31,7 @@ from with_torch import torch
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.face_crops import TEMPLATE, to_crop
 from facepipe.heads.asset import asset
-from facepipe.networks.files import LandmarkSession
-from facepipe.networks.masks import MaskNetwork
+from facepipe.networks.files import LandmarkSession, MaskNetwork
 from facepipe.networks.onnx_file import CLASSES
 from facepipe.pictures.draw import draw
 from facepipe.pictures.scene import build_scene

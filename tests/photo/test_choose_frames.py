@@ -302,10 +302,10 @@ def test_a_clip_that_breaks_off_later_leaves_no_folder(
     """Found when its frames are written."""
     from facepipe.photo.frames import search
 
-    def broken(*_: object) -> list[str]:
+    def broken(**_: object) -> None:
         raise InputError("clip.mp4", "is damaged")
 
-    monkeypatch.setattr(search, "_refused", broken)
+    monkeypatch.setattr(search, "ChosenFramesReport", broken)
     with pytest.raises(InputError, match="is damaged"):
         facepipe.choose_frames(clip[0], out=tmp_path / "frames", count=1)
     assert not list(tmp_path.iterdir())

@@ -16,9 +16,8 @@ from PIL import Image
 
 from facepipe.parts import FaceParts, Mesh, Slider
 from facepipe.photo import pictures
-from facepipe.photo.pictures import PhotoSheet, SheetPhoto, facts, photo_page
+from facepipe.photo.pictures import PhotoSheet, SheetPhoto, facts, photo_page, wireframe
 from facepipe.pictures.figures import COLORS, bar, loss_chart
-from facepipe.pictures.wireframe import wireframe
 
 NAN = float("nan")
 

@@ -19,12 +19,10 @@ from facepipe.core.errors import FacepipeError, InputError
 from facepipe.geometry.face_crops import from_crop
 from facepipe.parts import FaceParts
 from facepipe.performing import read_kept
-from facepipe.photo.amortised.graph import start_graph, start_metadata
 from facepipe.photo.amortised.guess import Guess, load_start
-from facepipe.photo.amortised.network import SIZE, Output, held
-from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture
-from facepipe.photo.amortised.renders import Portraits, random_people
-from facepipe.photo.amortised.training import POSE_MEAN, POSE_STD, PictureLoss, Trained, relative_pose, train_start
+from facepipe.photo.amortised.network import POSE_MEAN, POSE_STD, SIZE, Output, held, start_graph
+from facepipe.photo.amortised.pictures import HEAD, CropSpace, Picture, Portraits, random_people
+from facepipe.photo.amortised.training import PictureLoss, Trained, relative_pose, start_metadata, train_start
 from facepipe.photo.descent.fit import fit_photos, pose_space
 from facepipe.photo.descent.joint_loss import single
 from facepipe.photo.descent.landmark_fit import State

@@ -20,8 +20,8 @@ from facepipe.parts import FaceParts, Landmarks, Material, MaterialFaces, Mesh, 
 from facepipe.pictures import HeatMap, PictureOptions, contact_sheet, picture, save_png
 from facepipe.pictures.camera import portrait
 from facepipe.pictures.draw import hidden
-from facepipe.pictures.heatmap import NO_VALUE, STATIONS, ticks
 from facepipe.pictures.occlusion import ambient_occlusion, depth_map, depth_maps, sphere_directions
+from facepipe.pictures.overlay import NO_VALUE, STATIONS, ticks
 from facepipe.pictures.scene import bilinear
 
 

@@ -667,7 +667,7 @@ def read_photos() -> None:
 
 def read_landmarks() -> None:
     from facepipe.photo.fit import read_photo as read
-    from facepipe.photo.fit.landmark_file import read_landmarks as landmarks
+    from facepipe.photo.fit.photo_landmarks import read_landmarks as landmarks
 
     landmarks(Path("a.landmarks.json"), read(Path("a.png")))
 

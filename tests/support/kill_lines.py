@@ -120,7 +120,7 @@ def _one_look() -> None:
     looks = tuple(Look(number=i, time=0.1 * i, yaw=0.5 * i, **known) for i in range(2))
     seen = search.Looks(looks=looks, tried=2, frames=2, seconds=0.1)
     search.looks_in = lambda clip, done: seen
-    search._refused = lambda file: []
+    search.read_photo = search.own_landmarks = lambda photo: photo
 
 
 def _one_face() -> None:

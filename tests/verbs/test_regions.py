@@ -31,8 +31,7 @@ from facepipe.geometry.options import MapSampling
 from facepipe.geometry.region_map import region_masks
 from facepipe.parts import FaceParts, Mesh, UvSet
 from facepipe.pictures import HeatMap, PictureOptions, RegionColors, picture
-from facepipe.pictures.heatmap import NO_VALUE
-from facepipe.pictures.overlay import region_colors
+from facepipe.pictures.overlay import NO_VALUE, region_colors
 from facepipe.stage import Face, save_parts
 from facepipe.verbs.regions import RegionLegend, RegionsReport, read_legend, set_regions
 

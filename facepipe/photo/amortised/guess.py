@@ -13,9 +13,8 @@ import torch
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
-from facepipe.networks.onnx_file import properties, read_model
-from facepipe.photo.amortised.graph import KEY, KIND, controls
-from facepipe.photo.amortised.network import COUNT, SIZE
+from facepipe.networks.onnx_file import onnx_session, properties, read_model
+from facepipe.photo.amortised.network import COUNT, KEY, KIND, SIZE, controls
 from facepipe.photo.amortised.pictures import Picture
 from facepipe.photo.descent.landmark_fit import State
 from facepipe.photo.descent.subject import NUMBERS, PoseSpace, Subject
@@ -36,10 +35,8 @@ class Guess:
     session: Any = field(repr=False)
 
     def __call__(self, photo: FloatArray, landmarks: FloatArray, space: PoseSpace) -> State:
-        """Sliders, expression and pose of the person in a photo (h, w, 3) sRGB 0..1.
+        """Sliders, expression and pose of the person in a photo (h, w, 3) sRGB 0..1 with landmarks (68, 2).
 
-        :param landmarks: (68, 2) pixels
-        :param space: of the photo
         :raises InputError: landmarks that are nothing like a face's, or a network that gives no numbers
         """
         crop = Picture.from_photo(photo, landmarks, space).crop(landmarks)
@@ -84,13 +81,24 @@ def load_start(path: Path, subject: Subject) -> Guess:
     expected = controls(subject)
     if metadata.get("up_axis") != expected["up_axis"]:
         raise InputError(path, f"made for a face with another up axis, expected {expected['up_axis']}")
+    # run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads
+    module = OnnxModule(model, None, path)
+    zeros = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
+    if set(module.inputs) != set(zeros):
+        raise InputError(path, _OTHER)
+    with torch.no_grad():
+        module(*[zeros[name] for name in module.inputs])
+    try:
+        session = onnx_session(model.SerializeToString())
+    except Exception as error:  # onnxruntime's own classes share no other base
+        raise InputError(path, f"can't be run: {str(error)[:120]}") from None
     guess = Guess(
         path=path,
         subject=subject,
         metadata=metadata,
         sliders=_places(path, "slider", metadata.get("sliders"), expected["sliders"]),
         expressions=_places(path, "expression", metadata.get("expressions"), expected["expressions"]),
-        session=_session(path, model),
+        session=session,
     )
     counts = {"shares": len(subject.sliders), "expressions": len(subject.expressions), "pose": NUMBERS}
     inputs = {one.name: tuple(one.shape[1:]) for one in guess.session.get_inputs()}
@@ -117,22 +125,3 @@ def _places(path: Path, kind: str, theirs: Any, controls: list[Any]) -> IntArray
             path, f"made for another face: {len(theirs)} {kind}s, expected the {len(controls)} of this one"
         )
     return np.array([theirs.index(one) for one in controls], dtype=np.int64)
-
-
-def _session(path: Path, model: Any) -> Any:
-    import onnxruntime as ort
-
-    # run it in torch, which counts what its nodes make beforehand: onnxruntime folds constants as it loads
-    module = OnnxModule(model, None, path)
-    inputs = {"image": torch.zeros(1, 3, SIZE, SIZE), "landmarks": torch.zeros(1, COUNT, 2)}
-    if set(module.inputs) != set(inputs):
-        raise InputError(path, _OTHER)
-    with torch.no_grad():
-        module(*[inputs[name] for name in module.inputs])
-    settings = ort.SessionOptions()
-    settings.intra_op_num_threads = 1
-    settings.log_severity_level = 4
-    try:
-        return ort.InferenceSession(model.SerializeToString(), settings, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own classes share no other base
-        raise InputError(path, f"can't be run: {str(error)[:120]}") from None

@@ -9,6 +9,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,11 +18,32 @@ from torch.nn.functional import normalize
 
 from facepipe.core.errors import FitError, InputError
 from facepipe.geometry.face_crops import face_crop, to_crop
-from facepipe.geometry.landmarks import eye_distance
 from facepipe.parts import FaceParts
-from facepipe.photo.amortised.network import SIZE, Output, StartNetwork, held
-from facepipe.photo.amortised.pictures import HEAD, Crop, CropSpace, Picture, batch, noisy_landmarks, varied
-from facepipe.photo.amortised.renders import People, Portraits, random_people
+from facepipe.photo.amortised.network import (
+    KIND,
+    MEAN,
+    POSE_MEAN,
+    POSE_STD,
+    SIZE,
+    STD,
+    Output,
+    StartNetwork,
+    controls,
+    held,
+    short,
+)
+from facepipe.photo.amortised.pictures import (
+    HEAD,
+    Crop,
+    CropSpace,
+    People,
+    Picture,
+    Portraits,
+    batch,
+    noisy_landmarks,
+    random_people,
+    varied,
+)
 from facepipe.photo.descent.descent import Unknowns
 from facepipe.photo.descent.fit import pose_space, priors_of
 from facepipe.photo.descent.joint_loss import JointLoss, single
@@ -36,8 +58,6 @@ from facepipe.photo.renderer.light import DARK, basis
 from facepipe.rig.torch.one_thread import one_thread
 from facepipe.rig.torch.rig import DifferentiableRig
 
-POSE_MEAN = (0.0, 0.0, 0.0, 0.5, 0.485, 0.29, 0.85)  # relative to the crop
-POSE_STD = (0.2, 0.35, 0.05, 0.01, 0.01, 0.03, 0.35)
 _SHARES, _EXPRESSIONS, _POSE = 0.1, 0.3, 0.03  # weights of parameters, beside pixels
 _OUTSIDE = 1.0  # of squares beyond 0..1
 _POINTS = 400  # of the front of the face
@@ -45,6 +65,14 @@ _RATE, _DECAY, _STEEPEST = 2e-3, 1e-4, 5.0
 _JOINT_RATE, _SLOWEST, _JOINT_STEEPEST = 5e-4, 0.1, 20.0
 _CHECK = 25  # steps between two looks at the held-out pictures
 _NOT_FINITE = "the joint loss was not finite at step {}: the best network of the steps before is kept"
+_CONVENTIONS = {
+    "image": "(b, 3, size, size) RGB, sRGB 0..1 less mean over std, the crop 'face' by the 68 landmarks",
+    "landmarks": "(b, 68, 2) x right, y down, in sides of the crop from its top left corner",
+    "shares": "0..1 of the sliders' ranges, in their order",
+    "expressions": "weights 0..1 of the expressions, in their order",
+    "pose": "rotation vector (3, radians) from facing the viewer, along the line of sight; middle of the head (2) and "
+    "logarithm of its size in sides of the crop; logarithm of its distance in head heights",
+}
 HELD_OUT = 24  # pictures by which networks are judged, of few a quarter
 
 
@@ -169,7 +197,17 @@ class WarmUp:
                 waiting.extend(self._rng.permutation(len(renders)).tolist())
             chosen = [renders[i] for i in waiting[:BATCH]]
             del waiting[:BATCH]
-            return self._pictures(chosen)
+            crops = [one.crop(noisy_landmarks(one.landmarks, self._sigma, self._rng)) for one in chosen]
+            truths = [one.truth for one in chosen if one.truth is not None]
+            people = People(
+                shares=np.stack([truth.shares for truth in truths]),
+                expressions=np.stack([truth.expressions for truth in truths]),
+                poses=np.stack([truth.pose for truth in truths]),
+            )
+            matrices, up_axis = np.stack([crop.matrix for crop in crops]), self._portraits.subject.parts.up_axis
+            space = CropSpace(space=self._portraits.space, crop=matrices, side=SIZE, up_axis=up_axis)
+            images, marks = batch(crops)
+            return varied(images, self._rng), marks, Taught.from_people(people, space)
 
         self._descend(self._options.batches, example, done)
 
@@ -197,31 +235,11 @@ class WarmUp:
     def _people(self) -> tuple[None, Tensor, Taught]:
         subject, space, rng = self._portraits.subject, self._portraits.space, self._rng
         people = random_people(subject, space, LANDMARK_BATCH, rng)
-        exact = self._portraits.marks(people)
-        marks = np.array(exact)
-        for one in marks:
-            one += self._sigma * self._rng.uniform() * eye_distance(one) * self._rng.standard_normal(one.shape)
+        marks = [noisy_landmarks(one, self._sigma, rng) for one in self._portraits.marks(people)]
         matrices = np.stack([face_crop(mark, SIZE) for mark in marks])
         places = np.stack([to_crop(*one) for one in zip(marks, matrices, strict=True)]) / SIZE
         crops = CropSpace(space=space, crop=matrices, side=SIZE, up_axis=subject.parts.up_axis)
         return None, torch.as_tensor(places, dtype=torch.float32), Taught.from_people(people, crops)
-
-    def _pictures(self, chosen: Sequence[Picture]) -> tuple[Tensor, Tensor, Taught]:
-        crops = [one.crop(noisy_landmarks(one, self._sigma, self._rng)) for one in chosen]
-        truths = [one.truth for one in chosen if one.truth is not None]
-        people = People(
-            shares=np.stack([truth.shares for truth in truths]),
-            expressions=np.stack([truth.expressions for truth in truths]),
-            poses=np.stack([truth.pose for truth in truths]),
-        )
-        space = CropSpace(
-            space=self._portraits.space,
-            crop=np.stack([crop.matrix for crop in crops]),
-            side=SIZE,
-            up_axis=self._portraits.subject.parts.up_axis,
-        )
-        images, marks = batch(crops)
-        return varied(images, self._rng), marks, Taught.from_people(people, space)
 
 
 class NetworkDescent:
@@ -231,7 +249,7 @@ class NetworkDescent:
         self.network, self.best = network, dict[str, float]()
         self._loss = loss
         rng = np.random.default_rng([seed, 4])
-        self._marks = [noisy_landmarks(one, loss.options.landmark_sigma, rng) for one in judged]
+        self._marks = [noisy_landmarks(one.landmarks, loss.options.landmark_sigma, rng) for one in judged]
         self._judged = judged
         self._state = copy.deepcopy(network.state_dict())
         self.judge()
@@ -255,10 +273,7 @@ class NetworkDescent:
         return self.network
 
     def descend(
-        self,
-        pictures: Sequence[Picture],
-        options: StartOptions,
-        done: Callable[[], object],
+        self, pictures: Sequence[Picture], options: StartOptions, done: Callable[[], object]
     ) -> tuple[str, ...]:
         """Adam from the best so far, normalisation held; a loss that is not finite ends it with a warning."""
         network, rng = self.keep_best(), np.random.default_rng([options.seed, 3])
@@ -266,8 +281,25 @@ class NetworkDescent:
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(options.steps, 1), _SLOWEST * _JOINT_RATE)
         for step in range(options.steps):
             optimiser.zero_grad()
-            if not self._slopes([pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)], rng):
+            chosen = [pictures[i] for i in rng.integers(len(pictures), size=JOINT_BATCH)]
+            marks = [noisy_landmarks(one.landmarks, self._loss.options.landmark_sigma, rng) for one in chosen]
+            crops = [picture.crop(each) for picture, each in zip(chosen, marks, strict=True)]
+            images, places = batch(crops)
+            outputs = network(varied(images, rng), places)
+            leaves = Output(*(output.detach().requires_grad_() for output in outputs))
+            # squares of what is beyond 0..1, mean over the crops: keeps cut values from drifting away
+            values = torch.cat([leaves.shares, leaves.expressions], dim=1)
+            (_OUTSIDE * ((values - values.clamp(0, 1)) ** 2).sum(dim=1).mean()).backward()
+            # picture by picture: the graphs of all at once would take their memory together
+            for i, view in enumerate(zip(chosen, crops, marks, strict=True)):
+                loss = self._loss(*view, row(leaves, i))["total"] / len(chosen)
+                if not bool(loss.detach().isfinite()):
+                    return (_NOT_FINITE.format(step),)
+                loss.backward()
+            slopes = [leaf.grad for leaf in leaves]
+            if not all(slope is not None and bool(slope.isfinite().all()) for slope in slopes):
                 return (_NOT_FINITE.format(step),)
+            torch.autograd.backward(list(outputs), slopes)
             torch.nn.utils.clip_grad_norm_(network.parameters(), _JOINT_STEEPEST)
             optimiser.step()
             schedule.step()
@@ -275,27 +307,6 @@ class NetworkDescent:
             if (step + 1) % _CHECK == 0 or step + 1 == options.steps:
                 self.judge()
         return ()
-
-    def _slopes(self, pictures: Sequence[Picture], rng: np.random.Generator) -> bool:
-        """Add the gradients of the mean joint loss to the network's, picture by picture; whether they are finite."""
-        marks = [noisy_landmarks(one, self._loss.options.landmark_sigma, rng) for one in pictures]
-        crops = [picture.crop(each) for picture, each in zip(pictures, marks, strict=True)]
-        images, places = batch(crops)
-        outputs = self.network(varied(images, rng), places)
-        leaves = Output(*(output.detach().requires_grad_() for output in outputs))
-        # squares of what is beyond 0..1, mean over the crops: keeps cut values from drifting away
-        values = torch.cat([leaves.shares, leaves.expressions], dim=1)
-        (_OUTSIDE * ((values - values.clamp(0, 1)) ** 2).sum(dim=1).mean()).backward()
-        for i, view in enumerate(zip(pictures, crops, marks, strict=True)):
-            loss = self._loss(*view, row(leaves, i))["total"] / len(pictures)
-            if not bool(loss.detach().isfinite()):
-                return False
-            loss.backward()
-        slopes = [leaf.grad for leaf in leaves]
-        if not all(slope is not None and bool(slope.isfinite().all()) for slope in slopes):
-            return False
-        torch.autograd.backward(list(outputs), slopes)
-        return True
 
 
 def row(found: Output, number: int) -> Output:
@@ -371,3 +382,30 @@ def train_start(
         photos=len(photos),
         warnings=warnings,
     )
+
+
+def start_metadata(trained: Trained, options: StartOptions) -> dict[str, Any]:
+    """As JSON; how it was trained without the names of files."""
+    flags = {name: getattr(options, name) for name in ("people", "renders", "epochs", "steps", "seed")}
+    photos = f"{trained.photos} photos without labels, after " if trained.photos else ""
+    images = "--images DIR " if trained.photos else ""
+    return {
+        "kind": KIND,
+        "face": trained.subject.parts.name,
+        **controls(trained.subject),
+        "size": SIZE,
+        "crop": "face",
+        "mean": [MEAN] * 3,
+        "std": [STD] * 3,
+        "order": "RGB",
+        "conventions": _CONVENTIONS,
+        "trained_on": f"{photos}{options.renders} renders of FACE",
+        "training": f"facepipe train-photo FACE -o OUT {images}"
+        + " ".join(f"--{name} {value}" for name, value in flags.items()),
+        **flags,
+        "held_out": {
+            "pictures": trained.held_out,
+            "before": {name: short(value) for name, value in trained.before.items()},
+            "after": {name: short(value) for name, value in trained.after.items()},
+        },
+    }

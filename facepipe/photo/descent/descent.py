@@ -41,10 +41,7 @@ class Unknowns:
     def from_state(
         cls, state: State, light: Sequence[Tensor], tint: Tensor, key: Sequence[Tensor] | None = None
     ) -> Unknowns:
-        """Free tensors in float32, poses in float64.
-
-        :param key: None: no lamps
-        """
+        """Free tensors in float32, poses in float64; without `key` no lamps."""
         numbers = {
             "shares": torch.as_tensor(state.shares, dtype=torch.float32),
             "expressions": torch.as_tensor(state.expressions, dtype=torch.float32),

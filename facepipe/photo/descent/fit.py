@@ -15,7 +15,7 @@ from facepipe.core.errors import InputError
 from facepipe.geometry.landmarks import eye_distance, quarter_turned, quarters_to_upright
 from facepipe.networks.onnx_file import Kind
 from facepipe.parts import FaceParts
-from facepipe.photo.descent.descent import Descent, descend
+from facepipe.photo.descent.descent import Descent, Unknowns, descend
 from facepipe.photo.descent.joint_loss import FEATURES, JointLoss
 from facepipe.photo.descent.landmark_fit import LandmarkFit, Priors, State
 from facepipe.photo.descent.landmark_rig import COUNT, dense_points, front_axes, landmark_points
@@ -255,6 +255,7 @@ def fit_result(loss: JointLoss, descent: Descent) -> PhotoFit:
     )
 
 
+@one_thread()
 def fit_photos(
     parts: FaceParts,
     photos: Sequence[FloatArray],
@@ -293,25 +294,7 @@ def fit_photos(
     landmarks = check_photos(photos, landmarks, len(dense_points(parts)))
     confidences = None if confidences is None else check_confidences(confidences, [len(each) for each in landmarks])
     check_extractors(extractors or {})
-    upright = UprightPhotos.from_photos(photos, landmarks)
-    with one_thread():
-        priors = priors_of(options, slider_sigma)
-        fit = _fit(parts, upright, confidences, options, priors, expressions, extractors, start, mask, done)
-    return replace(fit, views=upright.turned_back(fit.views))
-
-
-def _fit(
-    parts: FaceParts,
-    upright: UprightPhotos,
-    confidences: Sequence[FloatArray] | None,
-    options: PhotoFitOptions,
-    priors: Priors,
-    expressions: Sequence[str] | None,
-    extractors: Mapping[Kind, Extractor] | None,
-    start: State | None,
-    mask: Mask | None,
-    done: Callable[[int], None] | None,
-) -> PhotoFit:
+    upright, priors = UprightPhotos.from_photos(photos, landmarks), priors_of(options, slider_sigma)
     subject = Subject.of(parts, expressions)
     spaces = [pose_space(subject, photo.shape[1], photo.shape[0]) for photo in upright.photos]
     start = None if start is None else upright.start(check_start(start, subject, spaces))
@@ -322,29 +305,32 @@ def _fit(
 
         extractors = own_extractors([kind for kind in FEATURES if getattr(options, kind)])
     networks = extractors if extractors and options.iterations else {}
-    model = FaceModel(parts, largest_texture=options.size)
     working = [
         WorkingPhoto.from_photo(photo, marks[:COUNT], options.size, mask and mask(photo, marks[:COUNT]))
         for photo, marks in zip(upright.photos, upright.landmarks, strict=True)
     ]
-    loss = JointLoss(model, fit, working, networks, options)
+    loss = JointLoss(FaceModel(parts, largest_texture=options.size), fit, working, networks, options)
+    begin = _better_begin(loss, state, start)
+    found = fit_result(loss, descend(loss, begin, options, done, renew=partial(renew_shadows, loss)))
+    return replace(found, views=upright.turned_back(found.views))
+
+
+def _better_begin(loss: JointLoss, state: State, start: State | None) -> Unknowns:
+    """A state, or a guess if it has less joint loss, each in the light that suits it: few steps may not find that."""
     begin = lit(loss, state)
     loss.calibrate(begin)
     begin = in_better_light(loss, begin)
-    if start is not None:
-        # the one with less joint loss, each in the light that suits it: there may be few steps to find that in
-        shadows = list(loss.shadows)
-        with torch.no_grad():
-            reached = float(loss(begin)["total"])
-        guessed = in_better_light(loss, lit(loss, start))
-        with torch.no_grad():
-            nearer = float(loss(guessed)["total"]) < reached
-        if nearer:
-            begin = guessed
-        else:
-            loss.shadows[:] = shadows
-    descent = descend(loss, begin, options, done, renew=partial(renew_shadows, loss))
-    return fit_result(loss, descent)
+    if start is None:
+        return begin
+    shadows = list(loss.shadows)
+    with torch.no_grad():
+        reached = float(loss(begin)["total"])
+    guessed = in_better_light(loss, lit(loss, start))
+    with torch.no_grad():
+        if float(loss(guessed)["total"]) < reached:
+            return guessed
+    loss.shadows[:] = shadows
+    return begin
 
 
 def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
@@ -365,10 +351,7 @@ def pose_space(subject: Subject, width: int, height: int) -> PoseSpace:
 
 
 def priors_of(options: PhotoFitOptions, slider_sigma: float | None = None) -> Priors:
-    """What stage one takes as likely.
-
-    :param slider_sigma: as for `fit_photos`
-    """
+    """What stage one takes as likely; `slider_sigma` as for `fit_photos`."""
     priors = Priors(
         landmark_sigma=options.landmark_sigma,
         expression_sparsity=COUNT * options.expression_sparsity,

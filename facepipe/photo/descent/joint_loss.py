@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import torch
@@ -69,16 +68,6 @@ def _bands(difference: Tensor, count: int) -> Iterator[Tensor]:
     yield rest
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Model:
-    """One network, the kinds that it is asked for, and what it sees in each photo."""
-
-    extractor: Extractor
-    kinds: tuple[Kind, ...]
-    crops: tuple[FloatArray, ...]  # (2, 3) of each photo
-    seen: tuple[Mapping[Kind, Features], ...]
-
-
 class FeatureLosses:
     """What networks see in the photos, and how far pictures are from it."""
 
@@ -90,21 +79,21 @@ class FeatureLosses:
         :param photos: (h, w, 3) sRGB 0..1
         :param landmarks: (68, 2) pixels of these
         """
+        # networks with the kinds that they are asked for, each photo's crop (2, 3), and what they see there
         self._models = []
         for extractor in dict.fromkeys(extractors.values()):
             kinds = tuple(kind for kind, one in extractors.items() if one is extractor)
             crops = tuple(extractor.crop_matrix(each) for each in landmarks)
             with torch.no_grad():
                 seen = tuple(_see(extractor, photo, crop) for photo, crop in zip(photos, crops, strict=True))
-            self._models.append(_Model(extractor=extractor, kinds=kinds, crops=crops, seen=seen))
+            self._models.append((extractor, kinds, crops, seen))
 
     def __call__(self, image: Tensor, view: int) -> dict[str, Tensor]:
         """By kind, the term of a picture (h, w, 3) sRGB 0..1 of the photo with number `view`."""
         terms: dict[str, Tensor] = {}
-        for model in self._models:
-            found = _see(model.extractor, image, model.crops[view])
-            for kind in model.kinds:
-                terms[kind] = _TERMS[kind](found[kind], model.seen[view][kind])
+        for extractor, kinds, crops, seen in self._models:
+            found = _see(extractor, image, crops[view])
+            terms |= {kind: _TERMS[kind](found[kind], seen[view][kind]) for kind in kinds}
         return terms
 
 

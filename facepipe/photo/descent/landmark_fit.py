@@ -35,10 +35,7 @@ def standardised(marks: Tensor, outward: Tensor, targets: FloatArray, sigma: Flo
     """(..., l + 7, 2) how far landmarks are off targets, in standard deviations: the contour's across it and, weakly,
     along it; last the openings of lids and lips.
 
-    :param marks: (..., l, 2) pixels
-    :param outward: (..., 17, 2) directions across the contour
-    :param targets: (l, 2) pixels
-    :param sigma: (l, 1) pixels
+    In pixels: `marks` (..., l, 2), directions `outward` (..., 17, 2) across the contour, targets (l, 2), sigma (l, 1).
     """
     off = marks - torch.as_tensor(targets)
     doubt = np.maximum(sigma[_UPPER], sigma[_LOWER]) * np.sqrt((1 / sigma**2).mean())  # 1: as landmarks usually count
@@ -295,9 +292,7 @@ class LandmarkFit:
         slope = np.zeros_like(state.poses)
         slope[:, 5:] = focal[:, None] / priors.focal_sigma
         gradient = State(
-            shares=pull * off,
-            expressions=np.full_like(state.expressions, priors.expression_sparsity),
-            poses=slope,
+            shares=pull * off, expressions=np.full_like(state.expressions, priors.expression_sparsity), poses=slope
         ).vector()
         cost = 0.5 * float(pull @ off**2) + priors.expression_sparsity * float(state.expressions.sum())
         hessian = np.diag(State(shares=pull, expressions=0 * state.expressions, poses=0 * state.poses).vector())

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import torch
 from torch import Tensor
@@ -147,12 +148,6 @@ def _light_of(
     return light, glint
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    cost: float
-    numbers: Tensor  # (8,) as `KeyLight`
-
-
 def _find_key(
     surface: SeenSurface, points: Tensor, seen: Tensor, harmonics: Tensor, colors: Tensor, sky: Tensor
 ) -> Tensor | None:
@@ -176,10 +171,10 @@ def _find_key(
             return None
         towards = sphere(len(sky)).to(points.dtype)
         lamp = search.best((one, arriving) for one, arriving in zip(towards, sky, strict=True) if one[2] > _BEHIND)
-        if lamp.cost >= without:
+        if lamp[0] >= without:
             return None
         for angle in _RINGS:
-            direction = lamp.numbers[:3]
+            direction = lamp[1][:3]
             least = torch.zeros_like(direction)
             least[int(direction.abs().argmin())] = 1
             across = normalize(torch.linalg.cross(least, direction), dim=0)
@@ -190,8 +185,8 @@ def _find_key(
                 for turn in turns
             ]
             other = search.best((one, visibility(points, surface.triangles, one)) for one in nearby)
-            lamp = other if other.cost < lamp.cost else lamp
-        return lamp.numbers
+            lamp = min(lamp, other, key=itemgetter(0))
+        return lamp[1]
 
 
 class _Search:
@@ -205,8 +200,11 @@ class _Search:
         self._normals, self._towards_eye = surface.normals[self._chosen], surface.towards_eye[self._chosen]
         self._seen, self._harmonics, self._colors = (one[self._chosen] for one in (seen, harmonics, colors))
 
-    def best(self, lamps: Iterable[tuple[Tensor, Tensor]]) -> _Candidate:
-        """The lamp of the least cost: directions (3,), and shares (n,) of its light that reach points from there."""
+    def best(self, lamps: Iterable[tuple[Tensor, Tensor]]) -> tuple[float, Tensor]:
+        """The least cost of some lamps, and the one (8,) as `KeyLight` that has it.
+
+        :param lamps: directions (3,), and shares (n,) of their light that reach points
+        """
         found = []
         for towards, arriving in lamps:
             numbers = self._seen.new_tensor(DARK)
@@ -217,13 +215,13 @@ class _Search:
             shape = torch.cat([self._harmonics, matt], dim=1)
             light, glint = _light_of(shape, self._colors, self._seen, mirrored, _OUTLIER)
             if float(light[-1].mean()) <= 0:
-                found.append(_Candidate(math.inf, numbers))
+                found.append((math.inf, numbers))
                 continue
             numbers[3:6] = light[-1].clamp(min=0)
             numbers[6] = (glint.mean() / numbers[3:6].mean()).clamp(*_SHINE)
             shown = shape @ light * self._colors + mirrored * numbers[6] * numbers[3:6]
-            found.append(_Candidate(self._cost(shown), numbers))
-        return min(found, key=lambda candidate: candidate.cost)
+            found.append((self._cost(shown), numbers))
+        return min(found, key=itemgetter(0))
 
     def cost_without(self) -> float:
         """What harmonics alone leave."""

@@ -28,10 +28,7 @@ _SHARP = 448  # pixels a side of a lamp's view
 
 
 def sky_visibility(points: Tensor, triangles: Tensor, directions: int | None = None) -> Tensor:
-    """(directions, n) share of the light from each direction of `sphere` that reaches points, as `visibility`.
-
-    :param directions: None: `DIRECTIONS`
-    """
+    """(directions, n) share of the light from each direction of `sphere`, None: `DIRECTIONS`, that reaches points."""
     all_around = sphere(DIRECTIONS if directions is None else directions).to(points.dtype)
     if not len(triangles):
         return points.new_ones((len(all_around), len(points)))
@@ -41,12 +38,9 @@ def sky_visibility(points: Tensor, triangles: Tensor, directions: int | None = N
 
 
 def transfer_of(sky: Tensor, normals: Tensor) -> Tensor:
-    """(n, 9) what self-shadowing adds to the harmonics of the points' normals: ``shade = (basis + this) light``.
+    """(n, 9) what self-shadowing adds to the harmonics of unit normals (n, 3): ``shade = (basis + this) light``.
 
-    Without gradients.
-
-    :param sky: (directions, n) as `sky_visibility`
-    :param normals: (n, 3) unit
+    Without gradients; `sky` (directions, n) is as `sky_visibility` gives it.
     """
     with torch.no_grad():
         all_around = sphere(len(sky)).to(normals.dtype)
@@ -56,16 +50,9 @@ def transfer_of(sky: Tensor, normals: Tensor) -> Tensor:
 
 
 def visibility(
-    points: Tensor,
-    triangles: Tensor,
-    direction: Tensor,
-    resolution: int = RESOLUTION,
-    *,
-    used: Tensor | None = None,
+    points: Tensor, triangles: Tensor, direction: Tensor, resolution: int = RESOLUTION, *, used: Tensor | None = None
 ) -> Tensor:
-    """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), averaged over four pixels.
-
-    Without gradients.
+    """(n,) share of the light from a unit direction (3,) that reaches points (n, 3), of four pixels; without gradients.
 
     :param resolution: pixels a side of the view from that direction
     :param used: numbers of the points that triangles have, each once; None: found, for each view anew

@@ -48,10 +48,7 @@ class PoseSpace:
         place = torch.stack([offset[..., 0], -offset[..., 1], -distance], dim=-1)
         turned = (rotation_matrices(rotation) @ pose.new_tensor(self.middle)[:, None])[..., 0]
         return Camera(
-            rotation=rotation,
-            translation=place - turned,
-            focal=focal,
-            center=center.expand(*pose.shape[:-1], 2),
+            rotation=rotation, translation=place - turned, focal=focal, center=center.expand(*pose.shape[:-1], 2)
         )
 
     def log_focal(self, pose: FloatArray) -> FloatArray:

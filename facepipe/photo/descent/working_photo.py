@@ -75,9 +75,7 @@ class WorkingPhoto:
     ) -> WorkingPhoto:
         """The head around `landmarks` (68, 2) in a photo (h, w, 3) sRGB 0..1, at most about `size` pixels a side.
 
-        Windows are cut at the photo's borders and never enlarged.
-
-        :param face: (h, w) share of the photo's pixels that is face; None: all
+        Windows are cut at the photo's borders, never enlarged. `face` (h, w) is how far pixels are face; None: all.
         """
         height, width = photo.shape[:2]
         low, high = landmarks.min(axis=0), landmarks.max(axis=0)

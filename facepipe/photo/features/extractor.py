@@ -387,13 +387,11 @@ class _ByPicture(nn.Module):  # type: ignore[misc]
 
 
 def similarity(network: Extractor, photo: FloatArray, render: FloatArray, landmarks: FloatArray) -> float | None:
-    """Cosine of the angle between the embeddings of a photo and a render, 1 for the same person; None: they are NaN.
+    """Cosine of the angle between embeddings of a photo (h, w, 3) sRGB and a render, 1: the same person; None: NaN.
 
     Both are cut at the same place, and are the same grey where the render shows nothing, so that neither background
     nor clothes count.
 
-    :param network: of kind `identity`
-    :param photo: (h, w, 3) sRGB
     :param render: (rh, rw, 4) linear colour on black and coverage 0..1, of all that the photo shows, any size
     :param landmarks: (68, 2) pixels of the photo
     """

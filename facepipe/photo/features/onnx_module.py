@@ -78,12 +78,7 @@ class OnnxModule(nn.Module):  # type: ignore[misc]
     """
 
     def __init__(
-        self,
-        model: Any,
-        outputs: Sequence[str] | None = None,
-        where: object = "model",
-        *,
-        bounded: bool = False,
+        self, model: Any, outputs: Sequence[str] | None = None, where: object = "model", *, bounded: bool = False
     ) -> None:
         """:param model: `onnx.ModelProto`
         :param outputs: names of values to give, also inner ones; default the graph's own outputs

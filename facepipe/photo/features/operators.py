@@ -25,6 +25,19 @@ _MOST_ELEMENTS = 1 << 26  # of one value that a shape in the file asks for
 _TYPES = {1: torch.float32, 6: torch.int32, 7: torch.int64, 9: torch.bool, 11: torch.float64}  # of onnx.TensorProto
 
 
+OPERATORS: dict[str, Operator] = {}  # by name; filled in this file
+
+
+def _operator(*names: str) -> Callable[[Operator], Operator]:
+    """A function as what the operators of some names do."""
+
+    def kept(function: Operator) -> Operator:
+        OPERATORS.update(dict.fromkeys(names, function))
+        return function
+
+    return kept
+
+
 @dataclass(frozen=True, kw_only=True)
 class Node:
     """What an operator gets besides its inputs."""
@@ -75,6 +88,7 @@ def whole(value: Tensor) -> tuple[int, ...]:
 # values that get another shape or order, or are taken in parts
 
 
+@_operator("Reshape")
 def _reshape(node: Node, x: Tensor, shape: Tensor) -> Tensor:
     """0 keeps an axis, -1 takes what is left."""
     sizes = whole(shape)
@@ -83,11 +97,13 @@ def _reshape(node: Node, x: Tensor, shape: Tensor) -> Tensor:
     return x.reshape(sizes)
 
 
+@_operator("Flatten")
 def _flatten(node: Node, x: Tensor) -> Tensor:
     axis = node.get("axis", 1)
     return x.reshape(math.prod(x.shape[:axis]), math.prod(x.shape[axis:]))
 
 
+@_operator("Squeeze")
 def _squeeze(node: Node, x: Tensor, axes: Tensor | None = None) -> Tensor:
     chosen = node.given("axes", axes)
     if chosen is None:
@@ -97,6 +113,7 @@ def _squeeze(node: Node, x: Tensor, axes: Tensor | None = None) -> Tensor:
     return x.squeeze(chosen)
 
 
+@_operator("Unsqueeze")
 def _unsqueeze(node: Node, x: Tensor, axes: Tensor | None = None) -> Tensor:
     chosen = node.given("axes", axes) or ()
     for axis in sorted(range(x.ndim + len(chosen))[axis] for axis in chosen):
@@ -104,6 +121,7 @@ def _unsqueeze(node: Node, x: Tensor, axes: Tensor | None = None) -> Tensor:
     return x
 
 
+@_operator("Split")
 def _split(node: Node, x: Tensor, sizes: Tensor | None = None) -> tuple[Tensor, ...]:
     """Parts of those sizes, or one of the same size for each output, the last one smaller."""
     axis, chosen = node.get("axis", 0), node.given("split", sizes)
@@ -113,16 +131,19 @@ def _split(node: Node, x: Tensor, sizes: Tensor | None = None) -> tuple[Tensor, 
     return tuple(parts)
 
 
+@_operator("Expand")
 def _expand(node: Node, x: Tensor, shape: Tensor) -> Tensor:
     sizes = torch.broadcast_shapes(tuple(x.shape), whole(shape))
     node.room(*sizes)
     return x.expand(sizes)
 
 
+@_operator("Shape")
 def _shape(node: Node, x: Tensor) -> Tensor:
     return torch.tensor(x.shape[node.get("start", 0) : node.get("end", None)], dtype=torch.int64, device=x.device)
 
 
+@_operator("ConstantOfShape")
 def _constant_of_shape(node: Node, shape: Tensor) -> Tensor:
     sizes = whole(shape)
     node.room(*sizes)
@@ -130,6 +151,7 @@ def _constant_of_shape(node: Node, shape: Tensor) -> Tensor:
     return value.to(shape.device).reshape(()).expand(sizes).clone()
 
 
+@_operator("Gather")
 def _gather(node: Node, x: Tensor, index: Tensor) -> Tensor:
     axis = range(x.ndim)[node.get("axis", 0)]
     flat = index.reshape(-1).long()
@@ -137,6 +159,7 @@ def _gather(node: Node, x: Tensor, index: Tensor) -> Tensor:
     return taken.reshape([*x.shape[:axis], *index.shape, *x.shape[axis + 1 :]])
 
 
+@_operator("Slice")
 def _slice(node: Node, x: Tensor, *parts: Tensor | None) -> Tensor:
     """By starts, ends, axes and steps: inputs, but attributes before operator set 10."""
     named = zip(("starts", "ends", "axes", "steps"), parts, strict=False)
@@ -153,6 +176,7 @@ def _slice(node: Node, x: Tensor, *parts: Tensor | None) -> Tensor:
     return x
 
 
+@_operator("Pad")
 def _pad(node: Node, x: Tensor, pads: Tensor | None = None, value: Tensor | None = None) -> Tensor:
     """Begins of all axes, then their ends; below 0 takes away."""
     amounts = node.given("pads", pads) or ()
@@ -163,26 +187,10 @@ def _pad(node: Node, x: Tensor, pads: Tensor | None = None, value: Tensor | None
     return functional.pad(x, [amount for one in reversed(around) for amount in one], value=fill)
 
 
-_SHAPES: dict[str, Operator] = {
-    "Reshape": _reshape,
-    "Flatten": _flatten,
-    "Transpose": lambda node, x: x.permute(tuple(node.get("perm", range(x.ndim - 1, -1, -1)))),
-    "Squeeze": _squeeze,
-    "Unsqueeze": _unsqueeze,
-    "Concat": lambda node, *parts: torch.cat(parts, dim=node.get("axis", 0)),
-    "Split": _split,
-    "Expand": _expand,
-    "Shape": _shape,
-    "ConstantOfShape": _constant_of_shape,
-    "Gather": _gather,
-    "Slice": _slice,
-    "Pad": _pad,
-}
-
-
 # each value for itself, the layers of networks, and resizing of images
 
 
+@_operator("PRelu")
 def _prelu(node: Node, x: Tensor, slope: Tensor) -> Tensor:
     """`slope` broadcasts to `x`; one slope, or one a channel, goes the fast way."""
     channels = x.shape[1] if x.ndim > 1 else 1
@@ -192,6 +200,7 @@ def _prelu(node: Node, x: Tensor, slope: Tensor) -> Tensor:
     return torch.where(x < 0, slope * x, x)
 
 
+@_operator("Softmax")
 def _softmax(node: Node, x: Tensor) -> Tensor:
     """Before operator set 13 the classes are all axes from `axis` on."""
     if node.opset >= 13:
@@ -202,6 +211,7 @@ def _softmax(node: Node, x: Tensor) -> Tensor:
     return torch.softmax(flat, dim=-1).reshape(x.shape)
 
 
+@_operator("Clip")
 def _clip(node: Node, x: Tensor, low: Tensor | None = None, high: Tensor | None = None) -> Tensor:
     if node.opset < 11:
         return x.clamp(node.get("min", -torch.inf), node.get("max", torch.inf))
@@ -210,6 +220,7 @@ def _clip(node: Node, x: Tensor, low: Tensor | None = None, high: Tensor | None 
     return x if high is None else torch.minimum(x, high.to(x.dtype))
 
 
+@_operator("Cast")
 def _cast(node: Node, x: Tensor) -> Tensor:
     kind = node.get("to", 0)
     if kind not in _TYPES:
@@ -229,31 +240,6 @@ def _reduction(reduce: Operator) -> Operator:
     return operator
 
 
-_ELEMENTWISE: dict[str, Operator] = {
-    "Add": lambda node, a, b: a + b,
-    "Sub": lambda node, a, b: a - b,
-    "Mul": lambda node, a, b: a * b,
-    "Div": lambda node, a, b: a / b if a.dtype.is_floating_point else torch.div(a, b, rounding_mode="trunc"),
-    "Pow": lambda node, base, exponent: torch.pow(base, exponent).to(base.dtype),
-    "Sqrt": lambda node, x: torch.sqrt(x),
-    "Clip": _clip,
-    "Relu": lambda node, x: torch.relu(x),
-    "LeakyRelu": lambda node, x: functional.leaky_relu(x, node.get("alpha", 0.01)),
-    "PRelu": _prelu,
-    "Sigmoid": lambda node, x: torch.sigmoid(x),
-    "HardSigmoid": lambda node, x: (node.get("alpha", 0.2) * x + node.get("beta", 0.5)).clamp(0, 1),
-    "HardSwish": lambda node, x: x * (x / 6 + 0.5).clamp(0, 1),
-    "Tanh": lambda node, x: torch.tanh(x),
-    "Softmax": _softmax,
-    "Cast": _cast,
-    "Identity": lambda node, x: x,
-    "Dropout": lambda node, x, *options: x,  # the network is not being trained
-    "ReduceMean": _reduction(lambda x, axes, keep: x.mean(axes, keepdim=keep)),
-    "ReduceSum": _reduction(lambda x, axes, keep: x.sum(axes, keepdim=keep)),
-    "ReduceL2": _reduction(lambda x, axes, keep: torch.linalg.vector_norm(x, dim=axes, keepdim=keep)),
-}
-
-
 _PLAIN = {"antialias": 0, "axes": [], "exclude_outside": 0, "keep_aspect_ratio_policy": "stretch"}
 
 _COORDINATES: dict[str, Callable[[Tensor, int, int, float], Tensor]] = {
@@ -269,6 +255,7 @@ _ROUNDINGS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
+@_operator("Resize", "Upsample")
 def _resize(node: Node, x: Tensor, *inputs: Tensor | None) -> Tensor:
     """Until operator set 10 there are scales alone, and old cells are by their begin, the nearest floored."""
     early = node.opset <= 10
@@ -292,32 +279,27 @@ def _resize(node: Node, x: Tensor, *inputs: Tensor | None) -> Tensor:
         if size != x.shape[axis] or factor != 1:
             node.room(size, x.shape[axis])
             place = torch.arange(size, dtype=torch.float64, device=x.device)
-            where = coordinates(place, x.shape[axis], size, factor)
-            x = (x.movedim(axis, -1) @ _weights(node, x, axis, where).T).movedim(-1, axis)
+            # places in old cells, of which those at the border stand for those outside
+            where = coordinates(place, x.shape[axis], size, factor).clamp(0, x.shape[axis] - 1)
+            if node.choice("mode", "nearest", ("nearest", "linear")) == "nearest":
+                rounding = node.choice("nearest_mode", "floor" if early else "round_prefer_floor", _ROUNDINGS)
+                where = _ROUNDINGS[rounding](where)
+            distance = (where[:, None] - torch.arange(x.shape[axis], device=x.device)).abs()
+            weights = (1 - distance).clamp(min=0).to(x.dtype)
+            x = (x.movedim(axis, -1) @ weights.T).movedim(-1, axis)
     return x
-
-
-def _weights(node: Node, x: Tensor, axis: int, where: Tensor) -> Tensor:
-    """(new, old) weights of the old cells around places `where` (new,), in cells."""
-    where = where.clamp(0, x.shape[axis] - 1)  # the border cells stand for those outside
-    if node.choice("mode", "nearest", ("nearest", "linear")) == "nearest":
-        usual = "floor" if node.opset <= 10 else "round_prefer_floor"
-        where = _ROUNDINGS[node.choice("nearest_mode", usual, _ROUNDINGS)](where)
-    distance = (where[:, None] - torch.arange(x.shape[axis], device=x.device)).abs()
-    return (1 - distance).clamp(min=0).to(x.dtype)
-
-
-_RESIZES: dict[str, Operator] = {"Resize": _resize, "Upsample": _resize}
 
 
 _Ints = Sequence[int]
 
 
+@_operator("Conv")
 def _conv(node: Node, x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     x, stride, padding, dilation = _windows(node, x, weight.shape[2:])
     return functional.conv2d(x, weight, bias, stride, padding, dilation, node.get("group", 1))
 
 
+@_operator("MaxPool")
 def _max_pool(node: Node, x: Tensor) -> Tensor:
     """Padding never wins."""
     size = node.get("kernel_shape", ())
@@ -325,6 +307,7 @@ def _max_pool(node: Node, x: Tensor) -> Tensor:
     return functional.max_pool2d(x, size, stride, padding, dilation, bool(node.get("ceil_mode", 0)))
 
 
+@_operator("AveragePool")
 def _average_pool(node: Node, x: Tensor) -> Tensor:
     """Padding counts where ``count_include_pad`` says so; what hangs over in ceil_mode never does."""
     size, include = node.get("kernel_shape", ()), bool(node.get("count_include_pad", 0))
@@ -364,12 +347,14 @@ def _windows(node: Node, x: Tensor, size: _Ints, fill: float = 0.0) -> tuple[Ten
     return functional.pad(x, [begin[1], end[1], begin[0], end[0]], value=fill), stride, (0, 0), dilation
 
 
+@_operator("BatchNormalization")
 def _batch(node: Node, x: Tensor, scale: Tensor, shift: Tensor, mean: Tensor, variance: Tensor) -> Tensor:
     if node.get("training_mode", 0) or not node.get("spatial", 1):
         raise node.refuse("training_mode 1 or spatial 0, expected a trained network with statistics by channel")
     return functional.batch_norm(x, mean, variance, scale, shift, eps=node.get("epsilon", 1e-5))
 
 
+@_operator("Gemm")
 def _gemm(node: Node, a: Tensor, b: Tensor, c: Tensor | None = None) -> Tensor:
     left = a.mT if node.get("transA", 0) else a
     right = b.mT if node.get("transB", 0) else b
@@ -378,19 +363,31 @@ def _gemm(node: Node, a: Tensor, b: Tensor, c: Tensor | None = None) -> Tensor:
     return product if c is None or beta == 0 else product + (c if beta == 1 else beta * c)
 
 
-_LAYERS: dict[str, Operator] = {
-    **_ELEMENTWISE,
-    **_RESIZES,
-    "Conv": _conv,
-    "MaxPool": _max_pool,
-    "AveragePool": _average_pool,
-    "GlobalAveragePool": lambda node, x: x.mean(tuple(range(2, x.ndim)), keepdim=True),
-    "BatchNormalization": _batch,
-    "InstanceNormalization": lambda node, x, scale, shift: functional.instance_norm(
-        x, weight=scale, bias=shift, eps=node.get("epsilon", 1e-5)
-    ),
-    "Gemm": _gemm,
-    "MatMul": lambda node, a, b: a @ b,
-}
-
-OPERATORS = {**_SHAPES, **_LAYERS}
+OPERATORS.update(
+    {
+        "Transpose": lambda node, x: x.permute(tuple(node.get("perm", range(x.ndim - 1, -1, -1)))),
+        "Concat": lambda node, *parts: torch.cat(parts, dim=node.get("axis", 0)),
+        "Add": lambda node, a, b: a + b,
+        "Sub": lambda node, a, b: a - b,
+        "Mul": lambda node, a, b: a * b,
+        "Div": lambda node, a, b: a / b if a.dtype.is_floating_point else torch.div(a, b, rounding_mode="trunc"),
+        "Pow": lambda node, base, exponent: torch.pow(base, exponent).to(base.dtype),
+        "Sqrt": lambda node, x: torch.sqrt(x),
+        "Relu": lambda node, x: torch.relu(x),
+        "LeakyRelu": lambda node, x: functional.leaky_relu(x, node.get("alpha", 0.01)),
+        "Sigmoid": lambda node, x: torch.sigmoid(x),
+        "HardSigmoid": lambda node, x: (node.get("alpha", 0.2) * x + node.get("beta", 0.5)).clamp(0, 1),
+        "HardSwish": lambda node, x: x * (x / 6 + 0.5).clamp(0, 1),
+        "Tanh": lambda node, x: torch.tanh(x),
+        "Identity": lambda node, x: x,
+        "Dropout": lambda node, x, *options: x,  # the network is not being trained
+        "ReduceMean": _reduction(lambda x, axes, keep: x.mean(axes, keepdim=keep)),
+        "ReduceSum": _reduction(lambda x, axes, keep: x.sum(axes, keepdim=keep)),
+        "ReduceL2": _reduction(lambda x, axes, keep: torch.linalg.vector_norm(x, dim=axes, keepdim=keep)),
+        "GlobalAveragePool": lambda node, x: x.mean(tuple(range(2, x.ndim)), keepdim=True),
+        "InstanceNormalization": lambda node, x, scale, shift: functional.instance_norm(
+            x, weight=scale, bias=shift, eps=node.get("epsilon", 1e-5)
+        ),
+        "MatMul": lambda node, a, b: a @ b,
+    }
+)

@@ -7,9 +7,15 @@ from facepipe.core.loading import lazy
 if TYPE_CHECKING:
     from facepipe.photo.fit.author import AuthorPhotoFit
     from facepipe.photo.fit.fit_photo_action import FitPhoto
-    from facepipe.photo.fit.landmark_file import read_landmarks, write_landmarks
     from facepipe.photo.fit.photo_file import Photo, read_photo
-    from facepipe.photo.fit.photo_landmarks import Landmarks68, check_face, mediapipe_landmarks, own_landmarks
+    from facepipe.photo.fit.photo_landmarks import (
+        Landmarks68,
+        check_face,
+        mediapipe_landmarks,
+        own_landmarks,
+        read_landmarks,
+        write_landmarks,
+    )
     from facepipe.photo.fit.report import PhotoFitReport, PhotoReport
 else:
     __getattr__, __dir__ = lazy(__name__)

@@ -46,11 +46,10 @@ def pupil_points(parts: FaceParts) -> IntArray:
 
 
 def gaze(face: Face, values: Mapping[str, float], view: FittedView) -> dict[str, float]:
-    """Values of the look sliders that turn the pupils of a person to where a photo has them; none: it shows none.
+    """Values of the look sliders that turn a person's pupils, at `values` of the others, to where a photo has them.
 
-    The likeliest, by Gauss-Newton: the pupils' errors are normal, and so are the sliders about their defaults.
-
-    :param values: of the person's sliders
+    The likeliest, by Gauss-Newton: the pupils' errors are normal, and so are the sliders about their defaults. None
+    where the photo shows none.
     """
     from scipy.spatial.transform import Rotation
 
@@ -237,10 +236,7 @@ def _warnings(sliders: Sequence[Slider], fit: PhotoFit) -> list[str]:
 
 
 def _pose(parts: FaceParts, looks: Mapping[str, float], neutral: Animation, name: str, view: FittedView) -> Animation:
-    """The neutral with eyes turned, and with the expression of a photo on it.
-
-    :param looks: values of the sliders that turn eyes; lids stay: expressions have them
-    """
+    """The neutral with eyes, not lids, turned by sliders `looks`, and with a photo's expression on it."""
     if looks:
         turned = [
             replace(slider, value=looks[slider.name], shapes=(), shape_curves=()) if slider.name in looks else slider

@@ -80,10 +80,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         "landmarks of a photo, in the order of the photos", default=(), flag="--landmarks", metavar="JSON"
     )
     landmarker: Path | None = source(
-        "find landmarks by MediaPipe: its model face_landmarker.task",
-        default=None,
-        flag="--landmarker",
-        metavar="TASK",
+        "find landmarks by MediaPipe: its model face_landmarker.task", default=None, flag="--landmarker", metavar="TASK"
     )
     database: Path | None = source(
         "faces of FACE's topology: who a person may be (default for the built-in head its own modes)",
@@ -143,12 +140,6 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             return values
         *photos, face = arguments.files
         return {**values, "face": face, **({"photos": tuple(photos)} if photos else {})}
-
-    @property
-    def options(self) -> PhotoFitOptions:
-        """The options of the fit."""
-        terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
-        return PhotoFitOptions(**terms, landmarks=self.landmark_weight)
 
     def check(self) -> None:
         super().check()
@@ -214,13 +205,9 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         return replace(report, warnings=warnings, seconds=time.perf_counter() - begin)
 
     def _inputs(self) -> PhotoInputs:
-        """Photos, where their landmarks are, and the networks that compare them.
-
-        :raises FacepipeError: what can't be read, or landmarks that are not found
-        """
-        from facepipe.photo.fit.landmark_file import read_landmarks
+        """Photos, where their landmarks are, and the networks that compare them."""
         from facepipe.photo.fit.photo_file import read_photo
-        from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks
+        from facepipe.photo.fit.photo_landmarks import mediapipe_landmarks, own_landmarks, read_landmarks
         from facepipe.photo.fit.report import PhotoInputs
 
         photos = [read_photo(path) for path in self.photos]
@@ -250,14 +237,10 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
         return PhotoInputs(photos, landmarks, given, tuple(warnings))
 
     def _fit(self, parts: FaceParts, inputs: PhotoInputs, watch: Watch, slider_sigma: float | None = None) -> PhotoFit:
-        """The face fitted to the photos, with where their pupils are.
-
-        :param slider_sigma: as for `fit_photos`
-        :raises FacepipeError: what can't be fitted
-        """
+        """The face fitted to the photos, with where their pupils are; `slider_sigma` as for `fit_photos`."""
         import numpy as np
 
-        from facepipe.networks.masks import face_mask
+        from facepipe.networks.files import face_mask
         from facepipe.photo.descent.fit import fit_photos, pose_space
         from facepipe.photo.descent.landmark_rig import dense_points
         from facepipe.photo.descent.subject import Subject
@@ -272,6 +255,8 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
             except FacepipeError as error:
                 raise error.under(self.face) from None
             start = load_start(self.start, subject).together(pixels, [each.points for each in marks], spaces)
+        terms = {field.name: getattr(self, field.name) for field in fields(PhotoTermOptions)}
+        options = PhotoFitOptions(**terms, landmarks=self.landmark_weight)
         # dense landmarks that were found count where the face has as many
         count = len(dense_points(parts))
         known = [(each, slice(0, count if len(each.dense) == count else 0)) for each in marks]
@@ -281,7 +266,7 @@ class FitPhoto(PhotoTermOptions, LikenessOptions, StageAction["PhotoFitReport"])
                     parts,
                     pixels,
                     [np.vstack([each.points, each.dense[some]]) for each, some in known],
-                    self.options,
+                    options,
                     confidences=[np.append(each.confidence, each.dense_confidence[some]) for each, some in known],
                     expressions=self.expressions,
                     extractors=inputs.extractors,

@@ -7,7 +7,7 @@ becomes the face's neutral under the nearest values of its own sliders, so that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from facepipe.core.reports import Report
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.parts import Blendshape, FaceParts, Slider
 from facepipe.registry import databases
-from facepipe.rig import Rig, build, slide
+from facepipe.rig import build, slide
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.author_neutral import AuthorNeutral
@@ -73,10 +73,7 @@ class PersonModel:
         return tuple(f"identityMode{number:03}" for number in range(len(self.modes)))
 
     def fit_parts(self, expressions: frozenset[str]) -> FaceParts:
-        """The average person with sliders of the modes, in standard deviations, instead of the face's own.
-
-        :param expressions: shapes that stay
-        """
+        """The average person with sliders of the modes, in standard deviations, and the shapes of expressions."""
         parts = AuthorNeutral().changed(self.parts, self.mean)
         pieces = np.split(self.modes, np.cumsum([len(mesh.points) for mesh in parts.meshes])[:-1], axis=1)
         meshes = []
@@ -117,10 +114,29 @@ class PersonModel:
         :param sliders: that may move, those of who a person is
         """
         person, change = self.points(weights), AuthorNeutral().changed
-        values, beyond = self._nearest(person, sliders)
+        wanted, values = (person - whole_points(self.parts))[self.face], dict[str, float]()
+        beyond = wanted
+        if sliders:
+            # ``min_s |D s - d|^2 / (m sigma^2 / places) + |(s - default) / spread|^2`` of the face's m offsets d and
+            # what a slider does at its end, D: sliders work together linearly but for what joints do
+            ends = np.array([slider.maximum - slider.default for slider in sliders])
+            moved = _moves_by(self.parts, sliders)
+            moves = np.stack([moved({slider.name: slider.maximum})[self.face] for slider in sliders])
+            flat = moves.reshape(len(sliders), -1) / ends[:, None]
+            scale = _PLACES / (len(wanted) * _APART_MM**2)
+            spread = _SLIDER_SPREAD * np.array([slider.maximum - slider.minimum for slider in sliders])
+            hessian = scale * flat @ flat.T + np.diag(1 / spread**2)
+            low, high = (
+                np.array([getattr(one, end) - one.default for one in sliders]) for end in ("minimum", "maximum")
+            )
+            off = BoxedQuadratic(hessian).minimise(-scale * flat @ wanted.ravel(), low, high)
+            for slider, value in zip(sliders, off, strict=True):
+                values[slider.name] = float(np.float32(slider.default + value))
+            beyond = wanted - (off @ flat).reshape(-1, 3)
+        apart = np.linalg.norm(beyond, axis=1)
         parts = change(self.parts, person)
         for _ in range(_ROUNDS if values else 0):
-            parts = change(self.parts, person - _Sliders.from_parts(parts, sliders).moved(values))
+            parts = change(self.parts, person - _moves_by(parts, sliders)(values))
         if self.built_in:
             from facepipe.heads.assembly import with_own_blinks
 
@@ -130,58 +146,23 @@ class PersonModel:
         report = IdentityReport(
             modes=len(weights),
             deviations=float(np.sqrt(np.mean(weights**2))),
-            beyond_sliders_mean_mm=float(beyond.mean()),
-            beyond_sliders_max_mm=float(beyond.max()),
+            beyond_sliders_mean_mm=float(apart.mean()),
+            beyond_sliders_max_mm=float(apart.max()),
         )
         return values, report
 
-    def _nearest(self, person: FloatArray, sliders: Sequence[Slider]) -> tuple[dict[str, float], FloatArray]:
-        """Values of sliders next to a person, within their ranges, and how far (m,) points of the face are from it.
 
-        ``min_s |D s - d|^2 / (m sigma^2 / places) + |(s - default) / spread|^2`` of the face's offsets d and what a
-        slider does at its end, D: sliders work together linearly but for what joints do.
-        """
-        wanted = (person - whole_points(self.parts))[self.face]
-        if not sliders:
-            return {}, np.linalg.norm(wanted, axis=1)
-        ends = np.array([slider.maximum - slider.default for slider in sliders])
-        rig = _Sliders.from_parts(self.parts, sliders)
-        moves = np.stack([rig.moved({slider.name: slider.maximum})[self.face] for slider in sliders])
-        flat = moves.reshape(len(sliders), -1) / ends[:, None]
-        scale = _PLACES / (len(wanted) * _APART_MM**2)
-        spread = _SLIDER_SPREAD * np.array([slider.maximum - slider.minimum for slider in sliders])
-        hessian = scale * flat @ flat.T + np.diag(1 / spread**2)
-        low, high = (np.array([getattr(one, end) - one.default for one in sliders]) for end in ("minimum", "maximum"))
-        off = BoxedQuadratic(hessian).minimise(-scale * flat @ wanted.ravel(), low, high)
-        values = {
-            slider.name: float(np.float32(slider.default + value)) for slider, value in zip(sliders, off, strict=True)
-        }
-        return values, np.linalg.norm(wanted - (off @ flat).reshape(-1, 3), axis=1)
+def _moves_by(parts: FaceParts, sliders: Sequence[Slider]) -> Callable[[Mapping[str, float]], FloatArray]:
+    """From values of some sliders, the others as they are, to (n, 3) millimetres that points of a face move by them."""
+    rig, defaults = build(parts), {slider.name: slider.default for slider in sliders}
+    to_mm = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)[:3, :3]
 
+    def evaluated(values: Mapping[str, float]) -> FloatArray:
+        coefficients, weights = slide(parts.sliders, rig.joints, {**defaults, **values}, parts.slider_network)
+        return rig.evaluate(weights, coefficients=coefficients)
 
-@dataclass(frozen=True, kw_only=True)
-class _Sliders:
-    """What some sliders of a face do to its points, while the others stay as they are."""
-
-    rig: Rig
-    parts: FaceParts
-    rest: FloatArray  # (n, 3) with these at their defaults
-    defaults: Mapping[str, float]
-
-    @classmethod
-    def from_parts(cls, parts: FaceParts, sliders: Sequence[Slider]) -> _Sliders:
-        rig, defaults = build(parts), {slider.name: slider.default for slider in sliders}
-        return cls(rig=rig, parts=parts, defaults=defaults, rest=_evaluated(rig, parts, defaults))
-
-    def moved(self, values: Mapping[str, float]) -> FloatArray:
-        """(n, 3) millimetres that points move by values of some of them."""
-        to_mm = world_to_world(self.parts.meters_per_unit, self.parts.up_axis, MILLIMETRES)[:3, :3]
-        return (_evaluated(self.rig, self.parts, {**self.defaults, **values}) - self.rest) @ to_mm.T
-
-
-def _evaluated(rig: Rig, parts: FaceParts, values: Mapping[str, float]) -> FloatArray:
-    coefficients, weights = slide(parts.sliders, rig.joints, values, parts.slider_network)
-    return rig.evaluate(weights, coefficients=coefficients)
+    rest = evaluated({})
+    return lambda values: (evaluated(values) - rest) @ to_mm.T
 
 
 def person_model(parts: FaceParts, where: str, database: Path | None = None) -> PersonModel | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -111,8 +112,10 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     with decoding(path):
         image = open_image(data, path, _FORMATS, expected=_EXPECTED)
         # the further pictures of an MPO are previews and other views of the same
-        if image.format != "MPO" and _has_second(image):
-            notes.append("holds several pictures: the first is read")
+        if image.format != "MPO":
+            with suppress(Exception):  # decoders fail in every way; the first picture may be fine
+                image.seek(1)  # to count them takes as long as there are many
+                notes.append("holds several pictures: the first is read")
         image = open_image(data, path, _FORMATS, expected=_EXPECTED)  # at its first picture
         image.load()
         image = expanded(_upright(image, notes), str(path))
@@ -136,15 +139,6 @@ def read_photo(path: Path, *, largest: int = LARGEST) -> Photo:
     if scale < 1:
         notes.append(f"reduced from {size[0]} x {size[1]} to {reduced.width} x {reduced.height} pixels")
     return Photo(pixels=pixels, path=path, size=size, scale=scale, warnings=tuple(notes))
-
-
-def _has_second(image: Image) -> bool:
-    """Whether there is a picture after the first; to count them takes as long as there are many."""
-    try:
-        image.seek(1)
-    except Exception:  # decoders fail in every way; the first picture may be fine
-        return False
-    return True
 
 
 def _upright(image: Image, notes: list[str]) -> Image:

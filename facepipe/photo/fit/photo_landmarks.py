@@ -1,19 +1,35 @@
-"""Landmarks of photos: from MediaPipe, or found by facepipe's own network, and what can't be a face's."""
+"""Landmarks of photos: from files, from MediaPipe, or found by facepipe's own network; and what can't be a face's.
+
+Files hold 68 or 478 places:
+
+    {"multipie68": [[180.8, 92.5], ...]}
+    {"mediapipe478": [[223.6, 140.5, -9.3], ...]}
+    {"landmarks": [[0.35, 0.18], ...], "units": "normalized", "image": "portrait.jpg"}
+    [[180.8, 92.5], ...]
+
+`landmarks`, or the list alone, holds 68 points (Multi-PIE), or 468 or 478 (MediaPipe). A point is x and y, further
+numbers of depth are not used. `units`: a text that begins with ``pixels`` (default), of the file's picture seen upright
+from its top left corner; or with ``normalized``, shares of its width and height. Each list may be one of several faces
+instead. Where both schemes are given multipie68 counts. `confidence`: 68 numbers of 0 to 1, one for each of the 68.
+`image`, `detector` and `mediapipe_index_of_multipie68` are for people.
+"""
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.atomic import write_bytes
 from facepipe.core.errors import InputError
-from facepipe.core.reading import read_bytes
+from facepipe.core.reading import read_bytes, read_json
 from facepipe.geometry.landmarks import downward, turned_view
 from facepipe.heads.asset import asset
 from facepipe.photo.fit.photo_file import Photo
@@ -61,6 +77,10 @@ _OUTSIDE = 0.05  # of the photo's longer side: how far beyond its border detecto
 _MOST_MODEL_BYTES = 1 << 28
 _MOST_FACES = 16
 _MEDIAPIPE_COUNTS = (468, 478)  # without irises and with
+_MOST_BYTES = 1 << 24
+_LARGEST = 1e9
+_COUNTS = {"multipie68": (68,), "mediapipe478": (478,), "landmarks": (68, 468, 478)}  # the first that is there counts
+_KEYS = (*_COUNTS, "confidence", "units", "image", "detector", "mediapipe_index_of_multipie68")
 
 
 def check_face(points: FloatArray, where: str) -> None:
@@ -90,11 +110,7 @@ def check_face(points: FloatArray, where: str) -> None:
     if float((right[0] * down[1] - right[1] * down[0]) / max(down @ down, 1e-300)) < _MIRRORED:
         what = "the landmarks are mirrored, expected the person's right side first, x right and y down"
         raise InputError(where, f"{what} from the top left corner")
-    _check_parts(points, where)
-
-
-def _check_parts(points: FloatArray, where: str) -> None:
-    """Against the average head, turned and scaled robustly."""
+    # against the average head, turned and scaled robustly
     spread = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     trust = np.ones(len(points))
     scattered = float(np.sqrt((_off_average(points, trust) ** 2).sum(axis=1).mean())) / spread
@@ -142,7 +158,18 @@ def landmarks_in(photo: Photo, points: FloatArray, source: str, where: str) -> L
     if len(points) != 68:
         points = points[list(MULTIPIE68_OF_MEDIAPIPE)]
     check_face(points, where)
-    return Landmarks68(points=points, source=source, warnings=_check_inside(points, photo, where))
+    height, width = photo.pixels.shape[:2]
+    beyond = np.maximum(-points, points - (width, height)).max(axis=1)
+    count, worst, warnings = int((beyond > 0).sum()), int(beyond.argmax()), list[str]()
+    if count:
+        share = beyond[worst] / max(width, height)
+        x, y = points[worst] / photo.scale
+        what = f"{count} of 68 landmarks outside {photo.name} ({photo.size[0]} x {photo.size[1]} pixels)"
+        if share > _OUTSIDE:
+            trail = f"{what}, number {worst} at {x:.1f}, {y:.1f}"
+            raise InputError(where, f"{trail}: expected inside, or out by at most {_OUTSIDE:.0%} of its longer side")
+        warnings.append(f"{what}, by up to {share:.1%} of its longer side: guessed by what found them")
+    return Landmarks68(points=points, source=source, warnings=tuple(warnings))
 
 
 def one_face(faces: Sequence[Found], index: int | None, where: str) -> Found:
@@ -159,21 +186,6 @@ def one_face(faces: Sequence[Found], index: int | None, where: str) -> Found:
     return faces[index or 0]
 
 
-def _check_inside(points: FloatArray, photo: Photo, where: str) -> tuple[str, ...]:
-    height, width = photo.pixels.shape[:2]
-    beyond = np.maximum(-points, points - (width, height)).max(axis=1)
-    count, worst = int((beyond > 0).sum()), int(beyond.argmax())
-    if not count:
-        return ()
-    share = beyond[worst] / max(width, height)
-    x, y = points[worst] / photo.scale
-    what = f"{count} of 68 landmarks outside {photo.name} ({photo.size[0]} x {photo.size[1]} pixels)"
-    if share > _OUTSIDE:
-        trail = f"{what}, number {worst} at {x:.1f}, {y:.1f}"
-        raise InputError(where, f"{trail}: expected inside, or out by at most {_OUTSIDE:.0%} of its longer side")
-    return (f"{what}, by up to {share:.1%} of its longer side: guessed by what found them",)
-
-
 def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = None) -> Landmarks68:
     """The landmarks that MediaPipe's Face Landmarker finds, in pixels of the photo.
 
@@ -185,9 +197,17 @@ def mediapipe_landmarks(photo: Photo, task_file: Path, *, index: int | None = No
     model = read_bytes(task_file, _MOST_MODEL_BYTES)
     if not zipfile.is_zipfile(BytesIO(model)):
         raise InputError(task_file, "is no MediaPipe task bundle, expected face_landmarker.task")
-    vision, image = _mediapipe(photo)
-    from mediapipe.tasks.python import BaseOptions
-
+    try:
+        import mediapipe
+        from mediapipe.tasks.python import BaseOptions, vision
+    except ImportError as error:
+        missing = error.name == "mediapipe"
+        fault = "mediapipe is not installed" if missing else f"mediapipe can't be loaded ({error})"
+        raise InputError("MediaPipe", f"{fault}, expected: pip install 'mediapipe>=1.2,<2'") from None
+    except OSError as error:  # a library of the system that it needs
+        raise InputError("MediaPipe", f"mediapipe can't be loaded: {error}") from None
+    pixels = np.ascontiguousarray(np.round(photo.pixels * 255).clip(0, 255).astype(np.uint8))
+    image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
     try:
         options = vision.FaceLandmarkerOptions(
             base_options=BaseOptions(model_asset_buffer=model), num_faces=_MOST_FACES
@@ -223,11 +243,7 @@ def own_landmarks(photo: Photo, *, index: int | None = None) -> Landmarks68:
     face = one_face(faces, index, str(photo.path))
     found = landmarks_in(photo, face.landmarks, "facepipe landmark network", str(photo.path))
     return replace(
-        found,
-        confidence=face.confidence,
-        dense=face.dense,
-        dense_confidence=face.dense_confidence,
-        pupils=face.pupils,
+        found, confidence=face.confidence, dense=face.dense, dense_confidence=face.dense_confidence, pupils=face.pupils
     )
 
 
@@ -236,16 +252,74 @@ def _extent(points: FloatArray) -> float:
     return float(np.prod(np.ptp(points, axis=0)))
 
 
-def _mediapipe(photo: Photo) -> tuple[Any, Any]:
-    """MediaPipe's vision tasks, and the photo as its image."""
-    try:
-        import mediapipe
-        from mediapipe.tasks.python import vision
-    except ImportError as error:
-        missing = error.name == "mediapipe"
-        found = "mediapipe is not installed" if missing else f"mediapipe can't be loaded ({error})"
-        raise InputError("MediaPipe", f"{found}, expected: pip install 'mediapipe>=1.2,<2'") from None
-    except OSError as error:  # a library of the system that it needs
-        raise InputError("MediaPipe", f"mediapipe can't be loaded: {error}") from None
-    pixels = np.ascontiguousarray(np.round(photo.pixels * 255).clip(0, 255).astype(np.uint8))
-    return vision, mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=pixels)
+def read_landmarks(path: Path, photo: Photo, *, index: int | None = None) -> Landmarks68:
+    """The landmarks of `photo` in a JSON file, in pixels of the photo as read.
+
+    :param index: which of several faces, from 0 in the file's order
+    :raises InputError: not such JSON, other counts, NaN or infinity, unknown keys, no or several faces, or landmarks
+        that `landmarks_in` refuses
+    """
+    content = read_json(path, _MOST_BYTES)
+    if isinstance(content, list):
+        content = {"landmarks": content}
+    if not isinstance(content, dict):
+        raise InputError(path, f"{_shown(content)}, expected a list of 68 or 478 points, or an object that holds one")
+    for key in content:
+        if key not in _KEYS:
+            raise InputError(f"{path} -> {key[:60]}", f"unknown key, expected some of {', '.join(_KEYS)}")
+    scheme = next((key for key in _COUNTS if key in content), None)
+    if scheme is None:
+        raise InputError(path, f"no landmarks, expected one of {', '.join(_COUNTS)}")
+    where = f"{path} -> {scheme}"
+    faces = content[scheme]
+    if not isinstance(faces, list):
+        raise InputError(where, f"{_shown(faces)}, expected a list of points [x, y]")
+    # of several faces each element is a list of points
+    if faces and not all(isinstance(one, list) and (not one or isinstance(one[0], list)) for one in faces):
+        faces = [faces]
+    face, counts = one_face(faces, index, where), _COUNTS[scheme]
+    if not isinstance(face, list) or len(face) not in counts:
+        given = f"{len(face)} points" if isinstance(face, list) else _shown(face)
+        raise InputError(where, f"{given}, expected {' or '.join(map(str, counts))}")
+    for number, point in enumerate(face):
+        good = isinstance(point, list) and len(point) in (2, 3)
+        # NaN fails the comparison
+        if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in point):
+            raise InputError(f"{where} -> {number}", f"{_shown(point)}, expected finite numbers [x, y] or [x, y, z]")
+    points = np.array([point[:2] for point in face], dtype=np.float64)
+    units = content.get("units", "pixels")
+    if isinstance(units, str) and units.startswith(("normalized", "normalised")):
+        points = points * np.array(photo.size, dtype=np.float64)
+    elif not isinstance(units, str) or not units.startswith("pixels"):
+        raise InputError(f"{path} -> units", f"{_shown(units)}, expected pixels or normalized")
+    found = landmarks_in(photo, points * photo.scale, path.name, where)
+    if "confidence" not in content:
+        return found
+    trust = content["confidence"]
+    numbers = trust if isinstance(trust, list) else []
+    # NaN fails the comparison
+    if len(numbers) != 68 or not all(type(one) in (int, float) and 0 <= one <= 1 for one in numbers):
+        raise InputError(f"{path} -> confidence", f"{_shown(trust)}, expected 68 numbers of 0 to 1")
+    return replace(found, confidence=np.array(numbers, dtype=np.float64))
+
+
+def write_landmarks(path: Path, landmarks: Landmarks68, photo: Photo) -> None:
+    """Write `landmarks` in pixels of the photo's file, as `read_landmarks` reads them, to a thousandth of a pixel.
+
+    :raises InputError: the file can't be written
+    """
+    points = np.round(landmarks.points / photo.scale, 3) + 0.0  # no -0.0
+    rows = ",\n  ".join(json.dumps(point) for point in points.tolist())
+    head: dict[str, object] = {"detector": landmarks.source, "image": photo.name, "units": "pixels"}
+    if (landmarks.confidence < 1).any():
+        head["confidence"] = np.round(landmarks.confidence, 3).tolist()
+    fields = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items())
+    write_bytes(path, f'{{{fields},\n"multipie68": [\n  {rows}\n]}}\n'.encode())
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict):
+        return "an object"
+    if isinstance(value, list) and any(isinstance(one, list | dict) for one in value):
+        return f"a list of {len(value)}"
+    return json.dumps(value)[:40]

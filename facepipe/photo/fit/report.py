@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from PIL import Image
 
-from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.arrays import FloatArray
 from facepipe.core.atomic import write_bytes
 from facepipe.core.reports import Report, not_in_json
 from facepipe.geometry.colors import to_srgb
 from facepipe.geometry.landmarks import eye_distance
 from facepipe.geometry.polygons import point_areas, point_normals, point_triangles
 from facepipe.geometry.rasterise import rasterise, screen_triangles
-from facepipe.networks.masks import face_mask
+from facepipe.networks.files import face_mask
 from facepipe.parts import FaceParts, TextureInput
 from facepipe.photo import pictures
-from facepipe.photo.fit.landmark_file import write_landmarks
 from facepipe.photo.fit.person_model import SCHEME
+from facepipe.photo.fit.photo_landmarks import write_landmarks
 from facepipe.photo.pictures import PhotoSheet, SheetPhoto, photo_page
 from facepipe.pictures import save_png
 from facepipe.pictures.occlusion import visible_sky
@@ -254,7 +254,13 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
         share = min(1.0, _SIDE / max(width, height))
         screen = project(view.camera, fitted_points(rig, parts, fitted.fit, view)) * [share, share, 1.0]
         slack = _SLACK * eye_distance(view.targets) * float(np.median(screen[span, 2])) / view.camera.focal
-        front = _in_front(screen, triangles, (round(width * share), round(height * share)), slack)[span]
+        # points with nothing before them in the photo
+        size, depth = (round(width * share), round(height * share)), screen[:, 2]
+        flat = np.column_stack([screen[:, :2] * depth[:, None], np.ones(len(screen)), depth])
+        nearest = 1 / np.maximum(rasterise(screen_triangles(flat, triangles), *size).nearness, 1e-12)
+        inside = (depth > 0) & (screen[:, :2] >= 0).all(axis=1) & (screen[:, :2] < size).all(axis=1)
+        column, row = np.clip(screen[:, :2], 0, np.array(size) - 1).astype(np.int64).T
+        front = (inside & (depth <= nearest[row, column] + slack))[span]
         mask = face_mask(photo.pixels, view.targets).face
         column, row = np.clip(screen[span, :2] / share, 0, (width - 1, height - 1)).astype(np.int64).T
         shown |= front & (mask[row, column] > _FACE)
@@ -265,18 +271,3 @@ def unseen_regions(fitted: Fitted) -> dict[str, float]:
     areas = point_areas(neutral[span], own) * (sky[span] > _OPEN)
     weights = {name: np.asarray(values) * areas for name, values in skin.regions.items()}
     return {name: float(each[~shown].sum() / each.sum()) for name, each in sorted(weights.items()) if each.sum() > 0}
-
-
-def _in_front(screen: FloatArray, triangles: IntArray, size: tuple[int, int], slack: float) -> BoolArray:
-    """(n,) points of a picture with nothing before them.
-
-    :param screen: (n, 3) pixels and depths
-    :param slack: in depth
-    """
-    depth = screen[:, 2]
-    flat = np.column_stack([screen[:, :2] * depth[:, None], np.ones(len(screen)), depth])
-    raster = rasterise(screen_triangles(flat, triangles), *size)
-    nearest = 1 / np.maximum(raster.nearness, 1e-12)
-    inside = (depth > 0) & (screen[:, :2] >= 0).all(axis=1) & (screen[:, :2] < size).all(axis=1)
-    column, row = np.clip(screen[:, :2], 0, np.array(size) - 1).astype(np.int64).T
-    return np.asarray(inside & (depth <= nearest[row, column] + slack))

@@ -68,8 +68,8 @@ class TrainPhoto(StartOptions, FileAction[TrainPhotoReport]):
     def write(self, job: Job) -> TrainPhotoReport:
         from facepipe.core.atomic import write_bytes
         from facepipe.importers import read_face
-        from facepipe.photo.amortised.graph import start_graph, start_metadata
-        from facepipe.photo.amortised.training import train_start
+        from facepipe.photo.amortised.network import start_graph
+        from facepipe.photo.amortised.training import start_metadata, train_start
         from facepipe.photo.descent.subject import Subject
 
         begin, parts = time.perf_counter(), read_face(self.face).parts()
@@ -111,15 +111,11 @@ def _under(face: Path) -> Iterator[None]:
 
 
 def _photos(folder: Path, subject: Subject, job: Job) -> tuple[list[Picture], list[str]]:
-    """The heads of the photos in a folder, and a line for each photo that shows none.
-
-    :raises InputError: no such folder, or no photo with a face in it
-    """
+    """The heads of the photos in a folder, and a line for each photo that shows none; at least one has to."""
     from facepipe.photo.amortised.pictures import Picture
     from facepipe.photo.descent.fit import pose_space
-    from facepipe.photo.fit.landmark_file import read_landmarks
     from facepipe.photo.fit.photo_file import read_photo
-    from facepipe.photo.fit.photo_landmarks import own_landmarks
+    from facepipe.photo.fit.photo_landmarks import own_landmarks, read_landmarks
 
     if not folder.is_dir():
         raise InputError(folder, "is no folder, expected one of photos")

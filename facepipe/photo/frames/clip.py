@@ -40,10 +40,7 @@ _EXPECTED = "a video of a camera or phone (MP4, MOV, WebM, MKV, AVI or MPEG-TS)"
 
 
 def srgb_picture(frame: Any, size: tuple[int, int]) -> ByteArray:
-    """(h, w, 3) sRGB of a frame of PyAV, not turned yet.
-
-    :param size: width and height to scale it to
-    """
+    """(h, w, 3) sRGB of a frame of PyAV, not turned yet, scaled to `size` (width, height)."""
     curve, matrix = int(frame.color_trc), _TO_BT709.get(int(frame.color_primaries))
     wide = curve in (_PQ, _HLG) or matrix is not None
     unsaid = _BT709 if min(frame.width, frame.height) >= _HD else _BT601
@@ -106,10 +103,7 @@ class Frame:
         return round(float(self.decoded.rotation) / 90)
 
     def picture(self, most: int | None = None) -> ByteArray:
-        """(h, w, 3) sRGB, upright.
-
-        :param most: pixels of the shorter side, to which a larger picture is reduced; None: as large as it is
-        """
+        """(h, w, 3) sRGB, upright, reduced to at most so many pixels of the shorter side; None: as large as it is."""
         width, height = self.size
         scale = 1.0 if most is None else min(1.0, most / min(width, height))
         size = max(round(width * scale), 1), max(round(height * scale), 1)
@@ -180,10 +174,7 @@ def _most_pixels(path: Path) -> int:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The container, and its first stream of video.
-
-    :raises InputError: whatever FFmpeg can't read, also within the block
-    """
+    """The container and its first stream of video; what FFmpeg can't read, within the block too, is an `InputError`."""
     try:
         import av
     except ImportError as error:

@@ -69,13 +69,17 @@ def look_at(picture: FloatArray, face: FoundFace, number: int, time: float) -> L
         return None
     if (marks < 0).any() or (marks > (width, height)).any():
         return None
-    yaw, pitch = turn(marks)
+    head = asset()
+    view = turned_view(head.points[head.landmarks][_CONTOUR:], marks[_CONTOUR:])
+    right, down = view / np.linalg.norm(view, axis=1, keepdims=True)
+    # a face that looks at the camera looks along its own z; the camera, from the head, is where `ahead` points
+    ahead = np.cross(right, -down)
     size = face_size(marks)
     return Look(
         number=number,
         time=time,
-        yaw=yaw,
-        pitch=pitch,
+        yaw=float(-np.arctan2(ahead[0], ahead[2])),
+        pitch=float(-np.arcsin(np.clip(ahead[1], -1, 1))),
         sharpness=sharp,
         lids=float(np.mean([_gap(marks, pairs) for pairs in _LIDS])) / size,
         lips=_gap(marks, _LIPS) / size,
@@ -92,16 +96,6 @@ def sharpness(picture: FloatArray, landmarks: FloatArray) -> float:
     luma = crop.numpy().transpose(1, 2, 0) @ _LUMA
     detail = gaussian_laplace(luma, _GRAIN)[_FACE, _FACE]
     return float(detail.std() / max(float(luma[_FACE, _FACE].mean()), 0.02))
-
-
-def turn(landmarks: FloatArray) -> tuple[float, float]:
-    """Yaw to the person's left and pitch upwards, radians, of a head with (68, 2) landmarks; however it is rolled."""
-    head = asset()
-    view = turned_view(head.points[head.landmarks][_CONTOUR:], landmarks[_CONTOUR:])
-    right, down = view / np.linalg.norm(view, axis=1, keepdims=True)
-    ahead = np.cross(right, -down)
-    # a face that looks at the camera looks along its own z; the camera, from the head, is where `ahead` points
-    return float(-np.arctan2(ahead[0], ahead[2])), float(-np.arcsin(np.clip(ahead[1], -1, 1)))
 
 
 def _gap(marks: FloatArray, pairs: tuple[tuple[int, int], ...]) -> float:
@@ -255,9 +249,8 @@ def _sharpness(picture: FloatArray, face: FoundFace) -> float:
 def write_frames(
     clip: Clip, seen: Looks, kept: Sequence[int], folder: Path, done: Callable[[], object]
 ) -> ChosenFramesReport:
-    """Write the frames of some looks into a folder as PNG.
+    """Write the frames of looks `kept`, indices in order, into a folder as PNG.
 
-    :param kept: indices of looks, in their order
     :raises InputError: the clip can't be read
     """
     sharp, chosen, warnings = relative_sharpness(seen.looks), list[ChosenFrame](), list[str]()
@@ -277,7 +270,10 @@ def write_frames(
                 pitch=round(look.pitch, 4),
             )
             chosen.append(one)
-            warnings += _refused(folder / name)
+            try:  # whether `facepipe fit-photo` would take it as it is
+                own_landmarks(read_photo(folder / name))
+            except InputError as error:
+                warnings.append(f"{name}: for fit-photo {error.what}")
             done()
         if frame.number >= last:
             break
@@ -295,12 +291,3 @@ def write_frames(
         with_face=len(seen.looks),
         warnings=tuple(warnings),
     )
-
-
-def _refused(file: Path) -> list[str]:
-    """Why `facepipe fit-photo` would not take a frame as it is: another face, or landmarks that can't be right."""
-    try:
-        own_landmarks(read_photo(file))
-    except InputError as error:
-        return [f"{file.name}: for fit-photo {error.what}"]
-    return []

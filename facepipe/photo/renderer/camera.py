@@ -36,7 +36,6 @@ class Camera:
         center: tuple[float, float],
         *,
         dtype: torch.dtype = torch.float32,
-        device: torch.device | str = "cpu",
     ) -> Camera:
         """The camera at `eye` (3,) whose right, up and backward axes in the world are the rows of `axes` (3, 3)."""
         from scipy.spatial.transform import Rotation
@@ -45,7 +44,7 @@ class Camera:
         # A (x - eye) = A x + t, so t = -A eye.
         numbers = (Rotation.from_matrix(axes).as_rotvec(), -axes @ eye, focal, center)
         rotation, translation, length, middle = (
-            torch.as_tensor(np.asarray(number, dtype=np.float64), dtype=dtype, device=device) for number in numbers
+            torch.as_tensor(np.asarray(number, dtype=np.float64), dtype=dtype) for number in numbers
         )
         return cls(rotation=rotation, translation=translation, focal=length, center=middle)
 

@@ -17,7 +17,7 @@ from facepipe.core.errors import TopologyError
 from facepipe.core.images import open_image, pixels
 from facepipe.geometry.colors import from_srgb
 from facepipe.geometry.polygons import triangulate
-from facepipe.parts import FaceParts, Material, Mesh, TextureInput
+from facepipe.parts import FaceParts, Material, TextureInput
 from facepipe.photo.renderer.camera import Camera, rotation_matrices
 from facepipe.photo.renderer.light import KeyLight, shade
 from facepipe.photo.renderer.rasterise import (
@@ -39,21 +39,14 @@ _Wrap = Literal["repeat", "mirror", "clamp"]
 class PointNormals:
     """Unit normals of the points of one topology, area-weighted, as `facepipe.geometry.polygons.point_normals`."""
 
-    def __init__(
-        self,
-        triangles: IntArray,
-        point_count: int,
-        *,
-        dtype: torch.dtype = torch.float32,
-        device: torch.device | str = "cpu",
-    ) -> None:
+    def __init__(self, triangles: IntArray, point_count: int, *, dtype: torch.dtype = torch.float32) -> None:
         """:param triangles: (t, 3) point numbers, counter-clockwise outside"""
         triangles = np.asarray(triangles, dtype=np.int64)
         owners = np.repeat(np.arange(len(triangles)), 3)
         entries = (np.ones(len(owners)), (triangles.ravel(), owners))
         incidence = sparse.csr_array(entries, shape=(point_count, len(triangles)))
-        self._triangles = torch.as_tensor(triangles, device=device)
-        self._incidence = FixedMatrix(incidence, dtype, device)
+        self._triangles = torch.as_tensor(triangles)
+        self._incidence = FixedMatrix(incidence, dtype, "cpu")
 
     def __call__(self, points: Tensor) -> Tensor:
         """(n, 3) unit normals of points (n, 3); (0, 1, 0) at points of no triangle with an area."""
@@ -101,7 +94,18 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
         opaque = np.array([material.opacity == 1.0 for material in materials])[chosen]
         corners, chosen = corners[opaque], chosen[opaque]
         points = np.asarray(mesh.face_vertex_indices, dtype=np.int64)[corners]
-        pieces.append((points + first, chosen, _uv_rows(mesh, corners, points, materials, chosen, uv)))
+        rows = np.zeros(corners.shape, dtype=np.int64)  # row 0 where no texture is
+        for uv_set in mesh.uv_sets:
+            used = [
+                i
+                for i, one in enumerate(materials)
+                if isinstance(one.diffuse_color, TextureInput) and one.diffuse_color.uv_set == uv_set.name
+            ]
+            shown = np.isin(chosen, used)
+            within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
+            rows[shown] = within[shown] + sum(map(len, uv))
+            uv.append(np.asarray(uv_set.values, dtype=np.float64))
+        pieces.append((points + first, chosen, rows))
         first += len(mesh.points)
     pieces.append((np.zeros((0, 3), np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64)))
     triangles, of_triangle, uv_corners = (np.concatenate(column) for column in zip(*pieces, strict=True))
@@ -116,29 +120,6 @@ def opaque_surfaces(parts: FaceParts) -> Surfaces:
         uv=np.concatenate(uv),
         uv_corners=uv_corners,
     )
-
-
-def _uv_rows(
-    mesh: Mesh,
-    corners: IntArray,
-    points: IntArray,
-    materials: tuple[Material, ...],
-    materials_used: IntArray,
-    table: list[FloatArray],
-) -> IntArray:
-    """(t, 3) rows of the table of all UVs, to which the mesh's sets are added; row 0 where there are none."""
-    rows = np.zeros(corners.shape, dtype=np.int64)
-    for uv_set in mesh.uv_sets:
-        used = [
-            i
-            for i, one in enumerate(materials)
-            if (isinstance(one.diffuse_color, TextureInput) and one.diffuse_color.uv_set == uv_set.name)
-        ]
-        chosen = np.isin(materials_used, used)
-        within = points if uv_set.indices is None else np.asarray(uv_set.indices, dtype=np.int64)[corners]
-        rows[chosen] = within[chosen] + sum(map(len, table))
-        table.append(np.asarray(uv_set.values, dtype=np.float64))
-    return rows
 
 
 def bilinear(texels: Tensor, uv: Tensor, wrap_s: _Wrap = "repeat", wrap_t: _Wrap = "repeat") -> Tensor:
@@ -172,13 +153,13 @@ def _wrap(index: Tensor, size: int, mode: _Wrap) -> Tensor:
 class SurfaceColors:
     """Linear diffuse colours: one a material, or a texture."""
 
-    def __init__(self, surfaces: Surfaces, largest: int, dtype: torch.dtype, device: torch.device | str) -> None:
+    def __init__(self, surfaces: Surfaces, largest: int, dtype: torch.dtype) -> None:
         """
         :param largest: pixels a side beyond which textures are halved
         :raises InputError: a texture that can't be read as an image
         """
         self.names = surfaces.names
-        self.colors = torch.as_tensor(surfaces.colors, dtype=dtype, device=device)
+        self.colors = torch.as_tensor(surfaces.colors, dtype=dtype)
         self.textures: dict[str, Tensor] = {}
         self._inputs = {
             i: source for i, source in enumerate(surfaces.textures) if source and (surfaces.materials == i).any()
@@ -190,13 +171,11 @@ class SurfaceColors:
             texels = pixels(image, "RGB", where, max(1, max(image.size) // max(largest, 1)))
             table = from_srgb(np.arange(256) / 255.0)
             self.textures[self.names[i]] = torch.as_tensor(
-                np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32)),
-                dtype=dtype,
-                device=device,
+                np.asarray((table[texels] * source.scale[:3] + source.bias[:3]).astype(np.float32)), dtype=dtype
             )
-        self.materials = torch.as_tensor(surfaces.materials, device=device)
-        self._uv = torch.as_tensor(surfaces.uv, dtype=dtype, device=device)
-        self._corners = torch.as_tensor(surfaces.uv_corners, device=device)
+        self.materials = torch.as_tensor(surfaces.materials)
+        self._uv = torch.as_tensor(surfaces.uv, dtype=dtype)
+        self._corners = torch.as_tensor(surfaces.uv_corners)
 
     def __call__(
         self, raster: Raster, weights: Tensor, tint: Tensor | None = None, textures: Mapping[str, Tensor] | None = None
@@ -251,7 +230,6 @@ class FaceModel:
         expressions_last: bool = False,
         largest_texture: int = 1024,
         dtype: torch.dtype = torch.float32,
-        device: torch.device | str = "cpu",
     ) -> None:
         """
         :param expressions_last: as for `DifferentiableRig`
@@ -262,16 +240,11 @@ class FaceModel:
         rig = build(parts)
         surfaces = opaque_surfaces(parts)
         self.rig = DifferentiableRig(
-            rig,
-            parts.sliders,
-            network=parts.slider_network,
-            expressions_last=expressions_last,
-            dtype=dtype,
-            device=device,
+            rig, parts.sliders, network=parts.slider_network, expressions_last=expressions_last, dtype=dtype
         )
-        self.colors = SurfaceColors(surfaces, largest_texture, dtype, device)
-        self.outline = Outline.from_triangles(surfaces.triangles, len(rig.points), device)
-        self.normals = PointNormals(surfaces.triangles, len(rig.points), dtype=dtype, device=device)
+        self.colors = SurfaceColors(surfaces, largest_texture, dtype)
+        self.outline = Outline.from_triangles(surfaces.triangles, len(rig.points))
+        self.normals = PointNormals(surfaces.triangles, len(rig.points), dtype=dtype)
 
     def __call__(
         self, sliders: Tensor | None, weights: Tensor | None, look: Look, *, height: int, width: int

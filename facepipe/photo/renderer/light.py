@@ -34,11 +34,8 @@ class KeyLight:
     def shade(self, normals: Tensor, towards_eye: Tensor, arriving: Tensor) -> tuple[Tensor, Tensor]:
         """(m, 3) linear light on white matt surfaces, and (m, 3) what they mirror whatever their colour.
 
-        Lambert, and normalised Blinn-Phong with Schlick's Fresnel term.
-
-        :param normals: (m, 3) unit
-        :param towards_eye: (m, 3) unit
-        :param arriving: (m,) of the points, interpolated
+        Lambert, and normalised Blinn-Phong with Schlick's Fresnel term, by unit normals and directions (m, 3);
+        `arriving` (m,) is that of the points, interpolated.
         """
         direction = functional.normalize(self.numbers[:3], dim=0)
         color, shine, exponent = self.numbers[3:6].clamp(min=0), self.numbers[6].clamp(min=0), self.numbers[7].exp()

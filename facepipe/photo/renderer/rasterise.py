@@ -48,22 +48,17 @@ class Raster:
         return self.height, self.width
 
     def paint(self, values: Tensor, background: Tensor) -> Tensor:
-        """(height, width, c) image of values (p, c) at the covered pixels, and of a background elsewhere.
-
-        :param background: (c,) or (height, width, c)
-        """
+        """(height, width, c) values (p, c) at the covered pixels, a background (c,) or (height, width, c) elsewhere."""
         size = (self.height, self.width, values.shape[1])
         flat = background.expand(size).reshape(-1, values.shape[1])
         return flat.scatter(0, self.pixels[:, None].expand_as(values), values).reshape(size)
 
 
 def rasterise(points: Tensor, triangles: Tensor, height: int, width: int) -> Raster:
-    """The nearest triangle at the centre of every pixel, seen from either side; without gradients.
+    """The nearest of triangles (t, 3) at the centre of every pixel, seen from either side; without gradients.
 
     Triangles with a corner that is not finite, nearer than `NEAR` or more than `FAR_OUT` pixels away are left out.
-
-    :param points: (n, 3) pixel x, pixel y and depth
-    :param triangles: (t, 3) int64 point numbers
+    Points (n, 3) are pixel x, pixel y and depth.
     """
     good = usable(points.detach())
     chosen = triangles.cpu().numpy()
@@ -112,11 +107,9 @@ def corner_areas(x: Tensor, y: Tensor) -> Tensor:
 
 
 def interpolate(values: Tensor, corners: Tensor, raster: Raster, weights: Tensor) -> Tensor:
-    """(p, c) values at the covered pixels, from those of the visible triangles' corners.
+    """(p, c) values (v, c) at the covered pixels by barycentric weights (p, 3), from the visible triangles' corners.
 
-    :param values: (v, c)
     :param corners: (t, 3) int64 rows of `values`: the triangles themselves, or face-varying ones
-    :param weights: (p, 3) barycentric coordinates
     """
     first, second, third = take(values, corners[raster.triangles]).unbind(dim=1)  # faster than sums over three
     return first * weights[:, :1] + second * weights[:, 1:2] + third * weights[:, 2:]
@@ -148,40 +141,34 @@ class Intersections:
         return lead[0] / (lead[0] - lead[1])
 
 
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def intersections(points: Tensor, triangles: Tensor, parts: Tensor, raster: Raster, taken: Tensor) -> Intersections:
     """The crossings of planes; without gradients. Only triangles of different connected parts are looked at.
 
-    A line nearer to vertical counts between pixels side by side, the others between pixels above each other.
+    A line nearer to vertical counts between pixels side by side, the others between pixels above each other. Points
+    (n, 3) are pixel x, pixel y and depth; `parts` (t,) is the connected part of each triangle (t, 3).
 
-    :param points: (n, 3) pixel x, pixel y and depth
-    :param triangles: (t, 3)
-    :param parts: (t,) connected part of each triangle
     :param taken: numbers of pairs, as in `Crossings`, that are left out
     """
-    with torch.no_grad():
-        points = points.detach()
-        shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
-        shown[raster.pixels] = raster.triangles
-        part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
-        pairs = []
-        for dim, step in ((1, 1), (0, raster.width)):
-            one, other = (
-                part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim]))
-            )
-            row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
-            first = row * raster.width + column
-            pairs.append(torch.stack([first, first + step, 2 * first + dim]))
-        first, second, pair = torch.cat(pairs, dim=1)
-        inside, outside, pair = first, second, pair
-        free = ~torch.isin(pair, taken)
-        inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
-        corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
-        width = raster.width
-        here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
-        # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
-        across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
-        keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
-        return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
+    shown = points.new_full((raster.height * raster.width,), -1, dtype=torch.int64)
+    shown[raster.pixels] = raster.triangles
+    part = torch.where(shown < 0, -1, parts[shown.clamp(min=0)]).reshape(raster.size)
+    pairs = []
+    for dim, step in ((1, 1), (0, raster.width)):
+        one, other = (part.narrow(dim, start, max(part.shape[dim] - 1, 0)) for start in (0, min(1, part.shape[dim])))
+        row, column = ((one != other) & (one >= 0) & (other >= 0)).nonzero().unbind(1)
+        first = row * raster.width + column
+        pairs.append(torch.stack([first, first + step, 2 * first + dim]))
+    inside, outside, pair = torch.cat(pairs, dim=1)
+    free = ~torch.isin(pair, taken)
+    inside, outside, steep = inside[free], outside[free], pair[free] % 2 == 1
+    corners = triangles[torch.stack([shown[inside], shown[outside]], dim=1)]
+    width = raster.width
+    here, there = (_lead(points, corners, pixel, width) for pixel in (inside, outside))
+    # 1 / depth of a plane is affine on the screen: three leads give the line's slope, its root the crossing
+    across = _lead(points, corners, inside + torch.where(steep, width, 1), width)
+    keep = (here > 0) & (there < 0) & ((here - there) >= (here - across).abs())
+    return Intersections(inside=inside[keep], outside=outside[keep], corners=corners[keep])
 
 
 def _lead(points: Tensor, corners: Tensor, pixel: Tensor, width: int) -> Tensor:
@@ -223,18 +210,13 @@ class Crossings:
         return torch.where(self.inside_first, reach, 1 - reach)
 
 
+@torch.no_grad()  # type: ignore[untyped-decorator]
 def silhouettes(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
-    """The visible crossings, at most one between two pixels; without gradients.
+    """The visible crossings of silhouette edges, at most one between two pixels; without gradients.
 
     :param points: (n, 3) pixel x, pixel y and depth
     :param edges: (e, 4) of an `Outline`
     """
-    with torch.no_grad():
-        return _visible(_crossings(points.detach(), edges, raster), points.detach(), raster)
-
-
-def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
-    """All crossings of silhouette edges, seen or not, between two pixels of the image."""
     x, y, _ = take(points, edges.T).unbind(-1)
     dx, dy = x[1] - x[0], y[1] - y[0]
     one, other = (dx * (y[corner] - y[0]) - dy * (x[corner] - x[0]) for corner in (2, 3))
@@ -265,7 +247,7 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
     far = near + torch.where(steep, 1, raster.width)
     nearness = 1 / depth[:, :2][owner]
     nearness = nearness[:, 0] + share * (nearness[:, 1] - nearness[:, 0])
-    return Crossings(
+    crossings = Crossings(
         ends=edges[owner, :2],
         steep=steep,
         line=line,
@@ -277,11 +259,8 @@ def _crossings(points: Tensor, edges: Tensor, raster: Raster) -> Crossings:
         nearness=nearness,
         floor=nearness * (1 - _ROUNDING) + 2 * slope.clamp(max=0),
     )
-
-
-def _visible(crossings: Crossings, points: Tensor, raster: Raster) -> Crossings:
-    """Those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
-    one that reaches farthest: all of them together cover that much."""
+    # those with the edge's surface on one side and what is behind it on the other; of several between two pixels the
+    # one that reaches farthest: all of them together cover that much
     inner, outer = raster.nearness[crossings.inside], raster.nearness[crossings.outside]
     seen = (outer < crossings.nearness * (1 - _ROUNDING)) & (inner > outer) & (inner >= crossings.floor)
     crossings = crossings.select(seen)
@@ -301,12 +280,12 @@ class Outline:
     parts: Tensor  # (t,) int64 number of the connected part that each triangle belongs to
 
     @classmethod
-    def from_triangles(cls, triangles: IntArray, point_count: int, device: torch.device | str = "cpu") -> Outline:
+    def from_triangles(cls, triangles: IntArray, point_count: int) -> Outline:
         """The outline of triangles (t, 3)."""
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         part = components(point_count, np.concatenate([triangles[:, :2], triangles[:, 1:]]))
         numbers = (triangles, mesh_edges(triangles), part[triangles[:, 0]].astype(np.int64))
-        one, other, last = (torch.as_tensor(each, device=device) for each in numbers)
+        one, other, last = map(torch.as_tensor, numbers)
         return cls(triangles=one, edges=other, parts=last)
 
 

@@ -10,7 +10,4 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-__all__ = [
-    "BakePhoto",
-    "BakePhotoReport",
-]
+__all__ = ["BakePhoto", "BakePhotoReport"]

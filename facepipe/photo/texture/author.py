@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -27,7 +26,7 @@ from facepipe.geometry.polygons import triangulate
 from facepipe.geometry.rasterise import rasterise, screen_triangles
 from facepipe.heads.people import STYLES
 from facepipe.heads.surfaces import brow_color, card_triangles, cards, kind_of, other_cards, picture_of
-from facepipe.parts import FaceParts, Mesh, PhotoView, Recipe, TextureInput
+from facepipe.parts import FaceParts, PhotoView, Recipe, TextureInput
 from facepipe.photo import pictures
 from facepipe.photo.fit import read_photo
 from facepipe.photo.fit.report import render_image
@@ -52,9 +51,6 @@ from facepipe.textures.skin_surface import (
     template_texels,
     textures_of,
 )
-
-if TYPE_CHECKING:
-    pass
 
 PUPILS = "pupils"
 _EYE_TEXELS = 96  # a side of the picture as it is compared
@@ -91,33 +87,21 @@ class BakePhotoReport(Report):
     sheet: BakeSheet = not_in_json()  # where a report or a similarity is asked for
 
 
-@dataclass(frozen=True, kw_only=True)
-class EyeColor:
-    """How much lighter irises, or the whites of eyes, are than in their picture."""
+def eye_pictures(
+    parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray]
+) -> list[tuple[SkinTexture, tuple[str, ...], bytes]]:
+    """Textures of irises and of whites of eyes, the materials that show them, and their PNGs in photos' colours.
 
-    texture: SkinTexture
-    materials: tuple[str, ...]  # that show it, of both eyes
-    factor: FloatArray  # (3,) of its linear colours
-
-
-def eye_colors(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[FloatArray]) -> tuple[EyeColor, ...]:
-    """Those of irises and of whites, without what no photo shows enough of, or has no picture in common.
-
-    :param scales: (3,) of each photo's light
+    Without what no photo, whose light has a scale (3,), shows enough of, or what has no picture in common.
     """
-    colors = []
+    made = []
     for white in (False, True):
         found: list[FloatArray] = [np.zeros((0, 3))]
-        textures, first = [], 0
-        for mesh in parts.meshes:
-            texture = _texture(parts, mesh, white=white)
-            if texture is not None:
-                textures.append(texture)
-                for photo, scale in zip(photos, scales, strict=True):
-                    around = photo.light_around(slice(first, first + len(mesh.points)))
-                    found.append(_ratios(photo, texture, first, around) - np.log(scale))
-            first += len(mesh.points)
-        ratios, names = np.concatenate(found), {texture.source.texture.name for texture in textures}
+        textures = _eye_textures(parts, white=white)
+        for span, texture in textures:
+            for photo, scale in zip(photos, scales, strict=True):
+                found.append(_ratios(photo, texture, span.start, photo.light_around(span)) - np.log(scale))
+        ratios, names = np.concatenate(found), {texture.source.texture.name for _, texture in textures}
         if len(ratios) < _FEWEST or len(names) > 1:
             continue
         bright = ratios @ GREY
@@ -125,22 +109,20 @@ def eye_colors(parts: FaceParts, photos: Sequence[Exposure], scales: Sequence[Fl
         ratio = np.median(ratios[(bright >= low) & (bright <= high)], axis=0)
         if white:  # lids in their place would redden them
             ratio = np.full(3, ratio @ GREY)
-        materials = tuple(dict.fromkeys(name for texture in textures for name in texture.materials))
         factor = np.clip(np.exp(ratio), *(_WHITE_LIMITS if white else _IRIS_LIMITS))
-        colors.append(EyeColor(texture=textures[0], materials=materials, factor=factor))
-    return tuple(colors)
+        source = textures[0][1].source.texture
+        levels = np.asarray(open_image(source.image(), f"texture {source.name}").convert("RGB"))
+        linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
+        table = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
+        materials = tuple(dict.fromkeys(name for _, texture in textures for name in texture.materials))
+        made.append((textures[0][1], materials, _png(table[levels, np.arange(3)])))
+    return made
 
 
 def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
     """(3,) logarithms of how much lighter than in its light a photo shows whites of eyes; None: hardly any."""
-    found: list[FloatArray] = [np.zeros((0, 3))]
-    first = 0
-    for mesh in parts.meshes:
-        texture = _texture(parts, mesh, white=True)
-        if texture is not None:
-            found.append(_ratios(photo, texture, first))
-        first += len(mesh.points)
-    ratios = np.concatenate(found)
+    found = [_ratios(photo, texture, span.start) for span, texture in _eye_textures(parts, white=True)]
+    ratios = np.concatenate([np.zeros((0, 3)), *found])
     if len(ratios) < _FEWEST:
         return None
     bright = ratios @ GREY  # lids and lashes shade the darker half, lamps' images are few
@@ -148,21 +130,30 @@ def eye_whites(parts: FaceParts, photo: Exposure) -> FloatArray | None:
     return np.asarray(np.median(ratios[(bright >= low) & (bright <= high)], axis=0))
 
 
-def _texture(parts: FaceParts, mesh: Mesh, *, white: bool = False) -> SkinTexture | None:
-    """That of an eye's iris: what is next to the middle of its pupil, and lets no light through.
+def _eye_textures(parts: FaceParts, *, white: bool) -> list[tuple[slice, SkinTexture]]:
+    """Those of eyes' irises, with the span of the eye's points among all.
 
-    :param white: the other one
+    An iris is what is next to the middle of its pupil, and lets no light through.
+
+    :param white: the other one of each eye
     """
-    if PUPILS not in mesh.landmarks:
-        return None
+    textures, first = [], 0
     solid = {material.name for material in parts.materials if material.opacity == 1.0}
-    names, number = names_of(mesh), of_faces(mesh)
-    corners, faces = triangulate(mesh.face_vertex_counts)
-    middles = mesh.points[mesh.face_vertex_indices[corners]].mean(axis=1)
-    off = np.linalg.norm(middles - mesh.points[mesh.landmarks[PUPILS].indices[0]], axis=1)
-    off[[names[place] not in solid for place in number[faces]]] = np.inf
-    shown = names[number[faces[off.argmin()]]]
-    return next((one for one in textures_of(parts, mesh, _EYE_TEXELS) if (shown in one.materials) != white), None)
+    for mesh in parts.meshes:
+        span = slice(first, first + len(mesh.points))
+        first = span.stop
+        if PUPILS not in mesh.landmarks:
+            continue
+        names, number = names_of(mesh), of_faces(mesh)
+        corners, faces = triangulate(mesh.face_vertex_counts)
+        middles = mesh.points[mesh.face_vertex_indices[corners]].mean(axis=1)
+        off = np.linalg.norm(middles - mesh.points[mesh.landmarks[PUPILS].indices[0]], axis=1)
+        off[[names[place] not in solid for place in number[faces]]] = np.inf
+        shown = names[number[faces[off.argmin()]]]
+        textures += [(span, one) for one in textures_of(parts, mesh, _EYE_TEXELS) if (shown in one.materials) != white][
+            :1
+        ]
+    return textures
 
 
 def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray | None = None) -> FloatArray:
@@ -188,15 +179,6 @@ def _ratios(photo: Exposure, texture: SkinTexture, first: int, light: FloatArray
     white = texels.taken(np.flatnonzero(seen)).carried(photo.all_white[span]) if light is None else light
     white = np.maximum(white, DARKEST)
     return np.asarray(np.log(np.maximum(shown, DARKEST) / white) - np.log(np.maximum(template[seen], DARKEST)))
-
-
-def recolored(texture: SkinTexture, factor: FloatArray) -> bytes:
-    """The picture of a texture with its linear colours times a factor (3,), as PNG."""
-    name = texture.source.texture.name
-    picture = open_image(texture.source.texture.image(), f"texture {name}").convert("RGB")
-    linear = from_srgb(np.arange(256, dtype=np.float32)[:, None] / np.float32(255)) * factor
-    levels = (to_srgb(np.clip(linear, 0, 1)) * 255 + 0.5).astype(np.uint8)  # of 256 levels, not of a million texels
-    return _png(levels[np.asarray(picture), np.arange(3)])
 
 
 def _png(levels: ByteArray) -> bytes:
@@ -324,8 +306,7 @@ def author_textures(
     author_changes(face, replace(parts, photos=tuple(relit), recipe=recipe))
     levels = [(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8) for picture in baked.pictures]
     pictures = [(one, one.materials, _png(level)) for one, level in zip(skin.textures, levels, strict=True)]
-    eyes = eye_colors(parts, exposures, baked.scales)
-    pictures += [(one.texture, one.materials, recolored(one.texture, one.factor)) for one in eyes]
+    pictures += eye_pictures(parts, exposures, baked.scales)
     files = {}
     for texture, materials, picture in pictures:
         name = f"{Path(texture.source.texture.name).stem}_photo.png"
@@ -413,10 +394,7 @@ class BakeSheet:
 
 
 def bake_sheet(face: Face, photos: Sequence[tuple[PhotoView, Path]]) -> BakeSheet:
-    """What a face shows that textures were just baked to, within `Face.deriving`.
-
-    :param photos: of the face before, whose cameras and poses it has
-    """
+    """What a face shows that textures were just baked to, within `Face.deriving`; photos are of the face before."""
     parts, textured = face.parts_so_far(), Face(face.stage, face.prim)
     views = {view.name: view for view in parts.photos}
     skin = next(number for number, mesh in enumerate(parts.meshes) if SCHEME in mesh.landmarks)

@@ -21,7 +21,7 @@ from rebuild_project import put
 from facepipe.core.atomic import replacing_folder
 from facepipe.core.errors import InputError
 from facepipe.pictures.face_picture import PictureOptions, picture, pictures
-from facepipe.pictures.heatmap import HeatMap
+from facepipe.pictures.overlay import HeatMap
 from facepipe.scanning.database import save_database
 from facepipe.scanning.rebuild import Rebuild, Rebuilt, Template, read_project
 from facepipe.scanning.rebuild.rebuild_report import report_steps, shapes_table, write_report
