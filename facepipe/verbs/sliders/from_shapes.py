@@ -192,11 +192,11 @@ class SliderMaker:
         ends = []
         for _, shape in wanted.ends:
             target, bones, residual = self.targets[shape], self.poses[shape].points, residuals.get(shape)
-            end = target if by == "shapes" else bones if residual is None else residual.points
+            end = target if by == "shapes" else bones if residual is None else residual[1]
             motion, left, last = (
                 np.linalg.norm(target - one, axis=1) * self.mm for one in (self.fits.points, bones, end)
             )
-            points = 0 if residual is None else sum(len(one.point_indices) for one in residual.shapes if one)
+            points = 0 if residual is None else sum(len(one.point_indices) for one in residual[0] if one)
             # of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves
             rms, rest = (float(np.sqrt((one**2).mean())) for one in (motion, left))
             ends.append(
@@ -290,7 +290,7 @@ class SlidersFromShapes(ShapeSliderOptions):
             done()
         new = [one.slider for one in made if one.slider is not None]
         added: list[list[Blendshape]] = [
-            [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
+            [shapes for one in made for residual in one.residuals if (shapes := residual[0][number]) is not None]
             for number in range(len(parts.meshes))
         ]
         names = {shape.name for shapes in added for shape in shapes}
@@ -327,7 +327,7 @@ def _report(
     made_names, after = {slider.name for slider in new}, {slider.name for slider in kept}
     beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
     left_out = {one.name: one.report for one in made if one.slider is None}
-    lost = sum(residual.lost for one in made for residual in one.residuals)
+    lost = sum(flat for one in made for _, _, flat in one.residuals)
     lines = []
     if left_out:
         names = first_names(tuple(left_out), _SHOWN)
