@@ -153,7 +153,13 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
             continue
         if partner < joint:
             continue  # the other way round
-        flips = _flips(axes[joint], axes[partner], f"{rig.name} -> {rig.joints[joint]}", rig.joints[partner])
+        # the other's axes mirrored, in one's own: where axes are as long, +-1 each
+        turned = np.linalg.solve(axes[joint], np.array([-1.0, 1.0, 1.0])[:, None] * axes[partner])
+        along = np.sign(np.diag(turned))
+        if np.abs(turned - np.diag(along)).max() > _OBLIQUE:
+            what = f"its axes at rest are no mirror image of {rig.joints[partner]}'s, expected that for a symmetric fit"
+            raise InputError(f"{rig.name} -> {rig.joints[joint]}", what)
+        flips = np.concatenate([along, -along, np.ones(3)])  # mirroring turns rotations about what it keeps
         followers = slice(9 * partner, 9 * partner + 9)
         if partner == joint:
             # a joint on the middle is its own mirror image: c = -c leaves 0 alone
@@ -163,16 +169,6 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     if (leaders == np.arange(9 * count)).all():
         raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
     return Symmetry(rig.joints, leaders, signs, still, tuple(single))
-
-
-def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:
-    """(9,) signs of the coefficients of a joint with axes (3, 3), seen as those of its partner."""
-    turned = np.linalg.solve(one, np.array([-1.0, 1.0, 1.0])[:, None] * other)  # where axes are as long, +-1 each
-    axes = np.sign(np.diag(turned))
-    if np.abs(turned - np.diag(axes)).max() > _OBLIQUE:
-        what = f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
-        raise InputError(where, what)
-    return np.concatenate([axes, -axes, np.ones(3)])  # mirroring turns rotations about what it keeps
 
 
 @dataclass(frozen=True)
@@ -264,8 +260,23 @@ class Tree:
 
     def normal_matrix(self, generators: FloatArray, pose: Pose, pairs: FloatArray, free: IntArray) -> FloatArray:
         """(9 f, 9 f) Gauss-Newton matrix over the coefficients of the `free` joints, of moments (4m, 4m)."""
-        f = len(free)
-        first, second, summed = self._coupled(pose, pairs, free)
+        count, f = len(pose.skinning), len(free)
+        blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
+        shared = pairs[3::4, 3::4] != 0  # sums of products of weights
+        sharing = np.nonzero(shared)
+        moved = pose.skinning[sharing[0]] @ blocks[sharing] @ pose.skinning[sharing[1]].transpose(0, 2, 1)
+        everything = np.zeros((count, count, 16))
+        everything[sharing] = moved.reshape(-1, 16)
+        # pairs of `free` joints that move the same points, each once, and their moments (p, 4, 4) in this pose, summed
+        # over the joints at or below either end
+        if self.flat:
+            first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
+            summed = everything[free[first], free[second]].reshape(-1, 4, 4)
+        else:
+            below = self.below[free]
+            first, second = np.nonzero(np.triu(below @ shared @ below.T))
+            half = (below @ everything.reshape(count, -1)).reshape(f, count, 16)
+            summed = np.matmul(below, half)[first, second].reshape(-1, 4, 4)
         own = np.ascontiguousarray(generators[free][:, :, :3])  # (f, 9, 3, 4)
         left = np.matmul(own.reshape(f, 27, 4)[first], summed).reshape(-1, 9, 12)
         right = own.reshape(f, 9, 12).transpose(0, 2, 1)
@@ -274,26 +285,6 @@ class Tree:
         matrix[first, :, second] = blocks
         matrix[second, :, first] = blocks.transpose(0, 2, 1)
         return matrix.reshape(9 * f, 9 * f)
-
-    def _coupled(self, pose: Pose, pairs: FloatArray, free: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Pairs (p,) (p,) of `free` joints that move the same points, and their moments (p, 4, 4) in this pose.
-
-        Each pair once; the moments are summed over the joints at or below either end.
-        """
-        count, f = len(pose.skinning), len(free)
-        blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
-        shared = pairs[3::4, 3::4] != 0  # sums of products of weights
-        sharing = np.nonzero(shared)
-        moved = pose.skinning[sharing[0]] @ blocks[sharing] @ pose.skinning[sharing[1]].transpose(0, 2, 1)
-        below = self.below[free]
-        everything = np.zeros((count, count, 16))
-        everything[sharing] = moved.reshape(-1, 16)
-        if self.flat:
-            first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
-            return first, second, everything[free[first], free[second]].reshape(-1, 4, 4)
-        first, second = np.nonzero(np.triu(below @ shared @ below.T))
-        half = (below @ everything.reshape(count, -1)).reshape(f, count, 16)
-        return first, second, np.matmul(below, half)[first, second].reshape(-1, 4, 4)
 
     def evaluate(self, matrices: FloatArray) -> FloatArray:
         """(n, 3) points of (m, 4, 4) skinning matrices."""

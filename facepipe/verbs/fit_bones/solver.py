@@ -123,13 +123,6 @@ class _Model:
         damped[np.diag_indices_from(damped)] += damping * self._floor
         self.damped = BoxedQuadratic(damped)
 
-    def minimiser(self, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
-        """(v,) the step to the minimum inside a box; None where the quadratic has none."""
-        try:
-            return self.damped.minimise(gradient, low, high)
-        except np.linalg.LinAlgError:
-            return None
-
 
 def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, float]:
     """The next state that is better, and the damping for the model after it; None where there is none.
@@ -139,8 +132,12 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
     variables, growth = state.problem.variables, 2.0
     low, high = variables.lower - state.x, variables.upper - state.x
     while model.damping < _MOST:
-        step = model.minimiser(state.gradient, low, high)
-        if step is not None:
+        hopeless = False
+        try:
+            step = model.damped.minimise(state.gradient, low, high)
+        except np.linalg.LinAlgError:  # no minimum
+            pass
+        else:
             tried = state.moved(step)
             expected = -float(state.gradient @ step) - 0.5 * float(step @ (model.hessian @ step))
             if tried.better_than(state) and expected > 0:
@@ -148,7 +145,7 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
                 ratio = (state.objective - tried.objective) / expected
                 return tried, max(model.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST)
             hopeless = expected <= _ROUNDING * state.objective
-        if kept or (step is not None and hopeless):
+        if kept or hopeless:
             break
         model.damp(model.damping * growth)
         growth *= 2.0

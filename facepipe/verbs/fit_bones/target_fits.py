@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from facepipe.stage.animation_source import play
 from facepipe.stage.author_changes import author_changes
 from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, local_shear, rest_shear, size_warning
+from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, rest_shear, size_warning, some
 from facepipe.verbs.fit_bones.options import STRICTER, FitBonesOptions
 from facepipe.verbs.fit_bones.targets import Target
 
@@ -296,7 +296,25 @@ class TargetFits:
         :param done: called after every frame
         :raises FitError: limits that let a joint shrink to nothing, and a fit that did
         """
-        return [self._fitted(number, *solved) for number, solved in enumerate(self._solved(done))]
+        fitted: list[Fitting] = []
+        ahead: dict[int, tuple[FloatArray, int]] = {}
+        for number, target in enumerate(self._targets):
+            if len(target.points) > 1:
+                # a clip: each frame is fitted from the one before
+                frames, steps, start = [], 0, self._start
+                for frame in range(len(target.points)):
+                    start, taken = self._frame(number, frame, start)
+                    frames.append(start)
+                    steps += taken
+                    done()
+                fitted.append(self._fitted(number, np.stack(frames), steps))
+                continue
+            if number not in ahead:
+                ahead |= self._together(number)
+            coefficients, steps = ahead.pop(number)
+            fitted.append(self._fitted(number, coefficients[None], steps))
+            done()
+        return fitted
 
     def report(self, fitted: Sequence[Fitting]) -> FitBonesReport:
         """The report of all targets."""
@@ -339,26 +357,6 @@ class TargetFits:
                 symmetric=options.symmetric,
             )
         return self._fits[key]
-
-    def _solved(self, done: Callable[[], object]) -> Iterator[tuple[FloatArray, int]]:
-        """Coefficients (T, m, 9) and steps of each target."""
-        ahead: dict[int, tuple[FloatArray, int]] = {}
-        for number, target in enumerate(self._targets):
-            if len(target.points) > 1:
-                # a clip: each frame is fitted from the one before
-                frames, steps, start = [], 0, self._start
-                for frame in range(len(target.points)):
-                    start, taken = self._frame(number, frame, start)
-                    frames.append(start)
-                    steps += taken
-                    done()
-                yield np.stack(frames), steps
-                continue
-            if number not in ahead:
-                ahead |= self._together(number)
-            coefficients, steps = ahead.pop(number)
-            yield coefficients[None], steps
-            done()
 
     def _together(self, first: int) -> dict[int, tuple[FloatArray, int]]:
         """Number -> coefficients (m, 9) and steps of a pose and of those after it that share its `BoneFit`."""
@@ -470,9 +468,10 @@ class TargetFits:
         if not report.reached:
             largest = (report.residual.distances if report.residual else report.distances).max_mm
             lines.append(f"{name}: {largest:.4g} mm off at most, threshold {self._options.threshold_mm:g} mm")
-        sheared = local_shear(self._rig, coefficients)
+        local = [decompose(self._rig.local_transforms(frame)).sheared for frame in coefficients]
+        sheared = [self._rig.joints[number] for number in np.flatnonzero(np.any(local, axis=0))]
         if sheared:
-            lines.append(f"{name}: SkelAnimation can't hold the shear of {sheared}; the coefficients do")
+            lines.append(f"{name}: SkelAnimation can't hold the shear of {some(sheared)}; the coefficients do")
         return lines
 
 
