@@ -266,16 +266,17 @@ def _linear(fit: BoneFit, task: Task) -> float:
     """Seconds of one boxed linear system, formed of a session's moments and solved, at rest."""
     from facepipe.geometry.bounded_least_squares import BoxedQuadratic
     from facepipe.rig import rest_coefficients
+    from facepipe.verbs.fit_bones.skinning import slopes
 
-    skin, tree, variables, target = fit.skin, fit.tree, fit.variables, task.targets[task.hardest()[0]]
+    tree, variables, target = fit.tree, fit.variables, task.targets[task.hardest()[0]]
     rest, best = rest_coefficients(len(task.joints)), np.inf
-    known = skin.moments(task.points, fit.weights, tree.parent_world)
+    pairs, _ = tree.moments(task.points, fit.weights)
     for _ in range(5):
         clock = Clock()
-        moments = skin.retargeted(known, target, fit.weights, tree.parent_world)
+        goal = tree.goal(target, fit.weights)
         pose = tree.pose(rest)
-        gradient = variables.gradient(tree.gradient(pose, moments.gradient(pose.skinning)))
-        normal = tree.normal_matrix(tree.generators(pose), pose, moments.pairs, variables.joints)
+        gradient = variables.gradient(tree.gradient(pose, slopes(pairs, goal, pose.skinning)))
+        normal = tree.normal_matrix(tree.generators(pose), pose, pairs, variables.joints)
         normal = variables.matrix(normal)
         normal[np.diag_indices_from(normal)] *= 1.0 + 1e-3
         own = variables.reduced(rest)
@@ -326,10 +327,10 @@ class _System:
         from scipy.sparse import csr_array
 
         from facepipe.rig import rest_coefficients
-        from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree
+        from facepipe.verbs.fit_bones.skinning import Tree
 
         rig, self.dof = task.rig(), dof
-        self.tree, self.skin = Tree(rig), SkinnedPoints(rig)
+        self.tree = Tree(rig)
         pick = (slice(None), slice(0, dof))
         lower, upper = limits(len(task.joints), dof)
         self.low, self.high = lower[pick].ravel(), upper[pick].ravel()
@@ -352,7 +353,7 @@ class _System:
 
     def points(self, x: Any) -> Any:
         """(n, 3)"""
-        return self.skin.evaluate(self.tree.pose(self._coefficients(x)).skinning, self.tree.parent_world)
+        return self.tree.evaluate(self.tree.pose(self._coefficients(x)).skinning)
 
     def residual(self, x: Any, target: Any) -> Any:
         """(3n,)"""

@@ -129,7 +129,19 @@ def region_masks(
     :raises InputError: a colour that the legend lacks
     """
     palette = Palette(colors=colors, background=background, tolerance=sampling.tolerance, edge=sampling.edge)
-    place, inside = _in_tile(np.asarray(uv, dtype=np.float64), face_vertex_counts, sampling.tile)
+    uv, counts, tile = np.asarray(uv, dtype=np.float64), face_vertex_counts, sampling.tile
+    # the middle of a face decides which tile its corners belong to: those on the line between two tiles lie in either
+    face = np.repeat(np.arange(len(counts)), counts)
+    sums = np.stack([np.bincount(face, axis, minlength=len(counts)) for axis in uv.T], axis=1)
+    corner = np.floor(sums / np.maximum(counts, 1)[:, None])[face]
+    place, inside = uv - corner, np.ones(len(uv), dtype=bool)
+    if tile is None:
+        unit = np.asarray(((place >= 0) & (place <= 1)).all(axis=1))
+        place = np.where(unit[:, None], place, uv - np.floor(uv))
+    else:
+        row, column = divmod(tile - FIRST_TILE, 10)
+        on_it = (corner == (column, row)) & (place >= -_UV_SLACK) & (place <= 1 + _UV_SLACK)
+        place, inside = np.clip(place, 0.0, 1.0), np.asarray(on_it.all(axis=1))
     points = np.asarray(face_vertex_indices)[inside]
     lookup = _Lookup(image, palette)
     shares = lookup.sample(place[inside], sampling.footprint)
@@ -171,23 +183,6 @@ class _Lookup:
         return np.asarray(np.divide(shares, total, out=shares, where=total > 0))
 
 
-def _in_tile(uv: FloatArray, counts: IntArray, tile: int | None) -> tuple[FloatArray, BoolArray]:
-    """Places (corners, 2) in 0..1 of the map, and the corners (corners,) that lie on it.
-
-    The middle of a face decides which tile its corners belong to: those on the line between two tiles lie in either.
-    """
-    face = np.repeat(np.arange(len(counts)), counts)
-    sums = np.stack([np.bincount(face, axis, minlength=len(counts)) for axis in uv.T], axis=1)
-    corner = np.floor(sums / np.maximum(counts, 1)[:, None])[face]
-    place = uv - corner
-    if tile is None:
-        unit = np.asarray(((place >= 0) & (place <= 1)).all(axis=1))
-        return np.where(unit[:, None], place, uv - np.floor(uv)), np.ones(len(uv), dtype=bool)
-    row, column = divmod(tile - FIRST_TILE, 10)
-    inside = (corner == (column, row)) & (place >= -_UV_SLACK) & (place <= 1 + _UV_SLACK)
-    return np.clip(place, 0.0, 1.0), np.asarray(inside.all(axis=1))
-
-
 def _unknown_color(where: str, image: ByteArray, palette: Palette, lookup: _Lookup, points: IntArray) -> InputError:
     """The colour that hits the most points, with how many, where, and the nearest that the legend has."""
     texels, rows = (np.concatenate(group) for group in zip(*lookup.unknown, strict=True))
@@ -209,13 +204,6 @@ def _unknown_color(where: str, image: ByteArray, palette: Palette, lookup: _Look
 def hex_color(color: npt.ArrayLike) -> str:
     """``#rrggbb`` of three numbers 0..255."""
     return "#" + "".join(f"{int(channel):02x}" for channel in np.asarray(color)[:3])
-
-
-class TexelShares(NamedTuple):
-    """Shares (m, k) of the k colours in m texels, rows of sum 1 or all 0 (unpainted), and which are unknown (m,)."""
-
-    shares: FloatArray
-    unknown: BoolArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,7 +235,7 @@ class Palette:
         return label[back.ravel()], (least == 0)[back.ravel()]
 
 
-def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelShares:
+def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> tuple[FloatArray, BoolArray]:
     """The regions that some texels of `image` (h, w, 3|4) stand for.
 
     A colour of the palette is that one. Another is the nearest within the tolerance; but where that one is not found
@@ -256,6 +244,7 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
     unpainted texel takes the nearest painted ones at most `edge` texels away.
 
     :param texels: (m,) numbers ``row * w + column``
+    :returns: (m, k) shares of the k colours, rows of sum 1 or all 0 (unpainted), and which are unknown (m,)
     """
     pixels, count = image.reshape(-1, image.shape[2]), len(palette.colors)
     label, exact = palette.labels(pixels[texels])
@@ -276,11 +265,16 @@ def texel_shares(image: ByteArray, texels: IntArray, palette: Palette) -> TexelS
         shares[unsure] = _settled(pixels[texels[unsure], :3], label[unsure], exact[unsure], near, sure, palette)
         # maps often end where the UV island ends, and corners lie on its border
         bare = shares[unsure, count] >= 1
-        shares[unsure[bare], :count] = _nearest(near[bare], distance[bare], count)
+        near, far = near[bare], np.iinfo(np.int64).max
+        distance = np.where((near >= 0) & (near < count), distance[bare], far)
+        least = distance.min(axis=1, keepdims=True)
+        closest = (distance == least) & (least < far)
+        found = np.stack([(closest & (near == number)).sum(axis=1) for number in range(count)], axis=1)
+        shares[unsure[bare], :count] = found / np.maximum(found.sum(axis=1, keepdims=True), 1.0)
     unknown = shares.sum(axis=1) <= 0
     painted = shares[:, :count]
     total = painted.sum(axis=1, keepdims=True)
-    return TexelShares(np.divide(painted, total, out=np.zeros_like(painted), where=total > 0), unknown)
+    return np.divide(painted, total, out=np.zeros_like(painted), where=total > 0), unknown
 
 
 def _settled(
@@ -323,13 +317,3 @@ def _mixes(colors: ByteArray, near: IntArray, palette: Palette) -> FloatArray:
             if np.linalg.norm(parts @ known - color) <= palette.tolerance:
                 shares[number, choice] = parts
     return shares[back.ravel()]
-
-
-def _nearest(near: IntArray, squared: IntArray, count: int) -> FloatArray:
-    """(m, k) mean of the painted labels (m, s) at the least distance; rows of 0 where none is painted."""
-    far = np.iinfo(np.int64).max
-    distance = np.where((near >= 0) & (near < count), squared, far)
-    least = distance.min(axis=1, keepdims=True)
-    closest = (distance == least) & (least < far)
-    shares = np.stack([(closest & (near == number)).sum(axis=1) for number in range(count)], axis=1).astype(np.float64)
-    return np.asarray(shares / np.maximum(shares.sum(axis=1, keepdims=True), 1.0))

@@ -11,7 +11,7 @@ from import_data import shared
 from facepipe.importers import makehuman
 from facepipe.parts import FaceParts
 from facepipe.rig import Rig, build, rest_coefficients
-from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree, stacked
+from facepipe.verbs.fit_bones.skinning import Tree, stacked
 
 MM = 100.0  # millimetres in a unit of MakeHuman
 
@@ -55,12 +55,12 @@ def limits(count: int, joints: np.ndarray, reach: float = 0.11) -> tuple[np.ndar
 
 def jacobian(tree: Tree, coefficients: np.ndarray, joints: np.ndarray | None = None) -> np.ndarray:
     """(3 n, 9 m) dense derivatives of all points by m joints, or all, from the tree's generators."""
-    pose, skin = tree.pose(coefficients), SkinnedPoints(tree.rig)
+    pose = tree.pose(coefficients)
     generators = tree.generators(pose)
     columns = []
     for joint in range(len(tree.rig.joints)) if joints is None else joints:
         below = tree.below[joint][:, None, None]
         for channel in range(9):
             moved = below * (generators[joint, channel] @ pose.skinning)
-            columns.append((skin.rows @ stacked(moved)).ravel())
+            columns.append((tree.rows @ stacked(moved)).ravel())
     return np.stack(columns, axis=1)

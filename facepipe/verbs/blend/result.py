@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from facepipe.core.threads import one_thread
 from facepipe.core.tokens import SEAM_RESIDUAL
 from facepipe.geometry.polygons import point_normals, point_triangles
 from facepipe.geometry.vectors import group_sums, transformed, unit_vectors
-from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Recipe
+from facepipe.parts import Blendshape, FaceParts, Inbetween, Mesh, Recipe
 from facepipe.rig import mesh_spaces
 from facepipe.rig.sliders import kept, kept_outputs
 from facepipe.stage import Face
@@ -99,14 +99,18 @@ def result_parts(session: BlendSession, solution: Solution) -> FaceParts:
         [parts.skeleton for parts in sources.parts], session.joint_worlds, neutral.joints, neutral.joint_shares
     )
     gone, network = set(session.skipped), base.slider_network
+    animations = []
+    for animation in rebase_animations(base.animations, base.skeleton, skeleton):
+        stay = [number for number, name in enumerate(animation.shapes) if name not in gone]
+        if len(stay) < len(animation.shapes) and animation.shape_weights is not None:
+            names = tuple(animation.shapes[number] for number in stay)
+            animation = replace(animation, shapes=names, shape_weights=animation.shape_weights[:, stay])
+        animations.append(animation)
     return replace(
         base,
         meshes=tuple(meshes),
         skeleton=skeleton,
-        animations=tuple(
-            _without_tracks(animation, gone)
-            for animation in rebase_animations(base.animations, base.skeleton, skeleton)
-        ),
+        animations=tuple(animations),
         sliders=tuple(kept(slider, lambda joint: True, lambda shape: shape not in gone) for slider in base.sliders),
         slider_network=None
         if network is None
@@ -198,14 +202,6 @@ def _shape(
     return Blendshape(
         name=name, point_indices=indices, offsets=whole, normal_offsets=normals(whole), inbetweens=inbetweens
     )
-
-
-def _without_tracks(animation: Animation, gone: Iterable[str]) -> Animation:
-    kept = [number for number, name in enumerate(animation.shapes) if name not in gone]
-    if len(kept) == len(animation.shapes) or animation.shape_weights is None:
-        return animation
-    names = tuple(animation.shapes[number] for number in kept)
-    return replace(animation, shapes=names, shape_weights=animation.shape_weights[:, kept])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,8 +13,8 @@ from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
 from facepipe.rig import Rig, rest_coefficients
 from facepipe.verbs.fit_bones.limits import check_rest, check_settings, checked_limits, checked_weights
-from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Symmetry, Tree, Variables, symmetry
-from facepipe.verbs.fit_bones.solver import SETTLED, Fitted, Problem, Shared, fit, fit_together, inverse
+from facepipe.verbs.fit_bones.skinning import Symmetry, Tree, Variables, symmetry
+from facepipe.verbs.fit_bones.solver import SETTLED, Fitted, Problem, fit, fit_together, inverse
 
 _LEAST_WEIGHT = 0.3  # what a point that is on its target keeps of its weight in a round of evening
 _ROUGH = 1e-3  # where the next solve goes on from the end of this one
@@ -71,7 +73,6 @@ class BoneFit:
         # a radian or a factor counts as what it moves at a tenth of the face's size, so that all channels are lengths
         self._levers = np.repeat([1.0, 0.1 * size], [3, 6])
         self.tree = Tree(rig, parent_world)
-        self.skin = SkinnedPoints(rig)
         # (m,) joints without influence on a point that counts: they keep their place. What one of them does to the
         # joints below it these can do themselves.
         count = len(self.rig.joints)
@@ -81,11 +82,11 @@ class BoneFit:
             self.lower, self.upper = self.symmetry.limits(self.lower, self.upper)
         self.variables = self._variables(self.lower, self.upper)
         self.free = self.variables.joints  # numbers of those that may move
-        self._moments = self.skin.moments(rig.points, self.weights, self.tree.parent_world)
         self._rest = rest_coefficients(len(rig.joints))
-        self._at_rest = self.skin.evaluate(self.tree.pose(self._rest).skinning, self.tree.parent_world)
-        self._metric = self._metric_of(self.variables)
-        self._inverse: FloatArray | None = None
+        self._at_rest = self.tree.evaluate(self.tree.pose(self._rest).skinning)
+        self._pairs, _ = self.tree.moments(rig.points, self.weights)
+        metric = self._metric_of(self.variables)
+        self.problem = Problem(self.tree, self.weights, self._pairs, self.variables, metric, self._pull(0.0))
 
     def fit(self, target: FloatArray, start: FloatArray | None = None) -> Fitted:
         """The fit of one target (n, 3), as `fit_all` makes it."""
@@ -119,7 +120,7 @@ class BoneFit:
                     fits += [self._sparse(target, start) for target in batch]
                 else:
                     most = min(self.steps, _SHARED)
-                    ends = fit_together(self._shared(), np.stack(batch), start, most, self.threshold)
+                    ends = fit_together(self.problem, self.inverse, np.stack(batch), start, most, self.threshold)
                     fits += [self._finished(target, start, end) for target, end in zip(batch, ends, strict=True)]
         if any((fitted.coefficients[:, 6:] == 0.0).any() for fitted in fits):
             raise np.linalg.LinAlgError("a joint of scale 0")
@@ -177,42 +178,29 @@ class BoneFit:
         settled: float = SETTLED,
     ) -> Fitted:
         """One descent; `springs` (m, 9) are weights of each squared strain beside that of the mean square distance."""
-        world = self.tree.parent_world
+        problem = self.problem
         if weights is self.weights:
             # Q = sum w r r^T is of the weights alone, T = sum w r (target - rigid)^T of the target: Q is kept
-            moments = self.skin.retargeted(self._moments, target, weights, world)
+            goal = self.tree.goal(target, weights)
         else:
-            moments = self.skin.moments(target, weights, world)
-        metric = self._metric if variables is None else self._metric_of(variables)
-        problem = Problem(
-            tree=self.tree,
-            skin=self.skin,
-            moments=moments,
-            target=target,
-            weights=weights,
-            variables=self.variables if variables is None else variables,
-            metric=metric,
+            pairs, goal = self.tree.moments(target, weights)
+            problem = replace(problem, weights=weights, pairs=pairs)
+        if variables is not None:
+            problem = replace(problem, variables=variables, metric=self._metric_of(variables))
+        return fit(
+            replace(problem, pull=self._pull(springs)),
+            target,
+            goal,
+            start,
             threshold=self.threshold if threshold is None else threshold,
             steps=self.steps,
             settled=settled,
-            pull=self._pull(springs),
         )
-        return fit(problem, start)
 
-    def _shared(self) -> Shared:
-        """What the fits of many targets share."""
-        if self._inverse is None:
-            self._inverse = inverse(self._normal(self.variables), self.variables)
-        return Shared(
-            tree=self.tree,
-            skin=self.skin,
-            weights=self.weights,
-            pairs=self._moments.pairs,
-            variables=self.variables,
-            inverse=self._inverse,
-            metric=self._metric,
-            pull=self._pull(0.0),
-        )
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """(v, v) about that of the normal matrix at rest, which targets share."""
+        return inverse(self._normal(self.variables), self.variables)
 
     def _variables(self, lower: FloatArray, upper: FloatArray) -> Variables:
         """What may move between (m, 9) limits."""
@@ -225,7 +213,7 @@ class BoneFit:
     def _normal(self, variables: Variables) -> FloatArray:
         """(v, v) normal matrix at rest."""
         pose, pull = self.tree.pose(self._rest), self._pull(0.0)
-        matrix = self.tree.normal_matrix(self.tree.generators(pose), pose, self._moments.pairs, variables.joints)
+        matrix = self.tree.normal_matrix(self.tree.generators(pose), pose, self._pairs, variables.joints)
         if pull is not None:
             matrix[np.diag_indices_from(matrix)] += pull[variables.joints].ravel()
         return variables.matrix(matrix)

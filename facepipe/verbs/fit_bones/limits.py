@@ -73,17 +73,12 @@ def rest_shear(rig: Rig) -> list[str]:
     uneven = np.flatnonzero(scales.max(axis=1) - scales.min(axis=1) > _EVEN * scales.max(axis=1))
     if not len(uneven):
         return []
-    names = _some([rig.joints[number] for number in uneven])
+    names = some([rig.joints[number] for number in uneven])
     return [f"rest scale of {names} differs by direction: rotations at and below shear, which not every engine keeps"]
 
 
-def local_shear(rig: Rig, coefficients: FloatArray) -> str:
-    """A few names of joints whose local transforms have shear in a frame of (T, m, 9) coefficients; "" for none."""
-    sheared = np.stack([decompose(rig.local_transforms(frame)).sheared for frame in coefficients]).any(axis=0)
-    return _some([rig.joints[number] for number in np.flatnonzero(sheared)])
-
-
-def _some(names: list[str]) -> str:
+def some(names: list[str]) -> str:
+    """A few of the names, and how many more."""
     return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
 
 
@@ -205,9 +200,8 @@ class LimitRules:
                 _channels(where, channel)
                 low, high = pair
                 for value in (low, high):
-                    if (
-                        value is not None and not -_LARGEST <= value <= _LARGEST
-                    ):  # NaN and integers beyond any float too
+                    # NaN and integers beyond any float too
+                    if value is not None and not -_LARGEST <= value <= _LARGEST:
                         raise InputError(where, f"{str(value)[:20]}, expected a finite number, or null for no limit")
                 if low is not None and high is not None and low > high:
                     raise InputError(where, f"lower limit {low:g} above the upper {high:g}")

@@ -153,7 +153,13 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
             continue
         if partner < joint:
             continue  # the other way round
-        flips = _flips(axes[joint], axes[partner], f"{rig.name} -> {rig.joints[joint]}", rig.joints[partner])
+        # the other's axes mirrored, in one's own: where axes are as long, +-1 each
+        turned = np.linalg.solve(axes[joint], np.array([-1.0, 1.0, 1.0])[:, None] * axes[partner])
+        along = np.sign(np.diag(turned))
+        if np.abs(turned - np.diag(along)).max() > _OBLIQUE:
+            what = f"its axes at rest are no mirror image of {rig.joints[partner]}'s, expected that for a symmetric fit"
+            raise InputError(f"{rig.name} -> {rig.joints[joint]}", what)
+        flips = np.concatenate([along, -along, np.ones(3)])  # mirroring turns rotations about what it keeps
         followers = slice(9 * partner, 9 * partner + 9)
         if partner == joint:
             # a joint on the middle is its own mirror image: c = -c leaves 0 alone
@@ -163,16 +169,6 @@ def symmetry(rig: Rig, tied: BoolArray) -> Symmetry:
     if (leaders == np.arange(9 * count)).all():
         raise InputError(rig.name, "no pairs of joints, expected names with left and right, or L and R")
     return Symmetry(rig.joints, leaders, signs, still, tuple(single))
-
-
-def _flips(one: FloatArray, other: FloatArray, where: str, partner: str) -> FloatArray:
-    """(9,) signs of the coefficients of a joint with axes (3, 3), seen as those of its partner."""
-    turned = np.linalg.solve(one, np.array([-1.0, 1.0, 1.0])[:, None] * other)  # where axes are as long, +-1 each
-    axes = np.sign(np.diag(turned))
-    if np.abs(turned - np.diag(axes)).max() > _OBLIQUE:
-        what = f"its axes at rest are no mirror image of {partner}'s, expected that for a symmetric fit"
-        raise InputError(where, what)
-    return np.concatenate([axes, -axes, np.ones(3)])  # mirroring turns rotations about what it keeps
 
 
 @dataclass(frozen=True)
@@ -186,9 +182,11 @@ class Pose:
 
 
 class Tree:
-    """The joints of a rig, parents first."""
+    """The joints of a rig, parents first, and its points as a linear function of their skinning matrices."""
 
     def __init__(self, rig: Rig, parent_world: FloatArray | None = None) -> None:
+        from scipy.sparse import csr_array
+
         self.rig = rig
         self.parent_world = rig.parent_world if parent_world is None else parent_world
         below = np.eye(len(rig.joints))  # (m, m) 1 where the column's joint is the row's or below it
@@ -197,6 +195,15 @@ class Tree:
                 below[rig.parents[joint]] += below[joint]
         self.below = below
         self.flat = bool((rig.parents < 0).all())  # no joint below another
+        count = len(rig.joints)
+        homogeneous = np.concatenate([rig.points, np.ones((len(rig.points), 1))], axis=1)
+        weights = rig.influences[:, :count].tocsr()
+        each = homogeneous[np.repeat(np.arange(len(rig.points)), np.diff(weights.indptr))]
+        columns = (weights.indices[:, None] * 4 + np.arange(4)).ravel()
+        data = (weights.data[:, None] * each).ravel()
+        self.rows = csr_array((data, columns, weights.indptr * 4), shape=(len(rig.points), 4 * count))  # A
+        # (n, 3) what hangs at the skeleton itself adds to each point
+        self._held = rig.influences[:, [count]].toarray() * homogeneous @ self.parent_world[:3].T
 
     def pose(self, coefficients: FloatArray) -> Pose:
         """The pose of (..., m, 9) coefficients."""
@@ -253,8 +260,23 @@ class Tree:
 
     def normal_matrix(self, generators: FloatArray, pose: Pose, pairs: FloatArray, free: IntArray) -> FloatArray:
         """(9 f, 9 f) Gauss-Newton matrix over the coefficients of the `free` joints, of moments (4m, 4m)."""
-        f = len(free)
-        first, second, summed = self._coupled(pose, pairs, free)
+        count, f = len(pose.skinning), len(free)
+        blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
+        shared = pairs[3::4, 3::4] != 0  # sums of products of weights
+        sharing = np.nonzero(shared)
+        moved = pose.skinning[sharing[0]] @ blocks[sharing] @ pose.skinning[sharing[1]].transpose(0, 2, 1)
+        everything = np.zeros((count, count, 16))
+        everything[sharing] = moved.reshape(-1, 16)
+        # pairs of `free` joints that move the same points, each once, and their moments (p, 4, 4) in this pose, summed
+        # over the joints at or below either end
+        if self.flat:
+            first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
+            summed = everything[free[first], free[second]].reshape(-1, 4, 4)
+        else:
+            below = self.below[free]
+            first, second = np.nonzero(np.triu(below @ shared @ below.T))
+            half = (below @ everything.reshape(count, -1)).reshape(f, count, 16)
+            summed = np.matmul(below, half)[first, second].reshape(-1, 4, 4)
         own = np.ascontiguousarray(generators[free][:, :, :3])  # (f, 9, 3, 4)
         left = np.matmul(own.reshape(f, 27, 4)[first], summed).reshape(-1, 9, 12)
         right = own.reshape(f, 9, 12).transpose(0, 2, 1)
@@ -264,76 +286,29 @@ class Tree:
         matrix[second, :, first] = blocks.transpose(0, 2, 1)
         return matrix.reshape(9 * f, 9 * f)
 
-    def _coupled(self, pose: Pose, pairs: FloatArray, free: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Pairs (p,) (p,) of `free` joints that move the same points, and their moments (p, 4, 4) in this pose.
+    def evaluate(self, matrices: FloatArray) -> FloatArray:
+        """(n, 3) points of (m, 4, 4) skinning matrices."""
+        return np.asarray(self.rows @ stacked(matrices) + self._held)
 
-        Each pair once; the moments are summed over the joints at or below either end.
-        """
-        count, f = len(pose.skinning), len(free)
-        blocks = pairs.reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
-        shared = pairs[3::4, 3::4] != 0  # sums of products of weights
-        sharing = np.nonzero(shared)
-        moved = pose.skinning[sharing[0]] @ blocks[sharing] @ pose.skinning[sharing[1]].transpose(0, 2, 1)
-        below = self.below[free]
-        everything = np.zeros((count, count, 16))
-        everything[sharing] = moved.reshape(-1, 16)
-        if self.flat:
-            first, second = np.nonzero(np.triu(shared[np.ix_(free, free)]))
-            return first, second, everything[free[first], free[second]].reshape(-1, 4, 4)
-        first, second = np.nonzero(np.triu(below @ shared @ below.T))
-        half = (below @ everything.reshape(count, -1)).reshape(f, count, 16)
-        return first, second, np.matmul(below, half)[first, second].reshape(-1, 4, 4)
-
-
-class SkinnedPoints:
-    """The points of a rig as a linear function of its skinning matrices.
-
-    :param rig: m joints, n points
-    :param morphed: (n, 3) points before skinning, in bind space; default the neutral's
-    """
-
-    def __init__(self, rig: Rig, morphed: FloatArray | None = None) -> None:
-        from scipy.sparse import csr_array
-
-        points = rig.points if morphed is None else np.asarray(morphed, dtype=np.float64)
-        count = len(rig.joints)
-        homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-        weights = rig.influences[:, :count].tocsr()
-        data = (weights.data[:, None] * homogeneous[np.repeat(np.arange(len(points)), np.diff(weights.indptr))]).ravel()
-        columns = (weights.indices[:, None] * 4 + np.arange(4)).ravel()
-        self.rows = csr_array((data, columns, weights.indptr * 4), shape=(len(points), 4 * count))  # A
-        self.rigid = rig.influences[:, [count]].toarray() * homogeneous  # (n, 4) what hangs at the skeleton itself
-
-    def evaluate(self, matrices: FloatArray, parent_world: FloatArray) -> FloatArray:
-        """(n, 3) points of (m, 4, 4) skinning matrices below the parent's world matrix (4, 4)."""
-        return np.asarray(self.rows @ stacked(matrices) + self.rigid @ parent_world[:3].T)
-
-    def moments(self, target: FloatArray, weights: FloatArray, parent_world: FloatArray) -> Moments:
-        """The moments for targets (n, 3) under point weights (n,)."""
+    def moments(self, target: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """``Q`` (4m, 4m) and ``T`` (4m, 3) for a target (n, 3) under point weights (n,)."""
         weighted = self.rows.T.multiply(weights[None]).tocsr()
-        goal = target - self.rigid @ parent_world[:3].T
-        return Moments((weighted @ self.rows).toarray(), np.asarray(weighted @ goal))
+        return (weighted @ self.rows).toarray(), np.asarray(weighted @ (target - self._held))
 
-    def retargeted(self, old: Moments, target: FloatArray, weights: FloatArray, parent_world: FloatArray) -> Moments:
-        """The moments `old` for another target under the same weights."""
-        goal = weights[:, None] * (target - self.rigid @ parent_world[:3].T)
-        return Moments(old.pairs, np.asarray(self.rows.T @ goal))
+    def goal(self, target: FloatArray, weights: FloatArray) -> FloatArray:
+        """``T`` alone: ``Q`` is of the weights, and serves other targets (n, 3)."""
+        return np.asarray(self.rows.T @ (weights[:, None] * (target - self._held)))
 
 
-class Moments:
-    """``Q`` (4m, 4m) and ``T`` (..., 4m, 3), of one target or many."""
+def applied(pairs: FloatArray, rows: FloatArray) -> FloatArray:
+    """``Q`` times (..., 4m, 3)."""
+    many = np.moveaxis(rows, -2, 0)
+    return np.moveaxis((pairs @ many.reshape(len(many), -1)).reshape(many.shape), 0, -2)
 
-    def __init__(self, pairs: FloatArray, goal: FloatArray) -> None:
-        self.pairs, self.goal = pairs, goal
 
-    def applied(self, rows: FloatArray) -> FloatArray:
-        """``Q`` times (..., 4m, 3)."""
-        many = np.moveaxis(rows, -2, 0)
-        return np.moveaxis((self.pairs @ many.reshape(len(many), -1)).reshape(many.shape), 0, -2)
-
-    def gradient(self, matrices: FloatArray) -> FloatArray:
-        """(m, 4, 3) derivatives of half the weighted squared distance by (m, 4, 4) skinning matrices' rows."""
-        return np.asarray((self.applied(stacked(matrices)) - self.goal).reshape(-1, 4, 3))
+def slopes(pairs: FloatArray, goal: FloatArray, matrices: FloatArray) -> FloatArray:
+    """(m, 4, 3) derivatives of half the weighted squared distance by (m, 4, 4) skinning matrices' rows."""
+    return np.asarray((applied(pairs, stacked(matrices)) - goal).reshape(-1, 4, 3))
 
 
 def stacked(matrices: FloatArray) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.rig import rest_coefficients
-from facepipe.verbs.fit_bones.skinning import Moments, SkinnedPoints, Tree, Variables, stacked
+from facepipe.verbs.fit_bones.skinning import Tree, Variables, applied, slopes, stacked
 
 _START = 1e-3  # damping, relative to the diagonal of the normal matrix
 _LEAST = 1e-12
@@ -38,19 +38,14 @@ _TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True)
 class Problem:
-    """One fit: what may move, how far, and where to."""
+    """What may move, how far, and how it counts: what the fits of one rig have in common."""
 
     tree: Tree
-    skin: SkinnedPoints
-    moments: Moments  # of the target under the weights
-    target: FloatArray  # (n, 3) world points
     weights: FloatArray  # (n,) of points, 0 or more
+    pairs: FloatArray  # (4m, 4m) moments ``Q`` of the points under the weights
     variables: Variables  # v of them
     metric: FloatArray  # (v,) root of the normal matrix's diagonal at rest: how far an unknown moves the points
-    threshold: float  # largest distance that is good enough, in stage units
-    steps: int  # at most
-    settled: float = SETTLED
-    pull: FloatArray | None = None  # (m, 9) springs to rest, added to half the weighted squared distance
+    pull: FloatArray | None  # (m, 9) springs to rest, added to half the weighted squared distance
 
 
 @dataclass(frozen=True)
@@ -64,16 +59,30 @@ class Fitted:
     slope: float  # largest cosine between what is left and what an unknown still does: 0 at a constrained optimum
 
 
-def fit(problem: Problem, start: FloatArray) -> Fitted:
+def fit(
+    problem: Problem,
+    target: FloatArray,
+    goal: FloatArray,
+    start: FloatArray,
+    *,
+    threshold: float,
+    steps: int,
+    settled: float = SETTLED,
+) -> Fitted:
     """Least squares from `start` (m, 9), what may move of it brought into the limits first.
+
+    :param target: (n, 3) world points
+    :param goal: (4m, 3) their moments ``T``
+    :param threshold: largest distance that is good enough, in stage units
+    :param steps: at most
 
     Models leave the curvature out, which makes them convex, as long as the objective falls fast without (Fletcher and
     Xu, "Hybrid methods for nonlinear least squares", IMA J. Numer. Anal. 1987).
     """
-    state = _State(problem, problem.variables.reduced(start), start)
+    state = _State(problem, target, goal, problem.variables.reduced(start), start)
     damping, before, taken, exact = _START, np.inf, 0, False
     model: _Model | None = None
-    while taken < problem.steps and state.largest > problem.threshold and state.slope > problem.settled:
+    while taken < steps and state.largest > threshold and state.slope > settled:
         # a model is a normal matrix and its factor: it serves on while a step leaves half the slope at most
         kept = model is not None and state.slope <= _KEPT * before
         if model is None or not kept:
@@ -97,7 +106,7 @@ class _Model:
     def __init__(self, state: _State, damping: float, exact: bool) -> None:
         problem, tree, pose = state.problem, state.problem.tree, state.pose
         generators, joints = tree.generators(pose), problem.variables.joints
-        hessian = tree.normal_matrix(generators, pose, problem.moments.pairs, joints)
+        hessian = tree.normal_matrix(generators, pose, problem.pairs, joints)
         if problem.pull is not None:
             hessian[np.diag_indices_from(hessian)] += problem.pull[joints].ravel()
         self.hessian = problem.variables.matrix(hessian)
@@ -114,13 +123,6 @@ class _Model:
         damped[np.diag_indices_from(damped)] += damping * self._floor
         self.damped = BoxedQuadratic(damped)
 
-    def minimiser(self, gradient: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
-        """(v,) the step to the minimum inside a box; None where the quadratic has none."""
-        try:
-            return self.damped.minimise(gradient, low, high)
-        except np.linalg.LinAlgError:
-            return None
-
 
 def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, float]:
     """The next state that is better, and the damping for the model after it; None where there is none.
@@ -130,8 +132,12 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
     variables, growth = state.problem.variables, 2.0
     low, high = variables.lower - state.x, variables.upper - state.x
     while model.damping < _MOST:
-        step = model.minimiser(state.gradient, low, high)
-        if step is not None:
+        hopeless = False
+        try:
+            step = model.damped.minimise(state.gradient, low, high)
+        except np.linalg.LinAlgError:  # no minimum
+            pass
+        else:
             tried = state.moved(step)
             expected = -float(state.gradient @ step) - 0.5 * float(step @ (model.hessian @ step))
             if tried.better_than(state) and expected > 0:
@@ -139,7 +145,7 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
                 ratio = (state.objective - tried.objective) / expected
                 return tried, max(model.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), _LEAST)
             hopeless = expected <= _ROUNDING * state.objective
-        if kept or (step is not None and hopeless):
+        if kept or hopeless:
             break
         model.damp(model.damping * growth)
         growth *= 2.0
@@ -149,11 +155,13 @@ def _descend(state: _State, model: _Model, kept: bool) -> tuple[_State | None, f
 class _State:
     """A pose and how far it is from the target."""
 
-    def __init__(self, problem: Problem, x: FloatArray, others: FloatArray) -> None:
-        self.problem, self.x = problem, x
+    def __init__(
+        self, problem: Problem, target: FloatArray, goal: FloatArray, x: FloatArray, others: FloatArray
+    ) -> None:
+        self.problem, self.x, self._target, self._goal = problem, x, target, goal
         self.pose = problem.tree.pose(problem.variables.expanded(x, others))
-        self.points = problem.skin.evaluate(self.pose.skinning, problem.tree.parent_world)
-        squares = ((self.points - problem.target) ** 2).sum(axis=1)
+        self.points = problem.tree.evaluate(self.pose.skinning)
+        squares = ((self.points - target) ** 2).sum(axis=1)
         self.objective = 0.5 * float(problem.weights @ squares)
         if problem.pull is not None:
             self.objective += 0.5 * float((problem.pull * self._strain() ** 2).sum())
@@ -162,7 +170,7 @@ class _State:
     @cached_property
     def by_matrix(self) -> FloatArray:
         """(m, 4, 3) derivatives by the skinning matrices' rows."""
-        return self.problem.moments.gradient(self.pose.skinning)
+        return slopes(self.problem.pairs, self._goal, self.pose.skinning)
 
     @cached_property
     def gradient(self) -> FloatArray:
@@ -194,21 +202,8 @@ class _State:
     def moved(self, change: FloatArray) -> _State:
         """The state after a change (v,) of the unknowns."""
         variables = self.problem.variables
-        return _State(self.problem, np.clip(self.x + change, variables.lower, variables.upper), self.pose.coefficients)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shared:
-    """What the fits of one rig have in common."""
-
-    tree: Tree
-    skin: SkinnedPoints
-    weights: FloatArray  # (n,) of points
-    pairs: FloatArray  # (4m, 4m) moments of the points
-    variables: Variables  # v of them
-    inverse: FloatArray  # (v, v) about that of the normal matrix at rest, as `inverse` makes it
-    metric: FloatArray  # (v,) as `Problem` has it
-    pull: FloatArray | None = None  # (m, 9) as `Problem` has it
+        x = np.clip(self.x + change, variables.lower, variables.upper)
+        return _State(self.problem, self._target, self._goal, x, self.pose.coefficients)
 
 
 def inverse(normal: FloatArray, variables: Variables) -> FloatArray:
@@ -222,9 +217,14 @@ def inverse(normal: FloatArray, variables: Variables) -> FloatArray:
     return np.asarray(np.tril(lower) + np.tril(lower, -1).T)
 
 
-def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: int, threshold: float) -> list[Fitted]:
-    """Fits of (K, n, 3) from (m, 9) coefficients, in at most `steps` steps: not every one ends at an optimum."""
-    objective, memory = _Objective(shared, targets, start), _Memory(shared.inverse)
+def fit_together(
+    shared: Problem, inverse: FloatArray, targets: FloatArray, start: FloatArray, steps: int, threshold: float
+) -> list[Fitted]:
+    """Fits of (K, n, 3) from (m, 9) coefficients, in at most `steps` steps: not every one ends at an optimum.
+
+    :param inverse: (v, v) about that of the normal matrix at rest, as `inverse` makes it
+    """
+    objective, memory = _Objective(shared, targets, start), _Memory(inverse)
     states = objective.at(np.arange(len(targets)), np.tile(shared.variables.reduced(start), (len(targets), 1)))
     ends, taken, slopes = states.x.copy(), np.zeros(len(targets), dtype=np.int64), np.zeros(len(targets))
     # the objective 1/2 sum_i w_i d_i^2 where every d_i is that part of the threshold
@@ -252,7 +252,7 @@ def fit_together(shared: Shared, targets: FloatArray, start: FloatArray, steps: 
         states = ahead.only(going)
     found, tree = [], shared.tree
     for number, own in enumerate(shared.variables.expanded(ends, start)):
-        points = shared.skin.evaluate(tree.pose(own).skinning, tree.parent_world)
+        points = tree.evaluate(tree.pose(own).skinning)
         largest = float(np.linalg.norm(points - targets[number], axis=1)[shared.weights > 0].max(initial=0.0))
         found.append(Fitted(own, points, largest, int(taken[number]), float(slopes[number])))
     return found
@@ -280,23 +280,23 @@ class _States:
 class _Objective:
     """Half the weighted squared distance, and the springs', by the unknowns, around rest."""
 
-    def __init__(self, shared: Shared, targets: FloatArray, start: FloatArray) -> None:
+    def __init__(self, shared: Problem, targets: FloatArray, start: FloatArray) -> None:
         self._shared, self._start = shared, start
         self._rest = rest_coefficients(len(start))
         self._at_rest = shared.tree.pose(self._rest).skinning
-        way = targets - shared.skin.evaluate(self._at_rest, shared.tree.parent_world)
+        way = targets - shared.tree.evaluate(self._at_rest)
         self._far = 0.5 * (way**2).sum(axis=2) @ shared.weights
         weighted = (shared.weights[:, None, None] * way.transpose(1, 0, 2)).reshape(len(shared.weights), -1)
-        goals = np.asarray(shared.skin.rows.T @ weighted).reshape(-1, len(way), 3)
-        self._moments = Moments(shared.pairs, np.ascontiguousarray(goals.transpose(1, 0, 2)))
+        goals = np.asarray(shared.tree.rows.T @ weighted).reshape(-1, len(way), 3)
+        self._goals = np.ascontiguousarray(goals.transpose(1, 0, 2))  # (K, 4m, 3)
         self.low, self.high = shared.variables.lower, shared.variables.upper
 
     def at(self, rows: IntArray, x: FloatArray) -> _States:
         """The states there."""
         shared, coefficients = self._shared, self._shared.variables.expanded(x, self._start)
         pose = shared.tree.pose(coefficients)
-        way, goal = stacked(pose.skinning - self._at_rest), self._moments.goal[rows]
-        slope = self._moments.applied(way) - goal
+        way, goal = stacked(pose.skinning - self._at_rest), self._goals[rows]
+        slope = applied(shared.pairs, way) - goal
         objective = self._far[rows] + 0.5 * (way * (slope - goal)).sum(axis=(1, 2))
         gradient = shared.tree.gradient(pose, slope.reshape(len(rows), -1, 4, 3))
         if shared.pull is not None:

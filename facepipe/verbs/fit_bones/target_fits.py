@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from facepipe.stage.author_changes import author_changes
 from facepipe.stage.face import play
 from facepipe.verbs.bone_payload import SUFFIX, check_fits, payload_bytes
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, local_shear, rest_shear, size_warning
+from facepipe.verbs.fit_bones.limits import LimitRules, check_rig, check_targets, rest_shear, size_warning, some
 from facepipe.verbs.fit_bones.options import STRICTER, FitBonesOptions
 from facepipe.verbs.fit_bones.targets import Target
 
@@ -40,6 +40,7 @@ _SAME = 2e-7  # relative: a scale that is as near to one in half precision is it
 _TOGETHER = 32  # poses at a time: more gain little, and the next report of progress waits for them
 
 ShapeOfMeshes = tuple[Blendshape | None, ...]  # one shape: a blendshape or None per mesh
+Residual = tuple[ShapeOfMeshes, FloatArray, int]  # as `corrective` makes it
 _LARGEST_WEIGHT = 1e12  # of a point
 _NO_REGIONS = "none, the face has neither regions nor point subsets"
 
@@ -173,15 +174,6 @@ def _names(names: Sequence[str]) -> str:
     return f"{len(names)} ({some}{', ...' if len(names) > _SHOWN else ''})"
 
 
-@dataclass(frozen=True)
-class Residual:
-    """Offsets of points before skinning, in float32 as they are authored."""
-
-    shapes: tuple[Blendshape | None, ...]  # per mesh; None where no point of it is corrected
-    points: FloatArray  # (n, 3) world points with bones and offsets
-    lost: int  # points whose skinning can't be turned round
-
-
 def corrective(
     parts: FaceParts,
     rig: Rig,
@@ -196,6 +188,8 @@ def corrective(
 
     :param parts: what `rig` was built from
     :param coefficients: (m, 9) of the pose
+    :returns: a shape per mesh, None where no point of it is corrected; (n, 3) world points with bones and offsets, in
+        float32 as they are authored; how many points' skinning can't be turned round
     """
     matrices = rig.skinning_matrices(rig.local_transforms(coefficients))
     posed = rig.skin(rig.points, matrices)
@@ -217,7 +211,7 @@ def corrective(
         bound[rows[inside]] += offsets.astype(np.float64) @ linear.T
         indices = (rows[inside] - start).astype(np.int32)
         shapes.append(Blendshape(name=name, point_indices=indices, offsets=offsets) if len(indices) else None)
-    return Residual(tuple(shapes), rig.skin(bound, matrices), int(corrected.sum() - kept.sum()))
+    return tuple(shapes), rig.skin(bound, matrices), int(corrected.sum() - kept.sum())
 
 
 def half_scaled(fit: BoneFit, coefficients: FloatArray, target: FloatArray) -> FloatArray:
@@ -270,38 +264,18 @@ def with_half_scales(rig: Rig, coefficients: FloatArray, lower: FloatArray, uppe
     return rounded
 
 
-@dataclass(frozen=True, kw_only=True)
-class FittedTarget:
-    """What the fit of one target gave."""
-
-    animation: Animation
-    shapes: tuple[ShapeOfMeshes, ...]  # of the residual
-    report: TargetReport
-    warnings: tuple[str, ...]
+Fitting = tuple[Animation, tuple[ShapeOfMeshes, ...], TargetReport, tuple[str, ...]]  # residuals' shapes, warnings
 
 
 class TargetFits:
-    """One face and its targets.
+    """One face and its targets."""
 
-    :param limits: over those of the rig
-    :param weights: (n,) how much each point counts
-    :param initial: (m, 9) coefficients to start from; None: rest
-    """
-
-    def __init__(
-        self,
-        face: Face,
-        targets: Sequence[Target],
-        options: FitBonesOptions,
-        *,
-        limits: LimitRules,
-        weights: FloatArray,
-        initial: FloatArray | None,
-    ) -> None:
-        self.parts = face.parts()
+    def __init__(self, face: Face, targets: Sequence[Target], options: FitBones) -> None:
+        self.parts, initial = face.parts(), options.initial
+        weights = point_weights(self.parts, options.regions, options.mask)  # (n,) how much each point counts
         self._rig, self._mm = face.rig(), face.mm_per_unit
         check_rig(face.where, self.parts, self._rig)
-        self._limits = limits.resolve(self._rig.joints, face.meters_per_unit, self.parts.bone_limits)
+        self._limits = options.limits.resolve(self._rig.joints, face.meters_per_unit, self.parts.bone_limits)
         rest = rest_coefficients(len(self._rig.joints))
         start = rest if initial is None else np.asarray(initial, dtype=np.float64)
         if start.shape != rest.shape or not np.isfinite(start).all():
@@ -316,15 +290,33 @@ class TargetFits:
         self._fits: dict[bytes, BoneFit] = {}
         self._fit_of_all = self._fit_of(None)
 
-    def fit_all(self, done: Callable[[], object]) -> list[FittedTarget]:
+    def fit_all(self, done: Callable[[], object]) -> list[Fitting]:
         """All targets, in their order.
 
         :param done: called after every frame
         :raises FitError: limits that let a joint shrink to nothing, and a fit that did
         """
-        return [self._fitted(number, *solved) for number, solved in enumerate(self._solved(done))]
+        fitted: list[Fitting] = []
+        ahead: dict[int, tuple[FloatArray, int]] = {}
+        for number, target in enumerate(self._targets):
+            if len(target.points) > 1:
+                # a clip: each frame is fitted from the one before
+                frames, steps, start = [], 0, self._start
+                for frame in range(len(target.points)):
+                    start, taken = self._frame(number, frame, start)
+                    frames.append(start)
+                    steps += taken
+                    done()
+                fitted.append(self._fitted(number, np.stack(frames), steps))
+                continue
+            if number not in ahead:
+                ahead |= self._together(number)
+            coefficients, steps = ahead.pop(number)
+            fitted.append(self._fitted(number, coefficients[None], steps))
+            done()
+        return fitted
 
-    def report(self, fitted: Sequence[FittedTarget]) -> FitBonesReport:
+    def report(self, fitted: Sequence[Fitting]) -> FitBonesReport:
         """The report of all targets."""
         joints, fit, of_rig = self._rig.joints, self._fit_of_all, rest_shear(self._rig)
         single = fit.symmetry.single if fit.symmetry else ()
@@ -339,8 +331,8 @@ class TargetFits:
             joints=len(joints),
             free=len(fit.free),
             weightless=tuple(joints[number] for number in np.flatnonzero(fit.weightless)),
-            targets={target.animation.name: target.report for target in fitted},
-            warnings=(*of_rig, *dict.fromkeys(line for target in fitted for line in target.warnings)),
+            targets={animation.name: report for animation, _, report, _ in fitted},
+            warnings=(*of_rig, *dict.fromkeys(line for *_, warnings in fitted for line in warnings)),
         )
 
     def _fit_of(self, known: BoolArray | None) -> BoneFit:
@@ -366,26 +358,6 @@ class TargetFits:
             )
         return self._fits[key]
 
-    def _solved(self, done: Callable[[], object]) -> Iterator[tuple[FloatArray, int]]:
-        """Coefficients (T, m, 9) and steps of each target."""
-        ahead: dict[int, tuple[FloatArray, int]] = {}
-        for number, target in enumerate(self._targets):
-            if len(target.points) > 1:
-                # a clip: each frame is fitted from the one before
-                frames, steps, start = [], 0, self._start
-                for frame in range(len(target.points)):
-                    start, taken = self._frame(number, frame, start)
-                    frames.append(start)
-                    steps += taken
-                    done()
-                yield np.stack(frames), steps
-                continue
-            if number not in ahead:
-                ahead |= self._together(number)
-            coefficients, steps = ahead.pop(number)
-            yield coefficients[None], steps
-            done()
-
     def _together(self, first: int) -> dict[int, tuple[FloatArray, int]]:
         """Number -> coefficients (m, 9) and steps of a pose and of those after it that share its `BoneFit`."""
         fit, numbers = self._fit_of(self._targets[first].known), []
@@ -410,31 +382,35 @@ class TargetFits:
             raise FitError(f"{self._rig.name} -> {self._names[number]}", what) from None
         return fitted.coefficients, fitted.steps
 
-    def _fitted(self, number: int, solved: FloatArray, steps: int) -> FittedTarget:
+    def _fitted(self, number: int, solved: FloatArray, steps: int) -> Fitting:
         """What is authored of one target, solved as coefficients (T, m, 9), with its report."""
         target, name, threshold = self._targets[number], self._names[number], self._options.threshold_mm
         fit = self._fit_of(target.known)
         counts = fit.weights > 0
         solved = solved.astype(np.float32).astype(np.float64)  # as it is authored
-        coefficients = self._with_half_scales(fit, target, solved) if self._options.residual else solved
+        coefficients = solved.copy()
+        if self._options.residual:
+            # a residual is added to the pose that SkelAnimation holds, whose scales are half precision
+            off = self._distances(self._posed(solved), target)[:, counts].max(axis=1)
+            for frame in np.flatnonzero(off > threshold).tolist():
+                coefficients[frame] = half_scaled(fit, solved[frame], target.points[frame])
         posed = self._posed(coefficients)
         miss = self._distances(posed, target)
         corrected = (miss > STRICTER * threshold) & counts & (miss[:, counts].max(axis=1) > threshold)[:, None]
         residuals = self._residuals(target, name, coefficients, corrected)
         frames = len(coefficients)
         # the shapes of all frames, and their weights (T, shapes): 1 at the frame that each is for
-        made = {frame: one.shapes for frame, one in residuals.items() if any(shape is not None for shape in one.shapes)}
+        made = {frame: one for frame, (one, _, _) in residuals.items() if any(shape is not None for shape in one)}
         weights = np.zeros((frames, len(made)))
         weights[list(made), np.arange(len(made))] = 1.0
         shapes = tuple(made.values())
-        for frame, one in residuals.items():
-            posed[frame] = one.points
+        for frame, (_, points, _) in residuals.items():
+            posed[frame] = points
         miss_at_end = self._distances(posed, target)
         residual: ResidualReport | None = None
         if self._options.residual:
             offsets = sum(len(part.offsets) for shape in shapes for part in shape if part is not None)
-            off = distances(miss_at_end[:, counts])
-            residual = ResidualReport(shapes=len(shapes), points=offsets, distances=off)
+            residual = ResidualReport(shapes=len(shapes), points=offsets, distances=distances(miss_at_end[:, counts]))
         start = np.clip(self._start, fit.lower, fit.upper)
         report = TargetReport(
             animation=name,
@@ -457,17 +433,7 @@ class TargetFits:
         )
         size = size_warning(target, name, self._rest_points, fit.weights)
         warnings = (*target.notes, *size, *self._warnings(report, residuals, coefficients))
-        return FittedTarget(animation=animation, shapes=shapes, report=report, warnings=warnings)
-
-    def _with_half_scales(self, fit: BoneFit, target: Target, solved: FloatArray) -> FloatArray:
-        """(T, m, 9) `solved`, with half-precision scales in the frames that need a residual.
-
-        A residual is added to the pose that SkelAnimation holds, whose scales are half precision.
-        """
-        coefficients, miss = solved.copy(), self._distances(self._posed(solved), target)
-        for frame in np.flatnonzero(miss[:, fit.weights > 0].max(axis=1) > self._options.threshold_mm):
-            coefficients[frame] = half_scaled(fit, solved[frame], target.points[frame])
-        return coefficients
+        return animation, shapes, report, warnings
 
     def _posed(self, coefficients: FloatArray) -> FloatArray:
         """(T, n, 3) points."""
@@ -496,15 +462,16 @@ class TargetFits:
 
     def _warnings(self, report: TargetReport, residuals: Mapping[int, Residual], coefficients: FloatArray) -> list[str]:
         name, lines = report.animation, []
-        lost = sum(residual.lost for residual in residuals.values())
+        lost = sum(flat for _, _, flat in residuals.values())
         if lost:
             lines.append(f"{name}: {lost} points are squashed flat by their bones, the residual can't move them")
         if not report.reached:
             largest = (report.residual.distances if report.residual else report.distances).max_mm
             lines.append(f"{name}: {largest:.4g} mm off at most, threshold {self._options.threshold_mm:g} mm")
-        sheared = local_shear(self._rig, coefficients)
+        local = [decompose(self._rig.local_transforms(frame)).sheared for frame in coefficients]
+        sheared = [self._rig.joints[number] for number in np.flatnonzero(np.any(local, axis=0))]
         if sheared:
-            lines.append(f"{name}: SkelAnimation can't hold the shear of {sheared}; the coefficients do")
+            lines.append(f"{name}: SkelAnimation can't hold the shear of {some(sheared)}; the coefficients do")
         return lines
 
 
@@ -552,27 +519,27 @@ class FitBones(FitBonesOptions):
         :raises FitError: limits that let a joint shrink to nothing, and a fit that did
         """
         start = time.perf_counter()
-        weights = point_weights(face.parts(), self.regions, self.mask)
-        fits = TargetFits(face, targets, self, limits=self.limits, weights=weights, initial=self.initial)
+        fits = TargetFits(face, targets, self)
         fitted = fits.fit_all(done)
         parts = fits.parts
         meshes = []
         for number, mesh in enumerate(parts.meshes):
-            residuals = [shape[number] for target in fitted for shape in target.shapes]
+            residuals = [shape[number] for _, added, _, _ in fitted for shape in added]
             shapes = (*mesh.blendshapes, *(shape for shape in residuals if shape is not None))
             meshes.append(replace(mesh, blendshapes=shapes))
         # of several targets none plays, and none is who the face is
+        animations = [animation for animation, *_ in fitted]
         is_person = len(fitted) == 1 and targets[0].person
         result = replace(
             parts,
             meshes=tuple(meshes),
-            animations=(*parts.animations, *(target.animation for target in fitted)),
-            person=fitted[0].animation.name if is_person else parts.person,
+            animations=(*parts.animations, *animations),
+            person=animations[0].name if is_person else parts.person,
             recipe=recipe or parts.recipe,
         )
         authored = author_changes(face, result)
         if len(fitted) == 1:
-            play(face, fitted[0].animation.name)
+            play(face, animations[0].name)
         return replace(fits.report(fitted), authored=authored, seconds=time.perf_counter() - start)
 
 

@@ -304,8 +304,11 @@ class Surface:
         with_rims = np.isin(np.arange(len(meshes)), np.searchsorted(firsts, rims, side="right") - 1)
         self._least = np.where(with_rims, 1.0, _LEAST)  # by mesh
         hairs = self.triangles[self.cards >= 0]
-        stay = np.setdiff1d(np.append(_strongest(rig), _even_points(rig.points, self.triangles, rims)), hairs)
-        stay = np.append(stay, self._marks)
+        # the point that each sculpt moves most: no level lacks a shape
+        moving = [target for target in rig.targets if len(target.offsets)]
+        strongest = [one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving]
+        kept = np.append(np.array(strongest, np.int64), _even_points(rig.points, self.triangles, rims))
+        stay = np.append(np.setdiff1d(kept, hairs), self._marks)
         self._fixed = np.isin(self._point, stay)
 
     @property
@@ -440,12 +443,6 @@ class Surface:
 
 def _joined(arrays: Iterable[IntArray]) -> IntArray:
     return np.concatenate(list(arrays))
-
-
-def _strongest(rig: Rig) -> IntArray:
-    """The point that each sculpt moves most: no level lacks a shape."""
-    moving = [target for target in rig.targets if len(target.offsets)]
-    return np.array([one.point_indices[np.linalg.norm(one.offsets, axis=1).argmax()] for one in moving], np.int64)
 
 
 def _even_points(points: FloatArray, triangles: IntArray, rims: IntArray) -> IntArray:

@@ -119,14 +119,7 @@ def reach_of(motions: Sequence[float], left: Sequence[float]) -> float:
     return max(0.0, 1.0 - float(np.linalg.norm(left)) / length) if length else 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Made:
-    """A slider with the shapes that it needs; None where it was left out."""
-
-    name: str
-    slider: Slider | None
-    residuals: tuple[Residual, ...]
-    report: MadeSlider
+Made = tuple[str, Slider | None, tuple[Residual, ...], MadeSlider]  # by its name; no slider where it was left out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,16 +136,16 @@ class SliderMaker:
     def make(self, wanted: ShapeSlider, twin: ShapeSlider | None) -> Made:
         """The slider, by what it and its mirror reach together: bones, with a residual or not, shapes, or nothing."""
         reached = self.reach(*((wanted,) if twin is None else (wanted, twin))) >= self.options.least_reach
-        residual = self.options.residual
-        found = {shape: self._residual(shape) for _, shape in wanted.ends} if reached and residual else {}
-        residuals = {shape: one for shape, one in found.items() if one is not None}
+        residual, residuals = self.options.residual, {}
+        for _, shape in wanted.ends if reached and residual else ():
+            pose, target = self.poses[shape], self.targets[shape]
+            corrected = np.linalg.norm(pose.points - target, axis=1) * self.mm > STRICTER * self.options.threshold_mm
+            if corrected.any():
+                coefficients, name = self.fits.rest + pose.gains, shape + _RESIDUAL
+                residuals[shape] = corrective(self.parts, self.fits.rig, name, coefficients, target, corrected)
         by = ("bones and residual" if residuals else "bones") if reached else "shapes" if residual else ""
-        return Made(
-            name=wanted.name,
-            slider=self._slider(wanted, by, residuals) if by else None,
-            residuals=tuple(residuals.values()),
-            report=self._report(wanted, by, residuals),
-        )
+        slider = self._slider(wanted, by, residuals) if by else None
+        return wanted.name, slider, tuple(residuals.values()), self._report(wanted, by, residuals)
 
     def reach(self, *sliders: ShapeSlider) -> float:
         """How much of the motion of sliders' shapes bones make."""
@@ -160,16 +153,6 @@ class SliderMaker:
         motions = [np.linalg.norm(self.targets[shape] - self.fits.points) for shape in shapes]
         left = [np.linalg.norm(self.targets[shape] - self.poses[shape].points) for shape in shapes]
         return reach_of([float(motion) for motion in motions], [float(one) for one in left])
-
-    def _residual(self, shape: str) -> Residual | None:
-        """What bones leave beyond the threshold."""
-        pose, target = self.poses[shape], self.targets[shape]
-        off = np.linalg.norm(pose.points - target, axis=1) * self.mm
-        corrected = off > STRICTER * self.options.threshold_mm
-        if not corrected.any():
-            return None
-        coefficients = self.fits.rest + pose.gains
-        return corrective(self.parts, self.fits.rig, shape + _RESIDUAL, coefficients, target, corrected)
 
     def _slider(self, wanted: ShapeSlider, by: str, residuals: Mapping[str, Residual]) -> Slider:
         channels, shapes = [], []
@@ -192,11 +175,11 @@ class SliderMaker:
         ends = []
         for _, shape in wanted.ends:
             target, bones, residual = self.targets[shape], self.poses[shape].points, residuals.get(shape)
-            end = target if by == "shapes" else bones if residual is None else residual.points
+            end = target if by == "shapes" else bones if residual is None else residual[1]
             motion, left, last = (
                 np.linalg.norm(target - one, axis=1) * self.mm for one in (self.fits.points, bones, end)
             )
-            points = 0 if residual is None else sum(len(one.point_indices) for one in residual.shapes if one)
+            points = 0 if residual is None else sum(len(one.point_indices) for one in residual[0] if one)
             # of (n,) lengths in millimetres: the shape's motion, what bones leave, what the slider's end leaves
             rms, rest = (float(np.sqrt((one**2).mean())) for one in (motion, left))
             ends.append(
@@ -288,9 +271,9 @@ class SlidersFromShapes(ShapeSliderOptions):
         made = [maker.make(slider, by_name.get(slider.mirror or "")) for slider in wanted]
         for _ in still:
             done()
-        new = [one.slider for one in made if one.slider is not None]
+        new = [slider for _, slider, *_ in made if slider is not None]
         added: list[list[Blendshape]] = [
-            [shapes for one in made for residual in one.residuals if (shapes := residual.shapes[number]) is not None]
+            [shapes for *_, found, _ in made for one, *_ in found if (shapes := one[number]) is not None]
             for number in range(len(parts.meshes))
         ]
         names = {shape.name for shapes in added for shape in shapes}
@@ -326,15 +309,15 @@ def _report(
     """What is known of the sliders that were made, and of those that the face had."""
     made_names, after = {slider.name for slider in new}, {slider.name for slider in kept}
     beyond = sliders_beyond(new, parts.skeleton.joints, parts.bone_limits)
-    left_out = {one.name: one.report for one in made if one.slider is None}
-    lost = sum(residual.lost for one in made for residual in one.residuals)
+    left_out = {name: report for name, slider, _, report in made if slider is None}
+    lost = sum(flat for _, _, residuals, _ in made for _, _, flat in residuals)
     lines = []
     if left_out:
         names = first_names(tuple(left_out), _SHOWN)
         lines.append(f"{len(left_out)} sliders left out, bones hardly reach their shapes: {names}")
     if lost:
         lines.append(f"{lost} points of residuals can't be corrected: skinning flattens what is around them")
-    sliders = [one.report for one in made]
+    sliders = [report for *_, report in made]
     groups: dict[str, list[MadeSlider]] = {}
     for slider in sliders:
         groups.setdefault(slider.group, []).append(slider)
@@ -351,7 +334,7 @@ def _report(
             reach=reach_of(motions.tolist(), left.tolist()),
         )
     return ShapeSlidersReport(
-        sliders={one.name: one.report for one in made if one.slider is not None},
+        sliders={name: report for name, slider, _, report in made if slider is not None},
         left_out=left_out,
         groups=reaches,
         replaced=tuple(slider.name for slider in parts.sliders if slider.name in made_names),

@@ -16,7 +16,7 @@ from facepipe.geometry.bounded_least_squares import BoxedQuadratic
 from facepipe.rig import Rig, coefficient_matrices, rest_coefficients
 from facepipe.rig.bone_coefficients import coefficient_derivatives
 from facepipe.verbs.fit_bones.bone_fit import BoneFit
-from facepipe.verbs.fit_bones.skinning import SkinnedPoints, Tree
+from facepipe.verbs.fit_bones.skinning import Tree, slopes
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -57,18 +57,18 @@ def test_the_jacobian_agrees_with_differences_of_the_rig(rig: functools._lru_cac
 def test_gradient_and_normal_matrix_are_those_of_the_jacobian(rig: functools._lru_cache_wrapper[Rig]) -> None:
     own = rig()
     rng, count = np.random.default_rng(2), len(own.joints)
-    tree, skin, weights = Tree(own), SkinnedPoints(own), rng.uniform(0, 2, len(own.points))
+    tree, weights = Tree(own), rng.uniform(0, 2, len(own.points))
     coefficients = random_pose(rng, count, np.arange(count))
     pose, target = tree.pose(coefficients), own.points + rng.normal(0, 0.1, own.points.shape)
-    moments = skin.moments(target, weights, tree.parent_world)
+    pairs, goal = tree.moments(target, weights)
     free = np.sort(rng.choice(count, max(1, count // 2), replace=False))
     columns = (free[:, None] * 9 + np.arange(9)).ravel()
     J, W = jacobian(tree, coefficients)[:, columns], np.repeat(weights, 3)
     generators = tree.generators(pose)
-    normal = tree.normal_matrix(generators, pose, moments.pairs, free)
+    normal = tree.normal_matrix(generators, pose, pairs, free)
     np.testing.assert_allclose(normal, J.T @ (W[:, None] * J), rtol=1e-8, atol=1e-8 * np.abs(normal).max())
     residual = (own.evaluate(coefficients=coefficients) - target).ravel()
-    gradient = tree.gradient(pose, moments.gradient(pose.skinning))[free].ravel()
+    gradient = tree.gradient(pose, slopes(pairs, goal, pose.skinning))[free].ravel()
     np.testing.assert_allclose(gradient, J.T @ (W * residual), atol=1e-8 * np.abs(gradient).max())
 
 
@@ -78,18 +78,18 @@ def test_the_hessian_with_its_curvature_agrees_with_differences_of_the_gradient(
 ) -> None:
     own = rig()
     rng, count, step = np.random.default_rng(2), len(own.joints), 1e-6
-    tree, skin, weights = Tree(own), SkinnedPoints(own), rng.uniform(0, 2, len(own.points))
+    tree, weights = Tree(own), rng.uniform(0, 2, len(own.points))
     coefficients = random_pose(rng, count, np.arange(count))
-    moments = skin.moments(own.points + rng.normal(0, 0.3, own.points.shape), weights, tree.parent_world)
+    pairs, goal = tree.moments(own.points + rng.normal(0, 0.3, own.points.shape), weights)
 
     def gradient(change: np.ndarray) -> np.ndarray:
         pose = tree.pose(coefficients + change.reshape(-1, 9))
-        return tree.gradient(pose, moments.gradient(pose.skinning)).ravel()
+        return tree.gradient(pose, slopes(pairs, goal, pose.skinning)).ravel()
 
     pose, free = tree.pose(coefficients), np.arange(count)
     generators = tree.generators(pose)
-    hessian = tree.normal_matrix(generators, pose, moments.pairs, free)
-    hessian += tree.curvature(generators, pose, moments.gradient(pose.skinning), free)
+    hessian = tree.normal_matrix(generators, pose, pairs, free)
+    hessian += tree.curvature(generators, pose, slopes(pairs, goal, pose.skinning), free)
     for number in rng.choice(9 * count, min(9 * count, 40), replace=False):
         shift = step * np.eye(9 * count)[number]
         difference = (gradient(shift) - gradient(-shift)) / (2 * step)

@@ -64,7 +64,7 @@ def test_fits_end_at_optima_inside_the_limits(reach: float) -> None:
 def test_shared_steps_reach_an_optimum_by_themselves() -> None:
     fit, points = fit_of(1.0, face_joints(head()), regularise=0.1), head().points
     targets = [points + 1e-4 * np.sin((number + 3.0) * points) for number in range(4)]
-    ends = fit_together(fit._shared(), np.stack(targets), rest_coefficients(len(fit.rig.joints)), 60, 1e-9)
+    ends = fit_together(fit.problem, fit.inverse, np.stack(targets), rest_coefficients(len(fit.rig.joints)), 60, 1e-9)
     assert [end.slope <= SETTLED for end in ends] == [True] * 4
     assert max(end.steps for end in ends) <= 18  # 13; twice as many without what steps change of the gradient
 
