@@ -265,30 +265,48 @@ class SampleMotion:
             values, blocks = plan(controls, self.options)
         if clips is not None:
             values, blocks = clips.after(values, blocks)
-        rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
-        rest = _placed(rig, to, *_posed(parts, controls, np.array([control.default for control in controls])))
-        points = np.empty((len(values), len(rest), 3), np.float32)
-        coefficients = np.empty((len(values), len(rig.joints), 9))
-        for number, row in enumerate(values):
-            coefficients[number], weights = _posed(parts, controls, row)
-            points[number] = _placed(rig, to, coefficients[number], weights)
-            done()
-        bones = bones_in(rig, to) if rig.joints else None
-        return Motion(
-            where=where,
-            topology=Topology.of(parts),
-            controls=controls,
-            values=values,
-            points=points,
-            rest=rest,
-            blocks=blocks,
-            bones=bones,
-            # the determinant of a similarity is its scale cubed
-            coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
-            source="rig" if clips is None else "rig and clips",
-            between=0 if clips is None else clips.between,
-            warnings=() if clips is None else clips.warnings,
-        )
+        motion = evaluated(parts, where, controls, values, blocks, lambda row: _posed(parts, controls, row), done)
+        if clips is None:
+            return motion
+        return replace(motion, source="rig and clips", between=clips.between, warnings=clips.warnings)
+
+
+def evaluated(
+    parts: FaceParts,
+    where: str,
+    controls: tuple[Control, ...],
+    values: FloatArray,
+    blocks: IntArray,
+    pose: Callable[[FloatArray], tuple[FloatArray, Mapping[str, float]]],
+    done: Callable[[], object] = lambda: None,
+) -> Motion:
+    """What the rig of a face makes of (f, c) values.
+
+    :param pose: bone coefficients (j, 9) and shape weights of (c,) values
+    :param done: called once for each frame
+    """
+    rig, to = build(parts), world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+    rest = _placed(rig, to, *pose(np.array([control.default for control in controls])))
+    points = np.empty((len(values), len(rest), 3), np.float32)
+    coefficients = np.empty((len(values), len(rig.joints), 9))
+    for number, row in enumerate(values):
+        coefficients[number], weights = pose(row)
+        points[number] = _placed(rig, to, coefficients[number], weights)
+        done()
+    bones = bones_in(rig, to) if rig.joints else None
+    return Motion(
+        where=where,
+        topology=Topology.of(parts),
+        controls=controls,
+        values=values,
+        points=points,
+        rest=rest,
+        blocks=blocks,
+        bones=bones,
+        # the determinant of a similarity is its scale cubed
+        coefficients=None if bones is None else coefficients_in(coefficients, np.cbrt(np.linalg.det(to[:3, :3]))),
+        source="rig",
+    )
 
 
 def _placed(rig: Rig, to: FloatArray, coefficients: FloatArray, weights: Mapping[str, float]) -> FloatArray:

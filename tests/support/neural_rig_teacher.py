@@ -100,7 +100,7 @@ class Teacher:
 
     def motion(self, options: SampleMotionOptions) -> Motion:
         """Frames of it."""
-        from facepipe.neural.sample_motion import evaluated, plan
+        from facepipe.neural.motion import evaluated, plan
 
         values, blocks = plan(self.controls, options)
         return evaluated(self.parts, "teacher", self.controls, values, blocks, self)
