@@ -19,11 +19,12 @@ from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coeffici
 from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
+from facepipe.rig.visemes import OCULUS_VISEMES
 from facepipe.stage import Face
 from facepipe.stage.animation_source import on_frames, play
 from facepipe.stage.author_changes import author_changes
-from facepipe.verbs.animate.clip_files import PARTS, Performance, angle_of
 from facepipe.verbs.animate.options import AnimateOptions
+from facepipe.verbs.animate.performance import PARTS, Performance, angle_of
 
 NONE = "none"
 _NAMES = {  # of joints, as `shape_key` has them
@@ -164,6 +165,7 @@ class AnimateReport(Report):
     )  # name in the performance -> shapes or sliders, where they differ
     no_target: Mapping[str, str] = field(default_factory=dict)  # name in the performance -> why it moves nothing
     filled: int = 0  # frames that the performance lacks
+    read_as: str = ""  # what the file was found to be, and how it was read
     authored: tuple[str, ...] = ()
 
 
@@ -231,6 +233,7 @@ class AnimateFace:
             renamed=targets.renamed,
             no_target={**targets.lost, **unturned},
             filled=performance.filled,
+            read_as=performance.read_as,
             authored=authored,
             warnings=performance.warnings,
         )
@@ -252,6 +255,17 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     names = [name for name in performance.names if not angle_of(name)]
     matched = match_shapes(names, [*shapes, *sliders])
     column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
+    # visemes that the face has no shape for: the mix of shapes that makes their mouth, over what the clip says of these
+    spoken = {name: viseme for name in names if name not in matched and (viseme := meaning(name)) in OCULUS_VISEMES}
+    places = match_shapes(
+        {shape for viseme in spoken.values() for shape in OCULUS_VISEMES[viseme]}, [*shapes, *sliders]
+    )
+    for name, viseme in spoken.items():
+        mix = {target: share for shape, share in OCULUS_VISEMES[viseme].items() for target in places.get(shape, ())}
+        for target, share in mix.items():
+            column_of[target] = column_of.get(target, 0.0) + share * columns[name]
+        if mix or not OCULUS_VISEMES[viseme]:
+            matched[name] = tuple(mix)
     free = [one for one in (*shapes, *sliders) if one not in column_of]
     lacking = "no such shape or slider" if sliders else "no such shape"
     return _Targets(
