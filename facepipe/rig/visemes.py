@@ -1,4 +1,4 @@
-"""Visemes, the mouths of sounds: Oculus's 15 as mixes of ARKit shapes, Azure's 22 ids as mixes of Oculus's, and its frames.
+"""Visemes, the mouths of sounds: Oculus's 15 as mixes of ARKit shapes, Azure's 22 ids as mixes of Oculus's.
 
 The tables are in ``visemes.json``, with their source. A shape that ARKit has by sides stands there without: both have
 its weight.
@@ -22,6 +22,4 @@ OCULUS_VISEMES: Mapping[str, Mapping[str, float]] = {  # viseme -> ARKit shape -
     for viseme, mix in _TABLES["oculus"].items()
 }
 AZURE_VISEMES: tuple[Mapping[str, float], ...] = tuple(_TABLES["azure"])  # id -> viseme -> weight
-AZURE_BLENDSHAPES: tuple[str, ...] = tuple(
-    _TABLES["azure_blendshapes"]
-)  # the order of its frames: 52 of ARKit, 3 turns
+AZURE_BLENDSHAPES: tuple[str, ...] = tuple(_TABLES["azure_blendshapes"])  # the order of the numbers of its frames

@@ -805,8 +805,39 @@ def put_clips() -> None:
     Path("talk.csv").write_text("jawOpen\n0\n0.25\n1\n")
     Path("take.json").write_text(json.dumps(CLIPS))
     Path("matrix.json").write_text(json.dumps(MATRIX))
+    Path("lost.csv").write_text(
+        "Timecode,BlendShapeCount,JawOpen,HeadYaw\n10:00:59;28,2,0,12\n10:00:59;29,2,,\n10:01:00;02,2,0.4,15\n"
+    )
+    Path("table.txt").write_text("sep=;\n;timeCode;blendShapes.JawOpen\n0;0,0;0,1\n1;0,033;0,5\n2;0,067;0,2\n")
+    for name, content in OTHER_CLIPS.items():
+        Path(name).write_text(json.dumps(content))
+    Path("tracked.jsonl").write_text("\n".join(map(json.dumps, TRACKED)))
+    Path("alone.usda").write_text(
+        '#usda 1.0\n(\n    timeCodesPerSecond = 30\n)\ndef SkelAnimation "World"\n{\n'
+        '    uniform token[] blendShapes = ["jawOpen"]\n    uniform token[] joints = ["head"]\n'
+        "    float[] blendShapeWeights.timeSamples = { 0: [0], 1: [0.5] }\n"
+        "    quatf[] rotations.timeSamples = { 0: [(1, 0, 0, 0)], 1: [(0.9, 0.1, 0, 0)] }\n"
+        "    float3[] translations = [(0, 1, 0)]\n    half3[] scales = [(1, 1, 1)]\n}\n"
+    )
 
 
+TRACKED = [
+    {
+        "timestampMs": 33 * i,
+        "faceBlendshapes": [{"categories": [{"categoryName": "jawOpen", "score": 0.1 * i}]}],
+        "facialTransformationMatrixes": [
+            {"rows": 4, "columns": 4, "data": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -30, 1]}
+        ],
+    }
+    for i in range(3)
+]
+OTHER_CLIPS = {
+    "tracked.json": TRACKED,
+    "keys.json": {"name": "x", "dt": [33, 100, 33], "vs": {"jawOpen": [0, 1, None], "mouthSmileLeft": [0.1, 0.2, 0.3]}},
+    "cues.json": {"visemes": ["aa", "PP"], "vtimes": [0, 100], "vdurations": [100, 80]},
+    "ids.json": [{"audioOffset": 500000, "visemeId": 2}, {"audioOffset": 1500000, "visemeId": 21}],
+    "azure.json": [{"FrameIndex": 0, "BlendShapes": [[0.1] * 55, [0.2] * 55]}],
+}
 CLIPS = {
     "fps": 30,
     "frames": [
@@ -818,7 +849,8 @@ MATRIX = {"exportFps": 60, "facsNames": ["jawOpen", "mouthSmileLeft"], "weightMa
 
 
 def damage_clip(rng: Rng, part: str) -> list[Line]:
-    name = rng.choice(["take.csv", "talk.csv", "take.json", "matrix.json"])
+    tables = ["take.csv", "talk.csv", "lost.csv", "table.txt", "tracked.jsonl", "alone.usda"]
+    name = rng.choice([*tables, "take.json", "matrix.json", *OTHER_CLIPS])
     change(name, damage.damaged_json if name.endswith(".json") else damage.damaged_text, rng)
     return [["animate", "face.usda", name, "-o", "out.usda"]]
 

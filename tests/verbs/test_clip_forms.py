@@ -9,6 +9,7 @@ from pathlib import Path
 import live_link
 import numpy as np
 import pytest
+from boned_face import boned
 from command_line import done
 from faces import replace_mesh, tiny_face
 from scipy.spatial.transform import Rotation
@@ -468,3 +469,19 @@ def test_the_clip_of_another_face(suffix: str, tmp_path: Path, capsys: Capsys) -
     assert found.shape_weights is not None
     jaw = np.asarray(found.shape_weights)[:, found.shapes.index("jawOpen")]
     np.testing.assert_allclose(jaw, weights[:, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("up", ["Y", "Z"])
+@pytest.mark.parametrize("suffix", [".usda", ".glb"])
+def test_head_and_eyes_of_another_face_turn_as_they_did(suffix: str, up: str, tmp_path: Path, capsys: Capsys) -> None:
+    """What animate wrote for one face is read back as the angles that it was written from."""
+    turns = captured(12)[:, 52:]
+    first = tmp_path / "first.usda"
+    save_parts(boned(up), first)
+    perform(Animate(face=first, clip=rows(tmp_path / "a.csv", TURNS, [[]] * 12, turns)), tmp_path / "out.usda")
+    clip = tmp_path / f"out{suffix}"
+    if suffix == ".glb":
+        done(capsys, "export", tmp_path / "out.usda", "-o", clip, "--animations", quiet=False)
+    found = read_performance(clip)
+    columns = dict(zip(found.names, found.values.T, strict=True))
+    np.testing.assert_allclose(np.stack([columns[name] for name in TURNS], axis=1), turns, atol=2e-5)

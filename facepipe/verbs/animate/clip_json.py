@@ -34,6 +34,7 @@ from facepipe.verbs.animate.performance import (
     LARGEST,
     LATEST,
     MOST_FRAMES,
+    MOST_VALUES,
     RATES,
     Take,
     angle_of,
@@ -147,6 +148,8 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         if weights is not None and len(weights) != len(names):
             missing = next(name for name in names if name not in weights)
             raise InputError(trail, f"no '{missing[:60]}', expected the {len(names)} names of the other frames")
+    if len(frames) * len(names) > MOST_VALUES:
+        raise InputError(path, f"{len(frames)} frames of {len(names)} names, expected at most {MOST_VALUES} values")
     values = np.array([[math.nan] * len(names) if one is None else [one[name] for name in names] for one in tracked])
     take = Take(form="frames", where=where, names=names, values=values)
     if tracker:
@@ -255,9 +258,8 @@ def _azure(path: Path, frames: list[dict[str, Any]]) -> Take:
     order = np.argsort(places, kind="stable")
     where = [f"{path} -> frame {places[i]}" for i in order]
     values, at = np.array(rows)[order], np.array(places, dtype=np.float64)[order]
-    return Take(
-        form="Azure blendshapes", where=where, names=AZURE_BLENDSHAPES, values=values, frames=at - at[0], rate=60.0
-    )
+    form, since = "Azure blendshapes", at - at[0]
+    return Take(form=form, where=where, names=AZURE_BLENDSHAPES, values=values, frames=since, rate=60.0)
 
 
 def _offset(where: str, event: Mapping[str, Any]) -> float:
@@ -311,11 +313,12 @@ def _spoken(
     weights = {name: np.zeros(len(times)) for name in OCULUS_VISEMES}
     for mix, start, end in zip(mixes, starts, ends, strict=True):
         fade = max(min(_VISEME_FADE, end - start), 1e-6)
-        shape = np.interp(
-            times, [start - fade / 2, start + fade / 2, end - fade / 2, end + fade / 2], [0.0, 1.0, 1.0, 0.0]
-        )
+        corners = [start - fade / 2, start + fade / 2, end - fade / 2, end + fade / 2]
+        # of the frames around the cue alone: over all of them a file of many cues would take hours
+        here = slice(max(int((corners[0] - low) * FPS), 0), int((corners[3] - low) * FPS) + 2)
+        shape = np.interp(times[here], corners, [0.0, 1.0, 1.0, 0.0])
         for name, share in mix.items():
-            weights[name] = np.maximum(weights[name], share * shape)
+            weights[name][here] = np.maximum(weights[name][here], share * shape)
     used = [name for name, weight in weights.items() if weight.any()] or [OCULUS_VISEMES[0]]
     values: FloatArray = np.stack([weights[name] for name in used], axis=1)
     take = Take(form=form, where=[str(path)] * len(times), names=used, values=values, rate=FPS)

@@ -25,6 +25,7 @@ RATES = (1.0, 1000.0)  # frames per second that a file may have
 LARGEST = 1e12  # number that a file may hold
 LATEST = 1e19  # time that it may hold: nanoseconds since 1970 are 1.8e18
 MOST_FRAMES = 1 << 19  # 2.4 hours at 60 fps
+MOST_VALUES = 1 << 26  # 128 names for as long
 PARTS = ("Head", "LeftEye", "RightEye")
 ANGLES: Mapping[str, str] = {  # key -> name
     shape_key(part + angle): part + angle for part in PARTS for angle in ("Yaw", "Pitch", "Roll")
@@ -106,7 +107,7 @@ class Performance:
         if fps == self.fps:
             return self
         count = int(self.seconds[-1] * fps + _ON_FRAME) + 1
-        _check_count(self.where, count)
+        _check_count(self.where, count, len(self.names))
         return replace(self, fps=fps, values=_interpolated(np.arange(count) / fps, self.seconds, self.values))
 
 
@@ -147,7 +148,7 @@ def performance_of(path: Path, take: Take, fps: float | None, angles: str) -> Pe
     # the median: a gap of many frames would lengthen the mean
     step = max(1.0, float(np.rint(middle(np.diff(frames)))))
     count = int(frames[-1] / step + 0.5) + 1
-    _check_count(where, count)
+    _check_count(where, count, len(take.names))
     off = np.abs(frames / step - np.rint(frames / step)).max() * step
     if off > take.slack:
         take.warnings.append(f"frames are up to {off:.2g} of a frame off whole ones: interpolated")
@@ -339,9 +340,11 @@ def middle(steps: FloatArray) -> float:
     return float(np.sort(steps)[(len(steps) - 1) // 2]) if len(steps) else 1.0
 
 
-def _check_count(where: str, count: int) -> None:
+def _check_count(where: str, count: int, names: int) -> None:
     if count > MOST_FRAMES:
         raise InputError(where, f"{count} frames with those that are missing, expected at most {MOST_FRAMES}")
+    if count * names > MOST_VALUES:
+        raise InputError(where, f"{count} frames of {names} names, expected at most {MOST_VALUES} values")
 
 
 def _interpolated(at: FloatArray, times: FloatArray, values: FloatArray) -> FloatArray:
