@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +15,8 @@ from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
+from facepipe.rig.conventions import match_shapes, meaning, spelling
+from facepipe.rig.joint_names import joint_called
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.rig.visemes import OCULUS_VISEMES
@@ -27,12 +27,6 @@ from facepipe.verbs.animate.options import AnimateOptions
 from facepipe.verbs.animate.performance import PARTS, Performance, angle_of
 
 NONE = "none"
-_NAMES = {  # of joints, as `shape_key` has them
-    "Head": ("head",),
-    "LeftEye": ("eyeleft", "eyeballleft", "eyejntleft", "eyejointleft"),
-    "RightEye": ("eyeright", "eyeballright", "eyejntright", "eyejointright"),
-}
-_PREFIX = re.compile(r"^(mixamorig\d*|def|cc_base|c|facial|face)[:_\-]+", re.IGNORECASE)
 _MOVES = 1e-6  # of the head's size: less is no motion
 _HELD = 0.5  # weight from which a point belongs to a joint
 
@@ -48,9 +42,7 @@ def joint_of(where: str, skeleton: Skeleton, part: str, wanted: str | None) -> i
         return None
     names = [joint.rpartition("/")[2] for joint in skeleton.joints]
     if wanted is None:
-        found = [i for i, name in enumerate(names) if shape_key(_PREFIX.sub("", name)) in _NAMES[part]]
-        # nearest to the root: what hangs below a head or eye and is called as it helps to move it
-        return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
+        return joint_called(skeleton, part)
     paths = [i for i, joint in enumerate(skeleton.joints) if joint == wanted]
     matches = paths or [i for i, name in enumerate(names) if name.casefold() == wanted.casefold()]
     if len(matches) != 1:
