@@ -37,6 +37,7 @@ from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
 from facepipe.stage.sliders import read_slider_network, read_sliders
+from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe.stage.values import floats, matrices, to_floats, to_matrices
 
 _TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
@@ -211,17 +212,19 @@ def read_foreign(
     root: str | None = None,
     skeleton: str | None = None,
     variants: Mapping[str, str] | None = None,
+    strict: bool = False,
 ) -> tuple[FaceParts, list[Path], list[str]]:
     """The face of a UsdSkel stage, repaired as far as its meaning is clear; the layers that were read, and warnings.
 
     :param root: path of the prim to read below; default the default prim, or the whole stage
     :param skeleton: path of the Skeleton, needed where meshes are bound to several
     :param variants: which to read, by variant set; of other sets those that the file selects
+    :param strict: a texture that can't be read is an error, in place of left out
     :raises InputError: no readable stage, no meshes, no such variant, or a choice that has to be made
     :raises SchemaError, TopologyError: data that doesn't hold together
     """
     with quiet_diagnostics(), errors_below(str(path)):
-        scene = Scene(path, root, variants or {})
+        scene = Scene(path, root, variants or {}, strict=strict)
         meshes = choose_meshes(scene)
         # the skeleton first: which meshes are the face's depends on it
         prim = choose_skeleton(scene, meshes, skeleton)
@@ -272,7 +275,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
     hung = _texts(scene, tokens.ATTACH_JOINT)
     if len(hung) > 1:
         scene.warn(f"{len(hung)} attach joints: '{hung[0]}' is kept")
-    return FaceParts(
+    parts = FaceParts(
         name=identifier(face_name, "Face"),
         meters_per_unit=unit,
         up_axis="Z" if axis == "Z" else "Y",
@@ -288,6 +291,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         attach_joint=hung[0] if hung else None,
         attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
     )
+    return with_baked_uvs(parts)
 
 
 def _animations(

@@ -17,9 +17,11 @@ from facepipe.stage.api_schemas import authored_skel_properties
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.materials import Images, read_material
+from facepipe.stage.materials import read_material
+from facepipe.stage.materialx import unread_inputs
 from facepipe.stage.prims import check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
+from facepipe.stage.shaders import Images
 from facepipe.stage.values import ints
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
@@ -32,9 +34,10 @@ _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 class Scene:
     """Prims of a stage that may belong to a face."""
 
-    def __init__(self, path: Path, root: str | None, variants: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, root: str | None, variants: Mapping[str, str], *, strict: bool = False) -> None:
         """:raises InputError: no readable stage, no such root or variant, or more prims than a face can have"""
         self.path = path
+        self.strict = strict  # textures that can't be read are errors
         self.stage = open_stage(path)
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         self.warnings: list[str] = []
@@ -330,20 +333,21 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
             break
         except InputError as error:
             attribute = scene.stage.GetAttributeAtPath(Sdf.Path(error.where))
-            if not attribute or not attribute.HasAuthoredValue():
+            if scene.strict or not attribute or not attribute.HasAuthoredValue():
                 raise
             scene.warn(f"{error}: left out")
             # and read again, as several textures of a material may be missing, and each read names the first
             attribute.Block()
     if material is None:
-        scene.warn("material without UsdPreviewSurface: left out", [prim])
+        scene.warn("material without UsdPreviewSurface or a surface of MaterialX: left out", [prim])
         return None
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
-    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
-    if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
-        lost.append("the specular workflow")
-    if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):
-        lost.append("texture transforms")
+    if surface and surface.GetShaderId() == "UsdPreviewSurface":
+        lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
+        if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
+            lost.append("the specular workflow")
+    else:
+        lost = unread_inputs(prim)
     if lost:
         scene.warn(f"{', '.join(lost)} of the material: left out", [prim])
     return material

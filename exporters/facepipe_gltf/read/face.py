@@ -19,6 +19,7 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.recipes import Imported, import_recipe, with_units
+from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe_gltf.read import materials, meshes, primitives
 from facepipe_gltf.read.animations import read_animations
 from facepipe_gltf.read.document import Document, open_document
@@ -184,7 +185,7 @@ def read(source: Path, options: Options) -> Imported:
     check_ranges(options)
     try:
         with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which is refused below
-            document = open_document(source)
+            document = open_document(source, strict=options.strict)
             parts = _parts(document, source, options)
             skeleton = parts.skeleton
             if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
@@ -237,7 +238,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
     animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
     bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
-    return FaceParts(
+    parts = FaceParts(
         meters_per_unit=1.0,
         up_axis="Y",
         meshes=meshes,
@@ -249,6 +250,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
+    return parts if recorded else with_baked_uvs(parts)
 
 
 def _note_losses(document: Document, *, ours: bool) -> None:
