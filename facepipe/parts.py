@@ -169,7 +169,9 @@ class Skeleton:
     def called(self, names: Sequence[str]) -> Skeleton:
         """The same skeleton, its joints called `names`."""
         bare = replace(self, joint_names=())
-        return bare if tuple(names) == bare.names else replace(self, joint_names=tuple(names))
+        # names that several joints have stand for themselves: without them an exporter would write paths
+        known = tuple(names) == bare.names and len({*names}) == len(names)
+        return bare if known else replace(self, joint_names=tuple(names))
 
     @property
     def parents(self) -> IntArray:

@@ -38,6 +38,7 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_clearcoat",
         "KHR_materials_ior",
         "KHR_materials_unlit",
+        "KHR_animation_pointer",
         "KHR_materials_emissive_strength",
         "KHR_materials_pbrSpecularGlossiness",
         "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
