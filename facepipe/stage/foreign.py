@@ -23,6 +23,7 @@ from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
+from facepipe.stage.foreign_motion import with_motion
 from facepipe.stage.foreign_scene import (
     Scene,
     ancestors,
@@ -291,7 +292,10 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         attach_joint=hung[0] if hung else None,
         attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
     )
-    return with_baked_uvs(parts)
+    whole, named = with_motion(with_baked_uvs(parts), scene.moving, meshes, prim)
+    for line in named:
+        scene.warn(line)
+    return whole
 
 
 def _animations(

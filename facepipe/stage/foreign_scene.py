@@ -16,6 +16,7 @@ from facepipe.parts import Material
 from facepipe.stage.api_schemas import authored_skel_properties
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
+from facepipe.stage.foreign_motion import moving_of
 from facepipe.stage.guard import reads_prim
 from facepipe.stage.materials import read_material
 from facepipe.stage.materialx import unread_inputs
@@ -53,6 +54,7 @@ class Scene:
         check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
+        self.moving = moving_of(self.stage, self.prims, above, path)
         self._default_values()
         # each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone
         for top in (top for top in self.roots if top.GetTypeName() in _CONTAINERS):
@@ -108,9 +110,11 @@ class Scene:
                 samples = attribute.GetNumTimeSamples()
                 if samples and attribute.Get() is None:
                     attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
-                if samples > 1:
-                    name = attribute.GetName()
-                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
+                name = attribute.GetName()
+                # transforms and points are motion, of which `foreign_motion` says what became
+                kept = name.startswith("xformOp:") or (name == "points" and str(prim.GetPath()) in self.moving.points)
+                if samples > 1 and not kept:
+                    moving.setdefault(name, []).append(prim)
         for name, prims in sorted(moving.items()):
             self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
 

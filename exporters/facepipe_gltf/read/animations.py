@@ -15,8 +15,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
 from facepipe.parts import Animation
-from facepipe.rig.animation import ON_FRAME, TICK, between, local_transforms, whole_frames
-from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
+from facepipe.rig.animation import ON_FRAME, TICK, between, whole_frames, with_exact_scales
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
@@ -292,22 +291,10 @@ def _animation(
         shapes=shape_names,
         shape_weights=shape_weights,
     )
-    # the animation, with bone coefficients too where SkelAnimation would round its scales to half precision
-    scales = animation.scales
-    if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
-        return animation
-    place = {joint: i for i, joint in enumerate(joints.skeleton.joints)}
-    rest = joints.skeleton.rest_transforms[[place[joint] for joint in animation.joints]]
-    if np.abs(np.linalg.det(rest[:, :3, :3])).min() < 1e-12:
-        document.warn(value, "scales are kept in half precision: joints are flat at rest")
-        return animation
-    relative = np.linalg.inv(rest) @ local_transforms(joints.skeleton, animation)
-    coefficients = matrix_coefficients(relative)
-    lost = float(np.abs(coefficient_matrices(coefficients) - relative).max())
-    if lost > 1e-5 * max(1.0, float(np.abs(relative).max())):
-        document.warn(value, f"scales are kept in half precision: joints sheared against rest by up to {lost:.2g}")
-        return animation
-    return replace(animation, coefficients=coefficients.astype(np.float32))
+    animation, lost = with_exact_scales(joints.skeleton, animation)
+    if lost:
+        document.warn(value, lost)
+    return animation
 
 
 def _joint_motion(
