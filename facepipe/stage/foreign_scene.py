@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -29,6 +30,7 @@ _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
 _PROPERTIES_LISTED = 3
 _PER_POINT_OR_CORNER = ("vertex", "varying", "faceVarying")
+_MTLX = re.compile(r"([^@/\\]{1,80}\.mtlx)[@:]")
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
@@ -39,9 +41,13 @@ class Scene:
         """:raises InputError: no readable stage, no such root or variant, or more prims than a face can have"""
         self.path = path
         self.strict = strict  # textures that can't be read are errors
-        self.stage = open_stage(path)
+        # USD reads MaterialX files by a plug-in that its wheels lack: the rest of the stage is read without them
+        self.stage = open_stage(path, lacking=(".mtlx",))
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         self.warnings: list[str] = []
+        missing = sorted({one for error in self.stage.GetCompositionErrors() for one in _MTLX.findall(str(error))})
+        if missing:
+            self.warn(f"{', '.join(missing[:3])}: MaterialX files are not read, only materials authored as UsdShade")
         _choose_variants(self.stage, path, variants)
         self.roots = self._find_roots(root)
         # instances become plain prims: a repair below one is not one below all

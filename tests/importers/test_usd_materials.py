@@ -183,6 +183,19 @@ def test_images_and_normals_of_materialx(tmp_path: Path) -> None:
     np.testing.assert_allclose(uvs(imported), UVS[: len(uvs(imported))] / (2.0, 0.5) - (0.25, 0.5), atol=1e-6)
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_a_materialx_file_is_named_and_the_rest_read(there: bool, tmp_path: Path) -> None:
+    def make(stage: Usd.Stage, material: UsdShade.Material) -> None:
+        material.GetPrim().GetReferences().AddReference("./skin.mtlx", "/MaterialX/Materials/Skin")
+
+    path = stage_with(tmp_path, make)
+    if there:
+        (tmp_path / "skin.mtlx").write_text('<?xml version="1.0"?><materialx version="1.38"></materialx>')
+    imported = read(path)
+    warned(imported, "skin.mtlx: MaterialX files are not read, only materials authored as UsdShade")
+    assert len(imported.parts.meshes) == 1
+
+
 def test_what_materialx_mixes_is_named(tmp_path: Path) -> None:
     def make(stage: Usd.Stage, material: UsdShade.Material) -> None:
         node = surface(stage, material, "ND_standard_surface_surfaceshader", subsurface=0.5)
