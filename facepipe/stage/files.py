@@ -55,9 +55,8 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True, lacking: Se
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
         problems = [str(error) for error in stage.GetCompositionErrors()] if strict else []
-        problems = [
-            one for one in problems if not any(f"{suffix}@" in one or f"{suffix}:" in one for suffix in lacking)
-        ]
+        ends = [f"{suffix}{end}" for suffix in lacking for end in "@:"]
+        problems = [one for one in problems if not any(end in one for end in ends)]
         del held
         # USD maps times between layers by their rates, and never returns where one is zero or not finite
         layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]

@@ -138,8 +138,8 @@ def read_materialx(prim: Usd.Prim, name: str, images: Images) -> Material | None
     glow = float(value_of(shader, gain, 0.0 if gain == "emission" else 1.0)) if gain else 1.0
     emissive: Color | TextureInput = (0.0, 0.0, 0.0)
     if lit and glow > 0:
-        otherwise = (1.0, 1.0, 1.0) if gain == "emission" else (0.0, 0.0, 0.0)
-        emissive = _times(_color(shader, lit, otherwise, images), (glow,) * 4)
+        unsaid = (1.0, 1.0, 1.0) if gain == "emission" else (0.0, 0.0, 0.0)
+        emissive = _times(_color(shader, lit, unsaid, images), (glow,) * 4)
     normal = _textured(shader, kind.normal, "rgb", images)
     if normal is not None:  # from 0..1 to -1..1
         normal = replace(normal, scale=(2.0, 2.0, 2.0, 1.0), bias=(-1.0, -1.0, -1.0, 0.0))
@@ -196,7 +196,7 @@ def _node(shader: UsdShade.Shader) -> str:
 
 def _image_node(shader: UsdShade.Shader, name: str) -> tuple[UsdShade.Shader, str, tuple[float, ...]] | None:
     """The node of the image that an input shows, the channel that is taken of it ("" for its own), and its factor."""
-    channel, factor = "", _NO_CHANGE
+    channel, factor = "", tuple[float, ...](_NO_CHANGE)
     for _ in range(_MOST_NODES):
         found = _source(shader, name)
         if found is None:

@@ -218,9 +218,9 @@ def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
         document.warn(names, f"is not a list of {count} names: targets are numbered instead")
         break
     else:
-        names = _names_beside(document, primitives, count)
-        if names:
-            return names
+        beside = _names_beside(document, primitives, count)
+        if beside:
+            return beside
         document.warn(mesh, f"its {count} morph targets have no names: called target_<number>")
     return [f"target_{i}" for i in range(count)]
 
