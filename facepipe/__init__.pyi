@@ -86,7 +86,7 @@ def animate(
     overwrite: bool = False,
     flatten: bool = False,
     fps: float | None = None,
-    angles: Literal["rad", "deg"] = "rad",
+    angles: Literal["auto", "rad", "deg"] = "auto",
     start: float | None = None,
     end: float | None = None,
     resample: float | None = None,
@@ -99,7 +99,7 @@ def animate(
     """Put a captured performance on a face: `facepipe animate`.
 
     :param fps: frames per second of CLIP; by default its own, or 60 (a timecode counts frames, not how many make a second)
-    :param angles: unit of the turns in CLIP
+    :param angles: unit of the turns in CLIP; auto: radians unless they can't be
     :param start: leave out what is before, from the first frame of CLIP [s]
     :param end: leave out what is after, from the first frame of CLIP [s]
     :param resample: frames per second of the result; those of CLIP by default
@@ -108,7 +108,7 @@ def animate(
     :param left_eye: joint that LeftEyeYaw ... turn, or none; as --head
     :param right_eye: joint that RightEyeYaw ... turn, or none; as --head
     :param face: face stage
-    :param clip: performance: .csv .json
+    :param clip: performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm
     :param name: name of the animation (default: the file's)
     :param out: stage to write, or a file that an exporter writes
     :param overwrite: put it in place of a file that is there

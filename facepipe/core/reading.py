@@ -159,7 +159,10 @@ def read_toml(path: Path, most: int) -> dict[str, Any]:
 
 
 def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
-    """The delimiter (comma, semicolon or tab) of a file of at most `most` bytes; line and stripped cells of each row.
+    """The delimiter of a file of at most `most` bytes; line and stripped cells of each row.
+
+    It is a comma, semicolon, tab or bar, or spaces where the header has none of these. Excel's line ``sep=;`` may stand
+    before.
 
     :raises InputError: not readable, no UTF-8 or UTF-16, not CSV, or too many columns or rows
     """
@@ -169,9 +172,16 @@ def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
         text = data.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(path, f"is not UTF-8 (byte {error.start}), expected CSV saved as UTF-8") from None
-    delimiter = max(",;\t", key=text.lstrip().partition("\n")[0].count)
+    first = text.lstrip().partition("\n")[0]
+    delimiter = max(",;\t|", key=first.count)
+    if first.startswith("sep=") and len(first.rstrip()) == len("sep=;"):
+        delimiter, text = first[4], text.lstrip().partition("\n")[2]
+    elif delimiter not in first and " " in first.strip():
+        delimiter = " "
     try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        reader = csv.reader(
+            io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=delimiter == " ", strict=True
+        )
         rows: list[tuple[int, list[str]]] = []
         for cells in reader:
             if len(cells) > _MOST_COLUMNS or len(rows) == _MOST_ROWS:

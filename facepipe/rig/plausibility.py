@@ -6,6 +6,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
+from facepipe.rig.joint_names import joint_called
 from facepipe.rig.rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
@@ -14,6 +15,10 @@ _SCHEME, _COUNT = "multipie68", 68
 _EAR_ENDS, _CHIN, _BRIDGE, _NOSE_TIP, _OUTER_CORNERS, _EYES = (0, 16), 8, 27, 30, (36, 45), slice(36, 48)
 _BRIDGES, _CORNERS = 2.5, 3.0  # a head in heights from chin to bridge of the nose, in distances of the eyes' corners
 _ROOM = 1.25  # since proportions differ, of stylised faces above all
+_SPINE = 0.35  # height of a head above its joint, in distances from hips to head: 0.3 of grown people, 0.5 of children
+_BODY_ROOM = 1.4  # as `_ROOM`, for children and figures with large heads
+_LONGEST = 3.0  # metres that a body is long
+_BODY_DEPTH = 0.05  # of its height, at least
 _HEAD_PROPORTION = 1 / 3  # shortest side of a bounding box by the longest
 _UPRIGHT_COSINE = 0.7  # cosine: eyes above the chin, and nose before the ears, within 45 degrees
 _AXES = {"Y": ("+Y", "+Z"), "Z": ("+Z", "-Y")}  # up and forward of a stage
@@ -24,8 +29,10 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
 
     Landmarks (`multipie68`) measure the head, with a body or without: it is too small or too large where both 2.5
     times the height from chin to bridge of the nose and 3 times the distance of the outer corners of the eyes are.
-    Without landmarks the height of the bounding box counts, where that has the proportions of a head. Up and front are
-    known from landmarks alone.
+    Without landmarks an avatar, which has joints of a head and of hips, is measured from the head's joint to the top,
+    and stands along the line from hips to head. Else the height of the bounding box counts, where that has the
+    proportions of a head; with those of a body, that it is no longer than `_LONGEST`. Up and front are known from
+    landmarks or joints alone.
     """
     rig = build(parts)
     points = rig.evaluate()
@@ -33,13 +40,45 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]
     marks = next((by_mesh[name][indices] for indices, name in found if len(indices) == _COUNT), None)
     if marks is None:
+        head, hips = joint_called(parts.skeleton, "Head"), joint_called(parts.skeleton, "Hips")
+        if head is not None and hips is not None and len(points):
+            places = rig.joint_worlds(rig.rest)[:, :3, 3]
+            return _avatar(places[head], places[hips], points, unit, parts.up_axis)
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
         # a body, or a part of a face: its height says nothing of the head
         if sides.min() < _HEAD_PROPORTION * sides.max():
-            return ()
+            most = unit * float(sides.max())
+            long = f"the model is {most:.3g} m long, expected a head, or a body of at most {_LONGEST:g} m"
+            fix = f"`facepipe import` with --meters-per-unit {unit * 10.0 ** -np.ceil(np.log10(most / 2.5)):.6g}"
+            return (
+                (f"{long}; {fix} fixes a wrong unit",)
+                if most > _LONGEST and sides.min() > _BODY_DEPTH * sides.max()
+                else ()
+            )
         return _size(1000.0 * unit * sides[["XYZ".index(parts.up_axis)]], unit, "high", 1.0)
     heights = np.array([_BRIDGES * _between(marks, _CHIN, _BRIDGE), _CORNERS * _between(marks, *_OUTER_CORNERS)])
     return (*_size(1000.0 * unit * heights, unit, "high by its landmarks", _ROOM), *_stance(marks, parts.up_axis))
+
+
+def _avatar(head: FloatArray, hips: FloatArray, points: FloatArray, unit: float, up_axis: str) -> tuple[str, ...]:
+    """Lines on a body's size and stance.
+
+    :param head: (3,) where its joint is; `hips` too
+    """
+    spine = head - hips
+    length = float(np.linalg.norm(spine))
+    if not length > 0:
+        return ()
+    skull = float(((points - head) @ spine).max(initial=0.0)) / length
+    # two measures, as hair and hats rise over a skull and the joints of some heads lie in the neck
+    measures = np.array([skull, _SPINE * length])
+    lines = _size(1000.0 * unit * measures, unit, "high above its joint", _BODY_ROOM)
+    if _along(spine, _AXES[up_axis][0]) >= _UPRIGHT_COSINE:
+        return lines
+    nearest = _nearest(spine)
+    fix = f"`facepipe import` with --up-axis {nearest[1]}" if nearest in ("+Y", "+Z") else "turning its source"
+    what = f"the body doesn't stand upright: its head lies {nearest} of the hips, expected {_AXES[up_axis][0]}"
+    return (*lines, f"{what}; {fix} fixes it")
 
 
 def _between(marks: FloatArray, first: int, other: int) -> float:

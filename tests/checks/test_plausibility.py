@@ -60,6 +60,60 @@ def bare(parts: FaceParts) -> FaceParts:
     return with_meshes(parts, landmarks={})
 
 
+def avatar(height: float, up: str = "Y", long: float = 1.0) -> FaceParts:
+    """A body with joints, `height` metres from sole to crown before `up` is applied, hair and all.
+
+    :param up: the axis that it stands along; its stage says Y
+    :param long: times as high a skull and hair as a person has
+    """
+    places = {"Hips": 0.53, "Hips/Spine": 0.6, "Hips/Spine/Neck": 0.83, "Hips/Spine/Neck/Head": 0.87}
+    points = np.random.default_rng(0).uniform((-0.25, 0, -0.09), (0.25, 0.87, 0.09), (60, 3))
+    skull = np.random.default_rng(1).uniform((-0.05, 0.85, -0.06), (0.05, 0.87 + 0.13 * long, 0.06), (60, 3))
+    crown = np.array([[0, 0.87 + 0.13 * long, 0], [0, 0, 0]])
+    to = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) if up == "Z" else np.eye(3)
+    world = np.tile(np.eye(4), (4, 1, 1))
+    for i, y in enumerate(places.values()):
+        world[i, :3, 3] = to @ (0, y * height, 0)
+    rest = world.copy()
+    rest[1:] = np.linalg.inv(world[:-1]) @ world[1:]
+    body = Mesh(
+        name="Body",
+        points=(np.concatenate([points, skull, crown]) * height @ to.T).astype(np.float32),
+        face_vertex_counts=np.array([3], np.int32),
+        face_vertex_indices=np.arange(3, dtype=np.int32),
+    )
+    skeleton = Skeleton(joints=tuple(places), bind_transforms=world, rest_transforms=rest)
+    return FaceParts(name="avatar", meshes=(body,), skeleton=skeleton, meters_per_unit=1.0)
+
+
+BODIES: dict[str, tuple[FaceParts, str]] = {
+    "a person": (avatar(1.74), ""),
+    "a child": (avatar(0.9), ""),
+    "a chibi with hair": (avatar(0.9, long=2.5), ""),
+    "174 m": (avatar(174.0), "the head is 22.6 m high above its joint, expected 150 to 400 mm; `facepipe import` with"),
+    "174 m, what is offered": (avatar(174.0), "--meters-per-unit 0.01 fixes"),
+    "a doll": (avatar(0.0174), "--meters-per-unit 100 fixes"),
+    "lying down": (
+        avatar(1.74, "Z"),
+        "the body doesn't stand upright: its head lies +Z of the hips, expected +Y; `facepipe import` with --up-axis Z",
+    ),
+    "without joints": (replace(avatar(1.74), skeleton=Skeleton()), ""),
+    "174 m without joints": (
+        replace(avatar(174.0), skeleton=Skeleton()),
+        "the model is 174 m long, expected a head, or a body of at most 3 m; `facepipe import` with "
+        "--meters-per-unit 0.01 fixes",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_head_of_a_body_is_measured_not_its_box(name: str) -> None:
+    body, expected = BODIES[name]
+    lines = implausible(body)
+    assert len(lines) == (1 if expected else 0), lines
+    assert all(expected in line for line in lines)
+
+
 HEADS: dict[str, tuple[Callable[[FaceParts], FaceParts], str]] = {
     "as it is": (lambda face: face, ""),
     "Z up": (lambda face: turned(face, "+x+z-y", "Z"), ""),

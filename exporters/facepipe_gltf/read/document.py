@@ -46,7 +46,13 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_clearcoat",
         "KHR_materials_ior",
         "KHR_materials_unlit",
+        "KHR_animation_pointer",
         "KHR_materials_emissive_strength",
+        "KHR_materials_pbrSpecularGlossiness",
+        "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
+        "KHR_texture_basisu",  # a texture without another image is named and left out
+        "EXT_texture_webp",
+        "EXT_texture_avif",
     }
 )
 _MAX_FILE_BYTES = 2**32  # a GLB can't be longer, as its header counts in 32 bits
@@ -264,6 +270,7 @@ class Document:
     root: Value
     path: Path
     binary: bytes | None = None
+    strict: bool = False  # what can't be read of a texture is an error
     budget: Budget = field(default_factory=lambda: Budget(_FREE_BYTES, _PER_BYTE))  # of all that data unfolds to
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
@@ -344,21 +351,14 @@ class Document:
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
         return data, start, length
 
-    def content(self, uri: Value) -> bytes:
-        """The bytes behind a URI: base64 data, or a file beside the document or in its roots, each file read once.
+    def file_of(self, uri: Value) -> Path | None:
+        """The file that a URI names; None of base64 data.
 
-        :raises InputError: other schemes, absolute paths, paths out of the roots (by ``..`` or link), bad base64
+        :raises InputError: other schemes, absolute paths, paths out of the roots (by ``..`` or link)
         """
         text = uri.text()
         if text[:5].lower() == "data:":
-            head = _DATA.match(text)
-            if head is None:
-                raise uri.error("data URI without base64, expected data:<type>;base64,...")
-            try:
-                return base64.b64decode(text[head.end() :], validate=True)
-            except (binascii.Error, ValueError) as error:
-                raise uri.error(f"data URI with bad base64: {error}") from None
-        # each once, by the identity of the file and not by its name: hundreds of links may lead to one
+            return None
         if _SCHEME.match(text):
             raise uri.error(f"{quote(text)}, expected a data URI or a file beside the document")
         decoded = unquote(text)
@@ -367,7 +367,23 @@ class Document:
             raise uri.error(f"{quote(text)}, expected a path as seen from the document's folder")
         path = self.path.parent / decoded
         check_copied(f"{uri.trail} -> {quote(text)}", path, self.path)
-        path = path.resolve()
+        return path.resolve()
+
+    def content(self, uri: Value) -> bytes:
+        """The bytes behind a URI: base64 data, or a file beside the document or in its roots, each file read once.
+
+        :raises InputError: as `file_of`, or bad base64
+        """
+        text, path = uri.text(), self.file_of(uri)
+        if path is None:
+            head = _DATA.match(text)
+            if head is None:
+                raise uri.error("data URI without base64, expected data:<type>;base64,...")
+            try:
+                return base64.b64decode(text[head.end() :], validate=True)
+            except (binascii.Error, ValueError) as error:
+                raise uri.error(f"data URI with bad base64: {error}") from None
+        # each once, by the identity of the file and not by its name: hundreds of links may lead to one
         if path not in self.files:
             self.files.append(path)
         key = same_file(path)
@@ -377,12 +393,13 @@ class Document:
         return self._contents[key]
 
 
-def open_document(source: Path) -> Document:
+def open_document(source: Path, *, strict: bool = False) -> Document:
     """Read the container and JSON of a .glb or .gltf, and check that what it needs is here.
 
     :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
     """
     document = read_document(source)
+    document.strict = strict
     asset = document.root.require("asset")
     version = asset.require("version")
     if version.text().split(".")[0] != "2":

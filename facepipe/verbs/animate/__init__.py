@@ -6,9 +6,10 @@ from facepipe.core.loading import lazy
 
 if TYPE_CHECKING:
     from facepipe.verbs.animate.animate import Animate
-    from facepipe.verbs.animate.clip_files import Performance, read_performance
+    from facepipe.verbs.animate.clip_files import read_performance
     from facepipe.verbs.animate.face_clip import AnimateFace, AnimateReport
     from facepipe.verbs.animate.options import AnimateOptions
+    from facepipe.verbs.animate.performance import Performance
 else:
     __getattr__, __dir__ = lazy(__name__)
 

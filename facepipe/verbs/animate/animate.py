@@ -1,9 +1,9 @@
 """Put a captured performance on a face: a clip that its skeleton plays, on an override layer.
 
-CLIP is a CSV of Live Link Face (Timecode, BlendShapeCount, 52 shapes, turns of head and eyes), a CSV of shape names
-(with a column Timecode, Time in seconds, or Frame, or a row a frame), or ARKit weights in JSON. Names are matched in
-any case and with sides in any usual form; what has no target is listed. Frames that CLIP lacks are filled. A timecode
-counts frames: --fps says how many make a second. Turns are radians unless --angles deg; joints are found by name.
+CLIP is a recording of Live Link Face, of MediaPipe's face landmarker, of Audio2Face or Azure, keys of TalkingHead, any
+CSV of shape names (with a column Timecode, Time or Frame, or a row a frame), ARKit weights in JSON, or a USD or glTF
+file with a clip, alone or on another face. What it is and its units are found out by what it holds, and said. Names are
+matched in any case and with sides in any usual form; what has no target is listed. What CLIP lacks is filled.
 
 examples:
   facepipe animate head.usda take.csv -o take.usda
@@ -34,7 +34,7 @@ class Animate(AnimateOptions, StageAction["AnimateReport"]):
     """The action."""
 
     face: Path = source("face stage")
-    clip: Path = source("performance: .csv .json")
+    clip: Path = source("performance: .csv .tsv .txt .json .jsonl .usd .usda .usdc .usdz .glb .gltf .vrm")
     name: str | None = option(None, "name of the animation (default: the file's)")
 
     def check(self) -> None:
@@ -47,7 +47,7 @@ class Animate(AnimateOptions, StageAction["AnimateReport"]):
         from facepipe.verbs.animate.face_clip import AnimateFace
 
         recipe, name = job.recipe(), self.name or identifier(self.clip.stem)
-        performance = read_performance(self.clip, self.fps, degrees=self.angles == "deg")
+        performance = read_performance(self.clip, self.fps, angles=self.angles)
         with job.watch("animate", len(performance.values)) as bar:
             animate = AnimateFace(performance=performance, name=name, options=self)
             return animate(face, recipe=recipe, done=bar.update)
@@ -58,7 +58,7 @@ class Animate(AnimateOptions, StageAction["AnimateReport"]):
         sliders = f", {len(report.sliders)} sliders" if report.sliders else ""
         filled = f", {report.filled:,} of them filled" if report.filled else ""
         clip = f"{report.animation}: {report.frames:,} frames{filled}, {span}"
-        lines = [f"{out}: {clip}: {len(report.shapes)} shapes{sliders}{joints}"]
+        lines = [f"read as {report.read_as}", f"{out}: {clip}: {len(report.shapes)} shapes{sliders}{joints}"]
         for reason in dict.fromkeys(report.no_target.values()):
             names = ", ".join(name for name, why in report.no_target.items() if why == reason)
             lines.append(f"no target: {names} ({reason})")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,22 +15,18 @@ from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
+from facepipe.rig.conventions import match_shapes, meaning, spelling
+from facepipe.rig.joint_names import joint_called
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
+from facepipe.rig.visemes import OCULUS_VISEMES
 from facepipe.stage import Face
 from facepipe.stage.author_changes import author_changes
 from facepipe.stage.face import on_frames, play
-from facepipe.verbs.animate.clip_files import PARTS, Performance, angle_of
 from facepipe.verbs.animate.options import AnimateOptions
+from facepipe.verbs.animate.performance import PARTS, Performance, angle_of
 
 NONE = "none"
-_NAMES = {  # of joints, as `shape_key` has them
-    "Head": ("head",),
-    "LeftEye": ("eyeleft", "eyeballleft", "eyejntleft", "eyejointleft"),
-    "RightEye": ("eyeright", "eyeballright", "eyejntright", "eyejointright"),
-}
-_PREFIX = re.compile(r"^(mixamorig\d*|def|cc_base|c|facial|face)[:_\-]+", re.IGNORECASE)
 _MOVES = 1e-6  # of the head's size: less is no motion
 _HELD = 0.5  # weight from which a point belongs to a joint
 
@@ -47,9 +42,7 @@ def joint_of(where: str, skeleton: Skeleton, part: str, wanted: str | None) -> i
         return None
     names = [joint.rpartition("/")[2] for joint in skeleton.joints]
     if wanted is None:
-        found = [i for i, name in enumerate(names) if shape_key(_PREFIX.sub("", name)) in _NAMES[part]]
-        # nearest to the root: what hangs below a head or eye and is called as it helps to move it
-        return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
+        return joint_called(skeleton, part)
     paths = [i for i, joint in enumerate(skeleton.joints) if joint == wanted]
     matches = paths or [i for i, name in enumerate(names) if name.casefold() == wanted.casefold()]
     if len(matches) != 1:
@@ -164,6 +157,7 @@ class AnimateReport(Report):
     )  # name in the performance -> shapes or sliders, where they differ
     no_target: Mapping[str, str] = field(default_factory=dict)  # name in the performance -> why it moves nothing
     filled: int = 0  # frames that the performance lacks
+    read_as: str = ""  # what the file was found to be, and how it was read
     authored: tuple[str, ...] = ()
 
 
@@ -231,6 +225,7 @@ class AnimateFace:
             renamed=targets.renamed,
             no_target={**targets.lost, **unturned},
             filled=performance.filled,
+            read_as=performance.read_as,
             authored=authored,
             warnings=performance.warnings,
         )
@@ -252,6 +247,19 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     names = [name for name in performance.names if not angle_of(name)]
     matched = match_shapes(names, [*shapes, *sliders])
     column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
+    # visemes that the face has no shape for: the mix of shapes that makes their mouth, over what the clip says of these
+    spoken = {
+        name: viseme for name in names if name not in matched and (viseme := meaning(name) or "") in OCULUS_VISEMES
+    }
+    places = match_shapes(
+        {shape for viseme in spoken.values() for shape in OCULUS_VISEMES[viseme]}, [*shapes, *sliders]
+    )
+    for name, viseme in spoken.items():
+        mix = {target: share for shape, share in OCULUS_VISEMES[viseme].items() for target in places.get(shape, ())}
+        for target, share in mix.items():
+            column_of[target] = column_of.get(target, 0.0) + share * columns[name]
+        if mix or not OCULUS_VISEMES[viseme]:
+            matched[name] = tuple(mix)
     free = [one for one in (*shapes, *sliders) if one not in column_of]
     lacking = "no such shape or slider" if sliders else "no such shape"
     return _Targets(

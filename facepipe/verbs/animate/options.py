@@ -18,7 +18,9 @@ class AnimateOptions:
         1.0,
         1000.0,
     )
-    angles: Literal["rad", "deg"] = option("rad", "unit of the turns in CLIP")
+    angles: Literal["auto", "rad", "deg"] = option(
+        "auto", "unit of the turns in CLIP; auto: radians unless they can't be"
+    )
     start: float | None = option(None, "leave out what is before, from the first frame of CLIP", 0.0, 1e6, "s")
     end: float | None = option(None, "leave out what is after, from the first frame of CLIP", 0.0, 1e6, "s")
     resample: float | None = option(None, "frames per second of the result; those of CLIP by default", 1.0, 1000.0)

@@ -1,0 +1,27 @@
+"""Which joint is the head, an eye, or the hips, by the names that programs give them."""
+
+from __future__ import annotations
+
+import re
+
+from facepipe.parts import Skeleton
+from facepipe.rig.conventions import shape_key
+
+_NAMES = {  # as `shape_key` has them
+    "Head": ("head", "頭"),
+    "LeftEye": ("eyeleft", "eyeballleft", "eyejntleft", "eyejointleft", "左目"),
+    "RightEye": ("eyeright", "eyeballright", "eyejntright", "eyejointright", "右目"),
+    "Hips": ("hips", "hip", "pelvis", "下半身"),
+}
+_PREFIX = re.compile(r"^(mixamorig\d*|j_bip_c|bip\d*|def|org|cc_base|c|facial|face)[:_\- ]+", re.IGNORECASE)
+
+
+def joint_called(skeleton: Skeleton, part: str) -> int | None:
+    """The joint of a part with a usual name, that nearest to the root; None where there is none.
+
+    :param part: Head, LeftEye, RightEye or Hips
+    """
+    names = [{joint.rpartition("/")[2], own} for joint, own in zip(skeleton.joints, skeleton.names, strict=True)]
+    found = [i for i, one in enumerate(names) if {shape_key(_PREFIX.sub("", name)) for name in one} & {*_NAMES[part]}]
+    # nearest to the root: what hangs below a head or eye and is called as it helps to move it
+    return min(found, key=lambda i: (skeleton.joints[i].count("/"), i), default=None)
