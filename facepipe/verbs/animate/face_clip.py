@@ -16,7 +16,7 @@ from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.conventions import match_shapes, meaning, shape_key, spelling
+from facepipe.rig.conventions import match_shapes, meaning, shape_key, shapes_of, spelling
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.stage import Face
@@ -250,7 +250,7 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     sliders = [slider.name for slider in parts.sliders if spelling(slider.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
     names = [name for name in performance.names if not angle_of(name)]
-    matched = match_shapes(names, [*shapes, *sliders])
+    matched = match_shapes(names, [*shapes, *sliders], shapes_of(parts.meshes))
     column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
     free = [one for one in (*shapes, *sliders) if one not in column_of]
     lacking = "no such shape or slider" if sliders else "no such shape"
