@@ -244,23 +244,27 @@ def match_shapes(
     """
     incoming = list(dict.fromkeys(names))
     groups = _by_mesh(shapes, meshes)
-    loose = groups[-1]
     matched: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in {*shapes}}
     taken = set(matched)
+    served = {name: {number for number, group in enumerate(groups) if name in group} for name in incoming}
     called = _own(incoming)
-    ways = [(read, [(group, _closest(read, group)) for group in groups]) for read in (*_READS, _meant)]
+    ways = [(read, [_closest(read, group) for group in groups]) for read in (*_READS, _meant)]
     # form by form over all names, not name by name: a loose match never takes the shape that a later name spells
     for parts in ((), *_PARTS):
         for read, indices in ways:
             keys = {name: _split(read(text), parts) for name, text in called.items()}
-            for group, index in indices:
+            for number, index in enumerate(indices):
+                no_mesh = number == len(groups) - 1
                 for name in incoming:
-                    meant = tuple(index[key] for key in keys[name] if key in index)
                     # a slider that means the same as a shape would move it twice
-                    served = any(shape in group or shape in loose or group is loose for shape in matched.get(name, ()))
-                    if meant and not served and len(meant) == len(keys[name]) and not taken.intersection(meant):
+                    if served[name] if no_mesh else served[name] & {number, len(groups) - 1}:
+                        continue
+                    meant = tuple(index[key] for key in keys[name] if key in index)
+                    elsewhere = any(shape in groups[other] for other in served[name] for shape in meant)
+                    if meant and len(meant) == len(keys[name]) and not elsewhere and not taken.intersection(meant):
                         matched[name] = (*matched.get(name, ()), *meant)
                         taken.update(meant)
+                        served[name].add(number)
     return {name: matched[name] for name in incoming if name in matched}
 
 

@@ -230,6 +230,10 @@ def test_a_name_has_a_shape_on_every_mesh() -> None:
     assert match_shapes(["jawOpen"], shapes, meshes) == {"jawOpen": (meshes[0][0], meshes[1][0])}
     assert match_shapes(["jawOpen"], shapes) == {}  # on one mesh they are equals
     assert convention_names("arkit", shapes, meshes) == dict(zip(shapes, ["jawOpen", "eyeBlinkLeft"] * 2, strict=True))
+    # JawOpen is on the first mesh too, where jawOpen is the better match
+    assert match_shapes(["jawOpen"], ["JawOpen", "jawOpen"], [["jawOpen", "JawOpen"], ["JawOpen"]]) == {
+        "jawOpen": ("jawOpen",)
+    }
     # sliders are on no mesh: a name moves one of them or shapes, what is closer
     assert match_shapes(["jawOpen"], [*shapes, "A25_Jaw_Open"], meshes) == {"jawOpen": (meshes[0][0], meshes[1][0])}
     assert match_shapes(["jawOpen"], [*shapes, "jaw_open"], meshes) == {"jawOpen": ("jaw_open",)}
