@@ -38,12 +38,12 @@ _PREFIXES = re.compile(
 )
 _SUFFIXES = re.compile(
     r"(?:\.\d{3}|_ncl\d+_\d+"  # Blender's and FBX's second of a name; jawOpen_2 is another shape
-    r"|[ _-]copy\d*|[ _]?\(\d+\)|_div2|_fb|[ _.-](?:mesh|geo|shape|bs|blendshape)\d*)$",
+    r"|[ _-]copy\d*|[ _]?\(\d+\)|_div2|_fb|[ _.-](?:mesh|geo|shape|bs|blendshape|lod)\d*)$",
     re.IGNORECASE,
 )
 _MOST_AROUND = 8  # prefixes and suffixes of a name
 _BREAKS = re.compile(r"(?<=[ _.:|-])(?=[^ _.:|-])|(?<=[a-z0-9])(?=[A-Z])")  # where words begin
-_NOT_THAT = re.compile(r"corr|fix|combo|inv|neg|minus|not?(?![a-z])", re.IGNORECASE)  # corrective_jawOpen
+_NOT_THAT = re.compile(r"(?<![a-z])(?:corr|fix|combo|inv|neg|minus|not?(?![a-z]))", re.IGNORECASE)  # corrective_jawOpen
 _MOST_BREAKS = 8  # of what all names of a mesh begin with
 _SAMPLE = 512  # names that this is tried on
 _PARTS = (  # that a shape is split into
