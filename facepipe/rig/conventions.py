@@ -181,7 +181,9 @@ def _own(names: Sequence[str]) -> dict[str, str]:
     ends = (at for at, (one, other) in enumerate(zip(first, last, strict=False)) if one != other)
     shared = first[: next(ends, min(len(first), len(last)))]
     some = {name: meaning(name) for name in names[:_SAMPLE]}
-    best, most = 0, max(sum(meant is not None for meant in some.values()), _FEWEST_NAMES - 1)
+    # fewer than make a convention, if each of them means something: teeth have two or three shapes
+    fewest = max(2, min(len(some), _FEWEST_NAMES))
+    best, most = 0, max(sum(meant is not None for meant in some.values()), fewest - 1)
     starts = [0, *(match.start() for match in _BREAKS.finditer(first))][: _MOST_BREAKS + 1]
     for at in starts[1:]:
         before = [first[start:at].strip(" _.:|-") for start in starts if start < at]

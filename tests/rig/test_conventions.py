@@ -178,9 +178,10 @@ def test_words_that_all_shapes_of_a_mesh_begin_with_are_left_out() -> None:
     assert recognised(shapes) == ("arkit", 52)
     assert match_shapes(shapes, sorted(ARKIT_SHAPES)) == {shape: (shape[12:],) for shape in shapes}
     # one mesh's words are not another's, and the columns of a clip have theirs
-    teeth = ["Wolf3D_Teeth_jawOpen", "Wolf3D_Teeth_mouthFunnel", "Wolf3D_Teeth_tongueOut"]
+    teeth = ["Wolf3D_Teeth_jawOpen", "Wolf3D_Teeth_tongueOut"]
     found = match_shapes(["jawOpen"], [*shapes, *teeth], [shapes, teeth])
     assert found == {"jawOpen": ("Wolf3D_Head_jawOpen", "Wolf3D_Teeth_jawOpen")}
+    assert match_shapes(["jawOpen"], ["Wolf3D_Teeth_jawOpen"]) == {}  # one shape shows no words in common
     # correctives are called so as well: what they begin with is a shape
     for word in ("jawOpen_", "corrective_", "fix_", "x_jawOpen_"):
         assert match_shapes(ARKIT_SHAPES, [word + name for name in ("mouthClose", "mouthLeft", "mouthFunnel")]) == {}

@@ -114,6 +114,27 @@ def test_import_gives_the_names_of_a_convention_and_says_so(
     assert facepipe.open("vrm.usda").shapes == ("aa", "blinkLeft", "Key 1")
 
 
+@pytest.mark.parametrize("rename", [(), ("--rename", "arkit")])
+def test_a_file_of_another_tool_plays_a_clip_of_arkit_whether_renamed_or_not(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rename: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = build(make_model())
+    names = ["A14_Eye_Blink_Left", "head_geo.A25_Jaw_Open", "A38_Mouth_Smile_Left_ncl1_1"]
+    builder.root["meshes"][0]["extras"]["targetNames"] = names
+    (tmp_path / "cc.glb").write_bytes(builder.glb())
+    done(capsys, "import", "gltf", "cc.glb", "face.usda", *rename, quiet=False)
+    shapes = ("eyeBlinkLeft", "jawOpen", "mouthSmileLeft")
+    assert facepipe.open("face.usda").shapes == (shapes if rename else tuple(names))
+    (tmp_path / "take.csv").write_text(
+        "Frame,jawOpen,mouthSmileLeft,eyeBlinkLeft,tongueOut\n0,0,0,0,0\n1,1,0.5,0.25,1\n"
+    )
+    code, text, _ = run(capsys, "animate", "face.usda", "take.csv", "-o", "take.usda", "--json")
+    assert (code, json.loads(text)["no_target"]) == (0, {"tongueOut": "no such shape"})
+    moved = facepipe.open("take.usda").sample("take", 1)[1]
+    assert [moved[shape] for shape in (shapes if rename else names)] == pytest.approx([0.25, 1.0, 0.5])
+
+
 def test_a_convention_is_recognised_with_the_way_to_its_names(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
