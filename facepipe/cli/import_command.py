@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, author, save."""
     from facepipe.importers import load, options_of
     from facepipe.importers.rename_table import rename_of
-    from facepipe.rig.conventions import convention_of, convention_text
+    from facepipe.rig.conventions import convention_of, convention_text, shapes_of
     from facepipe.stage import save_parts
     from facepipe.stage.files import check_suffix
 
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
         bar.update()
     warn((*imported.warnings, *(renamed.warnings if renamed else ())))
     noted_names(arguments.rename, renamed.names if renamed else {})
-    found = convention_of(parts.shapes)
+    found = convention_of(parts.shapes, shapes_of(parts.meshes))
     if found is not None and (not found["exact"] or found["arkit"]):
         note(f"shapes: {convention_text(found)}")
     print(out)

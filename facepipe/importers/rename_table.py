@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facepipe.core.errors import InputError
-from facepipe.core.names import did_you_mean
+from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reading import read_bytes, read_json_object
 from facepipe.rig.conventions import CONVENTIONS
 
@@ -42,18 +42,28 @@ class Rename:
 
         :raises InputError: names that collide
         """
-        from facepipe.rig.conventions import convention_names, renamed, unknown_names
+        from facepipe.rig.conventions import convention_names, renamed, shapes_of, unknown_names, unnamed
 
-        shapes, where = parts.shapes, f"--rename {self.given}"
-        names = convention_names(self.given, shapes) if self.table is None else self.table
+        shapes, meshes, where = parts.shapes, shapes_of(parts.meshes), f"--rename {self.given}"
+        warnings = []
+        if self.table is None:
+            names: Mapping[str, str] = convention_names(self.given, shapes, meshes)
+            if kept := unnamed(self.given, shapes, meshes):
+                some = first_names(kept, 3)
+                warnings = [f"{len(kept)} shapes keep their names ({some}): others mean the same"]
+                if len(kept) == 1:
+                    warnings = [f"1 shape keeps its name ({some}): another means the same"]
+        else:
+            names, missing = self.table, unknown_names(parts, self.table)
+            warnings = [missing] if missing else []
         result = renamed(parts, names, where)
-        missing = None if self.table is None else unknown_names(parts, names)
-        before, after = (*shapes, *parts.skeleton.names), (*result.shapes, *result.skeleton.names)
-        changed = {old: new for old, new in zip(before, after, strict=True) if old != new}
+        before, after = parts.skeleton.names, result.skeleton.names
+        changed = {shape: names[shape] for shape in shapes if names.get(shape, shape) != shape}
+        changed |= {old: new for old, new in zip(before, after, strict=True) if old != new}
         if result.recipe is not None and result.recipe.verb.startswith("import "):
             options = {**result.recipe.options, "rename": changed}
             result = replace(result, recipe=replace(result.recipe, options=options))
-        return Renamed(parts=result, names=changed, warnings=(f"{where}: {missing}",) if missing else ())
+        return Renamed(parts=result, names=changed, warnings=tuple(f"{where}: {one}" for one in warnings))
 
 
 def rename_of(given: str) -> Rename:

@@ -97,7 +97,7 @@ def report_of(face: Face) -> InspectReport:
     """What a face holds, with what is implausible about it as warnings."""
     from facepipe.core.reading import digest
     from facepipe.rig import implausible
-    from facepipe.rig.conventions import convention_of
+    from facepipe.rig.conventions import convention_of, shapes_of
     from facepipe.stage.recipes import read_neural_rig_link
 
     parts, link = face.parts(), read_neural_rig_link(face.prim)
@@ -127,7 +127,7 @@ def report_of(face: Face) -> InspectReport:
         joints=tuple(parts.skeleton.joints),
         joint_names=tuple(parts.skeleton.names),
         shapes=tuple(face.shapes),
-        shape_names=convention_of(face.shapes),
+        shape_names=convention_of(face.shapes, shapes_of(parts.meshes)),
         inbetweens=sum(len(shape.inbetweens) for mesh in parts.meshes for shape in mesh.blendshapes),
         regions=tuple(sorted({name for mesh in parts.meshes for name in mesh.regions})),
         landmarks={

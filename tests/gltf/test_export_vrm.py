@@ -139,6 +139,20 @@ def test_a_face_with_shapes_of_its_own_for_presets_keeps_them(tmp_path: Path) ->
     assert expressions["preset"]["happy"]["morphTargetBinds"]
 
 
+def test_shapes_that_another_tool_named_make_presets_on_every_mesh(tmp_path: Path) -> None:
+    parts = tiny_face()
+    mesh, shape = parts.meshes[0], parts.meshes[0].blendshapes[0]
+    made = [
+        replace(mesh, name=name, blendshapes=tuple(replace(shape, name=f"{name}__facs_bs_{one}") for one in moved))
+        for name, moved in {"Genesis9": ("EyeBlinkLeft", "EyeBlinkRight"), "Lashes": ("EyeBlinkRight",)}.items()
+    ]
+    exported(replace(parts, meshes=tuple(made)), tmp_path / "daz.vrm")
+    preset = extension(tmp_path / "daz.vrm")["expressions"]["preset"]
+    binds = {name: [(one["node"], one["index"]) for one in preset[name]["morphTargetBinds"]] for name in BLINKS}
+    assert [len(binds[name]) for name in ("blinkLeft", "blinkRight", "blink")] == [1, 2, 3]
+    assert {*binds["blink"]} == {*binds["blinkLeft"], *binds["blinkRight"]}
+
+
 def test_import_reads_the_model_as_it_stands(tmp_path: Path) -> None:
     parts = head()
     exported(parts, tmp_path / "head.vrm")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import gltf_reader
@@ -10,21 +12,26 @@ import numpy as np
 import pytest
 from command_line import done, failed, run
 from facepipe_onnx.runtime import Deformer
-from faces import clipped_face
+from faces import clipped_face, tiny_face
 from gltf_builder import build, make_model
 from places import SHARED
 
 import facepipe
+from facepipe.core.errors import InputError
 from facepipe.importers import ict, load
+from facepipe.importers.rename_table import rename_of
+from facepipe.parts import Animation, FaceParts, Slider
 from facepipe.rig.conventions import (
     ARKIT_SHAPES,
     CONVENTIONS,
     convention_names,
     convention_of,
     convention_text,
+    meaning,
     renamed,
 )
 from facepipe.stage import Face, save_parts
+from facepipe.verbs.animate import AnimateFace, Performance
 
 ICT = SHARED / "ict_facekit" / "ict_facekit.npz"
 
@@ -107,6 +114,27 @@ def test_import_gives_the_names_of_a_convention_and_says_so(
     assert facepipe.open("vrm.usda").shapes == ("aa", "blinkLeft", "Key 1")
 
 
+@pytest.mark.parametrize("rename", [(), ("--rename", "arkit")])
+def test_a_file_of_another_tool_plays_a_clip_of_arkit_whether_renamed_or_not(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rename: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    builder = build(make_model())
+    names = ["A14_Eye_Blink_Left", "head_geo.A25_Jaw_Open", "A38_Mouth_Smile_Left_ncl1_1"]
+    builder.root["meshes"][0]["extras"]["targetNames"] = names
+    (tmp_path / "cc.glb").write_bytes(builder.glb())
+    done(capsys, "import", "gltf", "cc.glb", "face.usda", *rename, quiet=False)
+    shapes = ("eyeBlinkLeft", "jawOpen", "mouthSmileLeft")
+    assert facepipe.open("face.usda").shapes == (shapes if rename else tuple(names))
+    (tmp_path / "take.csv").write_text(
+        "Frame,jawOpen,mouthSmileLeft,eyeBlinkLeft,tongueOut\n0,0,0,0,0\n1,1,0.5,0.25,1\n"
+    )
+    code, text, _ = run(capsys, "animate", "face.usda", "take.csv", "-o", "take.usda", "--json")
+    assert (code, json.loads(text)["no_target"]) == (0, {"tongueOut": "no such shape"})
+    moved = facepipe.open("take.usda").sample("take", 1)[1]
+    assert [moved[shape] for shape in (shapes if rename else names)] == pytest.approx([0.25, 1.0, 0.5])
+
+
 def test_a_convention_is_recognised_with_the_way_to_its_names(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,6 +154,67 @@ def test_a_convention_is_recognised_with_the_way_to_its_names(
         "exact": True,
         "arkit": 0,
     }
+
+
+def with_meshes(meshes: Sequence[Sequence[str]], clip: Sequence[Sequence[float]]) -> FaceParts:
+    """A face of several meshes with shapes of these names, a clip that plays them all, a slider that opens the jaw."""
+    parts = tiny_face()
+    shape = parts.meshes[0].blendshapes[0]
+    made = [
+        replace(parts.meshes[0], name=f"mesh{i}", blendshapes=tuple(replace(shape, name=name) for name in names))
+        for i, names in enumerate(meshes)
+    ]
+    shapes = tuple(name for names in meshes for name in names)
+    talk = Animation(name="talk", times=np.arange(2.0), shapes=shapes, shape_weights=np.array(clip))
+    slider = Slider(name="open", shapes=tuple((name, 0.5) for name in shapes if "Jaw" in name))
+    return replace(parts, meshes=tuple(made), animations=(talk,), sliders=(slider,))
+
+
+DAZ = [
+    ["Genesis9__facs_bs_JawOpen", "Genesis9__facs_bs_EyeBlinkLeft"],
+    ["G9Lashes__facs_bs_EyeBlinkLeft", "G9Lashes__facs_bs_JawOpen"],
+]
+
+
+def test_shapes_of_several_meshes_that_mean_the_same_are_one_control() -> None:
+    parts = with_meshes(DAZ, [[0.0, 0.1, 0.1, 0.0], [0.8, 0.2, 0.2, 0.8]])
+    after = rename_of("arkit")(parts)
+    assert (after.warnings, after.parts.shapes) == ((), ("jawOpen", "eyeBlinkLeft"))
+    assert after.names == dict(zip(parts.shapes, ("jawOpen", "eyeBlinkLeft", "eyeBlinkLeft", "jawOpen"), strict=True))
+    clip = after.parts.animations[0]
+    assert clip.shapes == ("jawOpen", "eyeBlinkLeft")
+    assert clip.shape_weights is not None
+    np.testing.assert_array_equal(clip.shape_weights, [[0.0, 0.1], [0.8, 0.2]])
+    assert after.parts.sliders[0].shapes == (("jawOpen", 0.5),)
+
+
+def test_shapes_that_a_clip_or_slider_moves_differently_are_no_one_control() -> None:
+    parts = with_meshes(DAZ, [[0.0, 0.1, 0.1, 0.0], [0.8, 0.2, 0.2, 0.3]])
+    with pytest.raises(InputError, match=r"'Genesis9__facs_bs_JawOpen' and 'G9Lashes__facs_bs_JawOpen' .* clip 'talk'"):
+        rename_of("arkit")(parts)
+    gains = replace(parts.sliders[0], shapes=((DAZ[0][0], 0.5), (DAZ[1][1], 0.25)))
+    with pytest.raises(InputError, match="slider 'open' moves them differently"):
+        rename_of("arkit")(replace(parts, animations=(), sliders=(gains,)))
+
+
+def test_of_two_shapes_that_mean_the_same_the_closest_has_the_name_and_the_other_is_named() -> None:
+    parts = with_meshes([["A25_Jaw_Open", "Jaw_Open", "A52_Tongue_Out"]], [[0.0, 0.1, 0.2], [0.5, 0.6, 0.7]])
+    after = rename_of("arkit")(parts)
+    assert after.parts.shapes == ("A25_Jaw_Open", "jawOpen", "tongueOut")
+    assert after.warnings == ("--rename arkit: 1 shape keeps its name (A25_Jaw_Open): another means the same",)
+
+
+@pytest.mark.parametrize("kind", ["cc3", "cc4", "daz", "daz9", "meta", "faceshift"])
+def test_a_clip_of_arkit_plays_on_a_face_of_another_tool_as_on_the_same_with_arkits_names(kind: str) -> None:
+    names = [name for meant, name in CONVENTIONS[kind].written.items() if meant in ARKIT_SHAPES]
+    face = with_meshes([names], [[0.0] * len(names)] * 2)
+    clip = Performance(where="t.csv", fps=30.0, names=(*sorted(ARKIT_SHAPES),), values=np.ones((2, 52)))
+    played = [
+        AnimateFace(performance=clip, name="take")(Face.from_parts(one))
+        for one in (face, rename_of("arkit")(face).parts)
+    ]
+    assert len(played[0].shapes) == len(played[1].shapes) == len(names)
+    assert [meaning(shape) for shape in played[0].shapes] == list(played[1].shapes)
 
 
 def test_another_convention_is_recognised_with_what_arkit_has_of_it() -> None:

@@ -16,7 +16,7 @@ from facepipe.core.names import first_names
 from facepipe.parts import Blendshape, FaceParts
 from facepipe.records import Json
 from facepipe.rig import Rig, build, slide
-from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes
+from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
 from facepipe_gltf.placement import place, space_of
 
 _TABLE = Path(__file__).with_name("expressions.toml")
@@ -68,15 +68,19 @@ class Expressions:
 def expressions_of(nodes: Sequence[Json], meshes: Sequence[Json]) -> Expressions:
     """The expressions of the morph targets that the meshes of a document name in their extras."""
     targets: dict[str, list[Target]] = {}
+    by_mesh: list[list[str]] = []
     for i, node in enumerate(nodes):
         extras = meshes[node["mesh"]].get("extras", {}) if "mesh" in node else {}
         ours = extras.get("facepipe", {})
+        by_mesh.append([])
         for index, name in enumerate(extras.get("targetNames", [])):
             shape = ours.get("inbetweens", {}).get(name, {}).get("shape", name)
             knots = ours.get("curves", {}).get(name, _STRAIGHT)
             targets.setdefault(shape, []).append(Target(i, index, knots))
+            by_mesh[-1].append(shape)
     presets = table()["preset"]
-    named, arkit = match_shapes(presets, [*targets]), match_shapes(sorted(ARKIT_SHAPES), [*targets])
+    shapes = [*targets]
+    named, arkit = match_shapes(presets, shapes, by_mesh), match_shapes(sorted(ARKIT_SHAPES), shapes, by_mesh)
     preset: Json = {}
     lost: list[str] = []
     for name, weights in presets.items():
@@ -110,7 +114,7 @@ def with_slider_shapes(parts: FaceParts) -> tuple[FaceParts, tuple[str, ...]]:
     A shape is what its slider does at its largest value, from the face as it is set.
     """
     shapes = list(parts.shapes)
-    there = match_shapes(sorted(ARKIT_SHAPES), shapes)
+    there = match_shapes(sorted(ARKIT_SHAPES), shapes, shapes_of(parts.meshes))
     lacking = [name for name in sorted(ARKIT_SHAPES) if name not in there]
     sliders_by_shape = match_shapes(lacking, [slider.name for slider in parts.sliders])
     if not sliders_by_shape:

@@ -15,7 +15,7 @@ from facepipe.core.names import did_you_mean, first_names
 from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
-from facepipe.rig.conventions import match_shapes, meaning, spelling
+from facepipe.rig.conventions import match_shapes, meaning, shapes_of, spelling
 from facepipe.rig.joint_names import joint_called
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
@@ -245,15 +245,14 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     sliders = [slider.name for slider in parts.sliders if spelling(slider.name) not in taken]
     columns = dict(zip(performance.names, performance.values.T, strict=True))
     names = [name for name in performance.names if not angle_of(name)]
-    matched = match_shapes(names, [*shapes, *sliders])
+    matched = match_shapes(names, [*shapes, *sliders], shapes_of(parts.meshes))
     column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
     # visemes that the face has no shape for: the mix of shapes that makes their mouth, over what the clip says of these
     spoken = {
         name: viseme for name in names if name not in matched and (viseme := meaning(name) or "") in OCULUS_VISEMES
     }
-    places = match_shapes(
-        {shape for viseme in spoken.values() for shape in OCULUS_VISEMES[viseme]}, [*shapes, *sliders]
-    )
+    mouths = {shape for viseme in spoken.values() for shape in OCULUS_VISEMES[viseme]}
+    places = match_shapes(mouths, [*shapes, *sliders], shapes_of(parts.meshes))
     for name, viseme in spoken.items():
         mix = {target: share for shape, share in OCULUS_VISEMES[viseme].items() for target in places.get(shape, ())}
         for target, share in mix.items():
