@@ -13,6 +13,7 @@ from facepipe.core.errors import ExportError
 from facepipe.parts import Skin
 
 MESHOPT = "EXT_meshopt_compression"
+DRACO = "KHR_draco_mesh_compression"
 _EVERY = slice(None)
 _ROUNDING = 2e-7  # that a sum of float32 weights may be off
 LOST = 1e-6  # weight that counts as left out

@@ -16,6 +16,7 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.draco import unpacked
 from facepipe_gltf.read.values import Value
 
 _MAX_SETS = 8
@@ -210,6 +211,8 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         if number < 4:
             document.warn(primitive, f"{_MODES[number]} are left out, only triangles are read")
             continue
+        primitive = unpacked(document, primitive)
+        number = primitive.get_or("mode", 4).integer()
         # a key of the vertices that a primitive uses: its attributes and those of its targets
         sets = [primitive.require("attributes"), *primitive.get_or("targets", []).items()]
         key = tuple(
