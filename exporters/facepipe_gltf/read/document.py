@@ -30,8 +30,10 @@ _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
 
+BASIS = "KHR_texture_basisu"
 _SUPPORTED_EXTENSIONS = frozenset(
     {
+        BASIS,  # its textures are named and left out: they alone are lost
         DRACO,
         MESHOPT,
         "KHR_mesh_quantization",

@@ -12,7 +12,7 @@ from typing import Literal
 
 from facepipe.core.names import handles
 from facepipe.parts import Color, Material, Texture, TextureInput
-from facepipe_gltf.read.document import Document, uri_name
+from facepipe_gltf.read.document import BASIS, Document, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.read.values import Names, Value, file_name, given_name
 from facepipe_gltf.record_format import image_digest
@@ -74,6 +74,9 @@ class _Textures:
         texture = document.entry("textures", reference.require("index"))
         source = texture.get("source")
         # KHR_texture_basisu and EXT_texture_webp name their image elsewhere, and need no source
+        if source is None and texture.extension(BASIS) is not None:
+            document.warn(texture, f"its image is KTX2 ({BASIS}), which is not decoded: left out")
+            return None
         if source is None:
             document.warn(texture, "has no PNG or JPEG image: left out")
             return None

@@ -78,10 +78,11 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         colors = colors[:, :3]
     if (point := attributes.get("_FACEPIPE_POINT")) is not None:
         values = accessors.floats(document, point, "SCALAR", count=count)[:, 0]
-        # glTF has no integers of 32 bits for attributes, so numbers are floats
+        # glTF has no integers of 32 bits for attributes, so numbers are floats, which programs that compress may round
         if values.min() < 0.0 or values.max() > _LARGEST_NUMBER or np.any(values != np.floor(values)):
-            raise point.error("point numbers that are no whole numbers from 0 to 2^24")
-        numbers = values.astype(np.int64)
+            document.warn(document.root, "_FACEPIPE_POINT with numbers other than whole ones from 0 to 2^24: left out")
+        else:
+            numbers = values.astype(np.int64)
     targets = tuple(_target(document, target, count) for target in primitive.get_or("targets", []).items())
     return Vertices(
         positions=positions,
