@@ -24,6 +24,7 @@ FILES: dict[str, tuple[str, Mapping[str, int], int]] = {  # method, bits, primit
     "edgebreaker": ("EDGEBREAKER", {}, 1),
     "quantised": ("EDGEBREAKER", BITS, 1),
     "parts": ("EDGEBREAKER", {}, 2),
+    "rounded_parts": ("SEQUENTIAL", BITS, 2),
 }
 _TYPES = {5121: ("u1", "Uint8"), 5123: ("u2", "Uint16"), 5125: ("u4", "Uint32"), 5126: ("f4", "Float32")}
 _STORED = ("bufferView", "byteOffset", "sparse")

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe_gltf.encoding import DRACO
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document
@@ -24,6 +25,7 @@ _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in ra
 _KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
 _STILL = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
 _LARGEST_NUMBER = 2.0**24  # that float32 and all below it hold exactly
+_FEWEST_STEPS = 2**11  # of Draco in the larger extent of a primitive, by default of the programs that compress
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 
 
@@ -233,12 +235,26 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         materials.append(np.full(len(corners), shown, np.int64))
     if sum(map(len, triangles)) == 0:
         return None
+    if any(primitive.extension(DRACO) is not None for primitive in value.require("primitives").items()):
+        _note_gaps(document, value, [one.positions for one in read])
     return Geometry(
         value=value,
         vertices=_join(document, value, read),
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
     )
+
+
+def _note_gaps(document: Document, value: Value, positions: list[FloatArray]) -> None:
+    """Warn of primitives that meet nowhere, but nearly: Draco rounds each by its own box, to 11 bits and more."""
+
+    def shared(of_each: list[FloatArray]) -> int:
+        rows = np.concatenate([np.unique(one, axis=0) for one in of_each])
+        return len(rows) - len(np.unique(rows, axis=0))
+
+    step = max(float(np.ptp(one, axis=0).max()) for one in positions) / _FEWEST_STEPS
+    if step > 0.0 and not shared(positions) and shared([np.round(one / step) for one in positions]):
+        document.warn(value, "Draco has rounded its primitives apart: where they meet, vertices are not joined")
 
 
 def _triangles(document: Document, primitive: Value, mode: int, count: int) -> IntArray:
