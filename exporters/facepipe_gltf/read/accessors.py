@@ -51,10 +51,9 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
     :raises InputError: another type, or data outside its bufferView
     """
     value = document.entry("accessors", reference)
-    kind = value.require("type").text()
-    if kind not in (types or _COMPONENTS):
-        raise reference.error(f"{value.place} is {kind[:20]}, expected {' or '.join(types or _COMPONENTS)}")
     dtype, components = element(value)
+    if types and (kind := value.members()["type"]) not in types:
+        raise reference.error(f"{value.place} is {kind}, expected {' or '.join(types)}")
     count = value.require("count").integer(1)
     # an accessor without bufferView is zeros: its count asks for memory that no byte of the file stands for
     if count > _MAX_COUNT:
