@@ -20,6 +20,7 @@ Chunk = bytes | memoryview
 Use = Literal["vertex", "index", "matrices", "keys"]
 
 MESHOPT = "EXT_meshopt_compression"
+DRACO = "KHR_draco_mesh_compression"
 _ROUNDING = 2e-7  # that a sum of float32 weights may be off
 LOST = 1e-6  # weight that counts as left out
 _SHORT = 32767

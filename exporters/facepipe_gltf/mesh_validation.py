@@ -11,7 +11,7 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.records import Json
-from facepipe_gltf.buffers import MESHOPT
+from facepipe_gltf.buffers import DRACO, MESHOPT
 from facepipe_gltf.raw import RawDocument, as_list, as_object, children, is_index, local_matrix, parents, world_matrices
 
 Problem = tuple[str, str]  # JSON path, message
@@ -19,7 +19,7 @@ Problem = tuple[str, str]  # JSON path, message
 _WEIGHT_SUM_TOLERANCE = 1e-3
 _REST_TOLERANCE = 1e-3
 _COMPARED = 256  # joints of a skin whose matrices are tried against all others'
-_SUPPORTED = ("KHR_mesh_quantization", MESHOPT)
+_SUPPORTED = ("KHR_mesh_quantization", DRACO, MESHOPT)
 
 
 def joints_of(skin: Json) -> list[int]:
@@ -195,6 +195,8 @@ def bounds(document: RawDocument) -> Iterator[Problem]:
     for i, accessor in enumerate(document.items("accessors")):
         values = document.maybe(i)
         if values is None or not np.isfinite(values).all() or accessor.get("normalized") is True:
+            continue
+        if i in document.unpacked:  # as they were before Draco rounded them
             continue
         for name, actual in (("min", values.min(axis=0)), ("max", values.max(axis=0))):
             if name in accessor and not _same(accessor[name], actual):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -12,6 +13,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import FacepipeError, InputError
 from facepipe.records import Json
 from facepipe.rig.trs import rotation_matrices
+from facepipe_gltf.buffers import DRACO
 from facepipe_gltf.read.accessors import Accessor, accessor, numbers
 from facepipe_gltf.read.document import Document, Value, read_document
 
@@ -73,12 +75,36 @@ class RawDocument:
         """
         checked = self._accessors.get(str(index))
         if checked is None:
-            checked = accessor(self._document, Value(index, self._document.root.trail))
+            plain = self.unpacked.get(index, index) if is_index(index) else index
+            if isinstance(plain, InputError):
+                raise plain
+            checked = accessor(self._document, Value(plain, self._document.root.trail))
             self._accessors[str(index)] = checked
         self._looked += checked.count * checked.components
         if self._looked > _FREE_NUMBERS + _NUMBERS_PER_BYTE * self._document.budget.held:
             raise FacepipeError(self.path.name, "more numbers to check than a file of its size can have")
         return numbers(self._document, checked)
+
+    @cached_property
+    def unpacked(self) -> dict[int, int | InputError]:
+        """Accessors that Draco compressed -> the plain ones in their places, or why there are none."""
+        result: dict[int, int | InputError] = {}
+        for i, mesh in enumerate(self.items("meshes")):
+            for j, one in enumerate(as_list(mesh.get("primitives"))):
+                primitive = Value(one, f"{self._document.root.trail} -> meshes[{i}].primitives[{j}]")
+                if DRACO not in as_object(as_object(one).get("extensions")):
+                    continue
+                from facepipe_gltf.read.draco import unpacked  # a module that exports do without
+
+                packed = [one.get("indices"), *as_object(one.get("attributes")).values()]
+                try:
+                    plain = unpacked(self._document, primitive).members()
+                    own: list[int | InputError] = [plain["indices"], *plain["attributes"].values()]
+                except InputError as error:
+                    own = [error] * len(packed)
+                pairs = zip(packed, own, strict=True)
+                result |= {old: new for old, new in pairs if is_index(old) and old != new}
+        return result
 
     def maybe(self, index: object) -> FloatArray | None:
         """The accessor, or None where it can't be read (which the check of accessors reports)."""

@@ -87,6 +87,22 @@ def with_placed_texture(**place: object) -> Callable[[Builder], None]:
     return edit
 
 
+def with_ktx2(builder: Builder) -> None:
+    """A base colour in KTX2 alone, and normals with a PNG beside it."""
+    ktx2 = builder.add("images", {"bufferView": builder.view(b"\xabKTX 20\xbb\r\n\x1a\n"), "mimeType": "image/ktx2"})
+    png = builder.add("images", {"bufferView": builder.view(PNG)})
+    extensions = {"KHR_texture_basisu": {"source": ktx2}}
+    alone = builder.add("textures", {"extensions": extensions})
+    beside = builder.add("textures", {"source": png, "extensions": extensions})
+    surface = {"baseColorTexture": {"index": alone}, "metallicRoughnessTexture": {"index": beside}}
+    builder.root["materials"][0]["pbrMetallicRoughness"] = surface
+    builder.root |= {"extensionsUsed": [*extensions], "extensionsRequired": [*extensions]}
+
+
+def with_rounded_point_numbers(builder: Builder) -> None:
+    primitive(builder)["attributes"]["_FACEPIPE_POINT"] = builder.array(np.arange(54) + 0.01)  # type: ignore[index]
+
+
 def with_extensions(builder: Builder) -> None:
     builder.root["materials"][0]["extensions"] = {"KHR_materials_ior": {"ior": 1.4}, "KHR_materials_sheen": {}}
 
@@ -111,6 +127,8 @@ def with_mean_normals(builder: Builder) -> None:
         (with_one_side_of_two, ["only some of its materials are double-sided"]),
         (with_tinted_material, ["vertex colours tint a material"]),
         (with_extensions, ["the extension 'KHR_materials_sheen' is left out"]),
+        (with_ktx2, ["textures[0]: its image is KTX2 (KHR_texture_basisu), which is not decoded: left out"]),
+        (with_rounded_point_numbers, ["_FACEPIPE_POINT with numbers other than whole ones from 0 to 2^24: left out"]),
         (with_mean_normals, ["normal offsets differ at seams"]),
         (with_placed_texture(offset=[0, 0], scale=[1, 1], rotation=0), []),
         (with_placed_texture(offset=[0.5, 0], rotation=0.1), []),

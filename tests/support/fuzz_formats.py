@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import cook_cases
+import draco_files
 import fuzz_damage as damage
 import gltf_builder
 import neural_faces
@@ -491,6 +492,13 @@ def put_gltf(suffix: str, *flags: str) -> Callable[[], None]:
     return put
 
 
+def put_draco(name: str) -> Callable[[], None]:
+    def put() -> None:
+        Path("face.glb").write_bytes((draco_files.FOLDER / f"{name}.glb").read_bytes())
+
+    return put
+
+
 def damage_gltf(rng: Rng, part: str) -> list[Line]:
     path = next(Path().glob("face.*[fbm]"))
     data = path.read_bytes()
@@ -501,7 +509,7 @@ def damage_gltf(rng: Rng, part: str) -> list[Line]:
     else:
         size = int.from_bytes(data[12:16], "little")
         root, binary = data[20 : 20 + size], data[28 + size :]
-        if rng.random() < 0.8:
+        if rng.random() < (0.3 if b"KHR_draco" in root else 0.8):
             root = damage.damaged_json(rng, root)
         else:
             binary = damage.damaged_bytes(rng, binary)
@@ -1083,6 +1091,7 @@ FORMATS: dict[str, Format] = {
             "glb": put_gltf(".glb"),
             "gltf": put_gltf(".gltf"),
             "quantised": put_gltf(".glb", "--quantize"),
+            **{f"draco, {name}": put_draco(name) for name in draco_files.FILES},
         },
         damage_gltf,
     ),

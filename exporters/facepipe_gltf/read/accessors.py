@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
-from facepipe_gltf.read.document import Document, Value
+from facepipe_gltf.read.document import Document, Value, quote
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -50,16 +50,13 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
     :raises InputError: another type, or data outside its bufferView
     """
     value = document.entry("accessors", reference)
-    kind = value.require("type")
-    types = types or tuple(_COMPONENTS)
-    if kind.text() not in types:
-        raise reference.error(f"{value.place} is {kind.text()[:20]}, expected {' or '.join(types)}")
-    dtype = _dtype(value.require("componentType"))
+    dtype, components = element(value)
+    if types and (kind := value.members()["type"]) not in types:
+        raise reference.error(f"{value.place} is {kind}, expected {' or '.join(types)}")
     count = value.require("count").integer(1)
     # an accessor without bufferView is zeros: its count asks for memory that no byte of the file stands for
     if count > _MAX_COUNT:
         raise value.error(f"count {count}, expected at most {_MAX_COUNT}")
-    components = _COMPONENTS[kind.text()]
     base, view = None, value.get("bufferView")
     if view is not None:
         stride = document.entry("bufferViews", view).get("byteStride")
@@ -95,6 +92,17 @@ def accessor(document: Document, reference: Value, *types: str) -> Accessor:
         base=base,
         sparse=replaced,
     )
+
+
+def element(value: Value) -> tuple[np.dtype[np.generic], int]:
+    """The type of the components of an accessor's elements, and how many each has.
+
+    :raises InputError: types that glTF doesn't have
+    """
+    kind = value.require("type")
+    if kind.text() not in _COMPONENTS:
+        raise kind.error(f"{quote(kind.text())}, expected {' or '.join(_COMPONENTS)}")
+    return _dtype(value.require("componentType")), _COMPONENTS[kind.text()]
 
 
 def floats(document: Document, reference: Value, *types: str, count: int | None = None) -> FloatArray:

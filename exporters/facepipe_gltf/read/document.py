@@ -29,7 +29,7 @@ from facepipe.core.errors import InputError
 from facepipe.core.policy.bounds import Budget, same_file
 from facepipe.core.policy.paths import check_copied
 from facepipe.core.reading import check_values, read_bytes
-from facepipe_gltf.buffers import MESHOPT
+from facepipe_gltf.buffers import DRACO, MESHOPT
 from facepipe_gltf.read.meshopt import decode
 
 LARGEST = 1e18  # number that is believed: products of two still fit in float32, which files and engines hold
@@ -38,8 +38,11 @@ _TYPE_NAMES = {dict: "an object", list: "an array", str: "text", bool: "true or 
 _MAGIC = b"glTF"
 _JSON_CHUNK = 0x4E4F534A
 _BINARY_CHUNK = 0x004E4942
+BASIS = "KHR_texture_basisu"
 _SUPPORTED_EXTENSIONS = frozenset(
     {
+        BASIS,  # its textures are named and left out: they alone are lost
+        DRACO,
         MESHOPT,
         "KHR_mesh_quantization",
         "KHR_texture_transform",
@@ -50,7 +53,6 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_emissive_strength",
         "KHR_materials_pbrSpecularGlossiness",
         "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
-        "KHR_texture_basisu",  # a texture without another image is named and left out
         "EXT_texture_webp",
         "EXT_texture_avif",
     }
@@ -276,7 +278,8 @@ class Document:
     files: list[Path] = field(default_factory=list)  # read so far
     loaded: dict[int, memoryview] = field(default_factory=dict)  # buffers
     _contents: dict[Hashable, bytes] = field(default_factory=dict)  # of files beside it, by `same_file`
-    _decoded: dict[int, bytes] = field(default_factory=dict)  # of compressed bufferViews
+    unpacked: dict[str, Value] = field(default_factory=dict)  # primitives that were compressed, by their trails
+    _decoded: dict[int, bytes] = field(default_factory=dict)  # of compressed bufferViews, and of added ones
     _entries: dict[str, list[Value]] = field(default_factory=dict)
     _warned: set[str] = field(default_factory=set)
 
@@ -331,18 +334,18 @@ class Document:
         number = self.index("bufferViews", reference)
         value = self.entries("bufferViews")[number]
         packed = value.extension(MESHOPT)
-        if packed is not None:
-            if number not in self._decoded:
-                data = self.buffer(packed.require("buffer"))
-                start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
-                count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
-                mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
-                steps = 4 * length if mode == "ATTRIBUTES" else 4 * length + 16 * count  # of Python, as bytes
-                self.budget.spend(count * size + steps, packed.error)
-                try:
-                    self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
-                except ValueError as error:
-                    raise packed.error(f"can't be decoded: {error}") from None
+        if packed is not None and number not in self._decoded:
+            data = self.buffer(packed.require("buffer"))
+            start, length = packed.get_or("byteOffset", 0).integer(), packed.require("byteLength").integer(1)
+            count, size = packed.require("count").integer(1), packed.require("byteStride").integer(1)
+            mode, filtered = packed.require("mode").text(), packed.get_or("filter", "NONE").text()
+            steps = 4 * length if mode == "ATTRIBUTES" else 4 * length + 16 * count  # of Python, as bytes
+            self.budget.spend(count * size + steps, packed.error)
+            try:
+                self._decoded[number] = decode(bytes(data[start : start + length]), count, size, mode, filtered)
+            except ValueError as error:
+                raise packed.error(f"can't be decoded: {error}") from None
+        if number in self._decoded:
             return memoryview(self._decoded[number]), 0, len(self._decoded[number])
         data = self.buffer(value.require("buffer"))
         start = value.get_or("byteOffset", 0).integer()
@@ -350,6 +353,15 @@ class Document:
         if start + length > len(data):
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
         return data, start, length
+
+    def add_accessor(self, like: Value, count: int, data: bytes) -> int:
+        """The number of a new accessor of `count` packed elements, of the type of another: `data` holds them."""
+        views, accessors = self.entries("bufferViews"), self.entries("accessors")
+        views.append(Value({}, like.trail))
+        self._decoded[len(views) - 1] = data
+        kept = {key: value for key, value in like.members().items() if key not in ("byteOffset", "sparse")}
+        accessors.append(Value({**kept, "count": count, "bufferView": len(views) - 1}, like.trail))
+        return len(accessors) - 1
 
     def file_of(self, uri: Value) -> Path | None:
         """The file that a URI names; None of base64 data.

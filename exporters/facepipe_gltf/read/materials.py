@@ -18,7 +18,7 @@ from facepipe.core.images import decoding, open_image
 from facepipe.core.names import first_names, handles
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
 from facepipe.stage.uv_transforms import IDENTITY
-from facepipe_gltf.read.document import Document, Names, Value, file_name, given_name, quote, uri_name
+from facepipe_gltf.read.document import BASIS, Document, Names, Value, file_name, given_name, quote, uri_name
 from facepipe_gltf.read.meshes import uv_name
 from facepipe_gltf.record_format import image_digest
 
@@ -91,7 +91,9 @@ class _Textures:
         sources = [one for one in given if one is not None]
         image = next((one for one in map(self._image_of, sources) if one is not None), None)
         if image is None:
-            document.warn(texture, "has no image that can be read: left out")
+            ktx = texture.extension(BASIS) is not None
+            why = f"its image is KTX2 ({BASIS}), which is not decoded" if ktx else "has no image that can be read"
+            document.warn(texture, f"{why}: left out")
             return None
         sampler = texture.get("sampler")
         settings = Value({}, texture.trail) if sampler is None else document.entry("samplers", sampler)

@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
+from facepipe_gltf.buffers import DRACO
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.accessors import Deltas
 from facepipe_gltf.read.document import Document, Value
+from facepipe_gltf.read.draco import unpacked
 
 _MAX_SETS = 8
 _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in range(_MAX_SETS)]
@@ -23,6 +25,7 @@ _KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POIN
 _STILL = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
 _LARGEST_NUMBER = 2.0**24  # that float32 and all below it hold exactly
 TARGET_NOTES = ("extras", "extra", "name")  # beside the attributes of a target: what exporters call it by
+_FEWEST_STEPS = 2**11  # of Draco in the larger extent of a primitive, by default of the programs that compress
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 
 
@@ -77,10 +80,11 @@ def _read_vertices(document: Document, primitive: Value, skinned: bool) -> Verti
         colors = colors[:, :3]
     if (point := attributes.get("_FACEPIPE_POINT")) is not None:
         values = accessors.floats(document, point, "SCALAR", count=count)[:, 0]
-        # glTF has no integers of 32 bits for attributes, so numbers are floats
+        # glTF has no integers of 32 bits for attributes, so numbers are floats, which programs that compress may round
         if values.min() < 0.0 or values.max() > _LARGEST_NUMBER or np.any(values != np.floor(values)):
-            raise point.error("point numbers that are no whole numbers from 0 to 2^24")
-        numbers = values.astype(np.int64)
+            document.warn(document.root, "_FACEPIPE_POINT with numbers other than whole ones from 0 to 2^24: left out")
+        else:
+            numbers = values.astype(np.int64)
     targets = []
     for target in primitive.get_or("targets", []).items():
         moved, turned = target.get("POSITION"), target.get("NORMAL")
@@ -208,6 +212,8 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         if number < 4:
             document.warn(primitive, f"{_MODES[number]} are left out, only triangles are read")
             continue
+        primitive = unpacked(document, primitive)
+        number = primitive.get_or("mode", 4).integer()
         # a key of the vertices that a primitive uses: its attributes and those of its targets
         sets = [primitive.require("attributes"), *primitive.get_or("targets", []).items()]
         key = tuple(
@@ -227,12 +233,26 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         materials.append(np.full(len(corners), shown, np.int64))
     if sum(map(len, triangles)) == 0:
         return None
+    if any(primitive.extension(DRACO) is not None for primitive in value.require("primitives").items()):
+        _note_gaps(document, value, [one.positions for one in read])
     return Geometry(
         value=value,
         vertices=_join(document, value, read),
         triangles=np.concatenate(triangles),
         materials=np.concatenate(materials),
     )
+
+
+def _note_gaps(document: Document, value: Value, positions: list[FloatArray]) -> None:
+    """Warn of primitives that meet nowhere, but nearly: Draco rounds each by its own box, to 11 bits and more."""
+
+    def shared(of_each: list[FloatArray]) -> int:
+        rows = np.concatenate([np.unique(one, axis=0) for one in of_each])
+        return len(rows) - len(np.unique(rows, axis=0))
+
+    step = max(float(np.ptp(one, axis=0).max()) for one in positions) / _FEWEST_STEPS
+    if step > 0.0 and not shared(positions) and shared([np.round(one / step) for one in positions]):
+        document.warn(value, "Draco has rounded its primitives apart: where they meet, vertices are not joined")
 
 
 def _triangles(document: Document, primitive: Value, mode: int, count: int) -> IntArray:

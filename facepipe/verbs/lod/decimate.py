@@ -12,8 +12,8 @@ import numpy as np
 from scipy import sparse
 
 from facepipe.core.arrays import BoolArray, FloatArray, IntArray
-from facepipe.core.errors import InputError
 from facepipe.core.threads import one_thread
+from facepipe.core.webassembly import Program, Run
 from facepipe.geometry.polygons import components, edges, point_areas, triangulate, welded_points
 from facepipe.parts import Blendshape, FaceParts, MaterialFaces, Mesh
 from facepipe.rig import Rig, mesh_spaces
@@ -217,12 +217,7 @@ class Simplifier:
 
     def __init__(self) -> None:
         """:raises InputError: wasmtime is not there"""
-        try:
-            from wasmtime import Engine, Module
-        except ImportError as error:
-            raise InputError("wasmtime", "is not installed, expected `pip install 'facepipe[lod]'`") from error
-        self._engine = Engine()
-        self._module = Module.from_file(self._engine, str(_MODULE))
+        self._program = Program(_MODULE, "lod", bounded=False)
 
     def __call__(
         self, points: FloatArray, attributes: FloatArray, triangles: IntArray, fixed: BoolArray, count: int
@@ -233,7 +228,7 @@ class Simplifier:
         :param attributes: (v, k) in the unit of the points; their error counts like that of points
         :param fixed: (v,) vertices that stay
         """
-        calls = _Calls(self._engine, self._module)
+        calls = _Calls(self._program)
         extent = float(np.ptp(points, axis=0).max()) or 1.0  # the module scales points, and not attributes, by it
         result, error = calls.room(triangles.size, np.uint32), calls.room(1, np.float32)
         length = calls.simplify(
@@ -246,36 +241,32 @@ class Simplifier:
         return calls.indices(result, length).reshape(-1, 3)
 
 
-class _Calls:
+class _Calls(Run):
     """A fresh instance of the module and its memory."""
 
-    def __init__(self, engine: Any, module: Any) -> None:
-        from wasmtime import Instance, Store
-
-        self._store = Store(engine)
-        self._exports = Instance(self._store, module, []).exports(self._store)
-        self._exports["__wasm_call_ctors"](self._store)
+    def __init__(self, program: Program) -> None:
+        super().__init__(program, "memory")
+        self.call("__wasm_call_ctors")
 
     def room(self, count: int, kind: Any) -> int:
         """The address of memory for `count` values."""
         size = count * np.dtype(kind).itemsize
-        return int(self._exports["sbrk"](self._store, -(-size // _ALIGNMENT) * _ALIGNMENT))
+        return self.call("sbrk", -(-size // _ALIGNMENT) * _ALIGNMENT)
 
     def put(self, values: Any, kind: Any) -> int:
         """The address of values that were put there."""
         data = np.ascontiguousarray(values, kind)
         address = self.room(data.size, kind)
-        self._exports["memory"].write(self._store, data.tobytes(), address)
+        self.write(address, data.tobytes())
         return address
 
     def indices(self, address: int, count: int) -> IntArray:
         """(count,) indices at an address."""
-        data = self._exports["memory"].read(self._store, address, address + 4 * count)
-        return np.frombuffer(data, np.uint32).astype(np.int64)
+        return np.frombuffer(self.read(address, 4 * count), np.uint32).astype(np.int64)
 
     def simplify(self, *arguments: Any) -> int:
         """How many indices the simplifier wrote."""
-        return int(self._exports["meshopt_simplifyWithAttributes"](self._store, *arguments))
+        return self.call("meshopt_simplifyWithAttributes", *arguments)
 
 
 class Surface:
