@@ -85,7 +85,7 @@ FIELDS = (
         "USD layer", "subLayers, references, payloads", "facepipe.stage.layer_files:open_layer", "check_regular", _READ
     ),
     FileField("USD layer", "clips", "facepipe.stage.layer_files:_check_clips", "check_readable", _READ),
-    FileField("USD layer", "asset values: textures", "facepipe.stage.shaders:copy_refusal", "check_copied", _BELOW),
+    FileField("USD layer", "asset values: textures", "facepipe.stage.materials:copy_refusal", "check_copied", _BELOW),
     FileField(
         "USD layer",
         "facepipe:neuralRig:file",

@@ -21,10 +21,10 @@ from facepipe.registry import neural_rigs
 from facepipe.rig import CHANNELS, implausible
 from facepipe.rig.sliders import curve_fault
 from facepipe.stage import Face
+from facepipe.stage.materials import read_image
 from facepipe.stage.photos import LIGHT_ROWS, MOST_PIXELS, is_photo, key_fault, read_key_lamp
 from facepipe.stage.prims import authored_skel_properties, exact_name
 from facepipe.stage.recipes import NeuralRigLink, read_neural_rig_link
-from facepipe.stage.shaders import read_image
 from facepipe.stage.sliders import read_slider_network
 from facepipe.stage.values import UNREADABLE, reason
 from facepipe.verbs.whole_faces import Topology

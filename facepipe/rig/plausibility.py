@@ -6,7 +6,6 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
-from facepipe.rig.joint_names import joint_called
 from facepipe.rig.rig import build
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
@@ -40,6 +39,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]
     marks = next((by_mesh[name][indices] for indices, name in found if len(indices) == _COUNT), None)
     if marks is None:
+        from facepipe.rig.joint_names import joint_called  # with tables of names that a face with landmarks needs not
+
         head, hips = joint_called(parts.skeleton, "Head"), joint_called(parts.skeleton, "Hips")
         if head is not None and hips is not None and len(points):
             places = rig.joint_worlds(rig.rest)[:, :3, 3]

@@ -32,10 +32,9 @@ from facepipe.parts import (
 from facepipe.rig import Person, Rig, build, person_of, sample_transforms, sample_weights, slide
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, level_names, open_stage, over, stage_at
-from facepipe.stage.materials import author_texture, read_material, textures_of
+from facepipe.stage.materials import Images, author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, editable, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.shaders import Images
 from facepipe.stage.skeleton import author_source, read_animation, read_limits, read_recipe, read_skeleton
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
 from facepipe.stage.uv_transforms import with_baked_uvs

@@ -17,11 +17,10 @@ from facepipe.parts import Material
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
 from facepipe.stage.foreign_motion import moving_of
-from facepipe.stage.materials import USD_NAMES, read_material
-from facepipe.stage.materialx import unread_inputs
+from facepipe.stage.materials import USD_NAMES, Images, read_material
+from facepipe.stage.materialx import read_materialx, unread_inputs
 from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
-from facepipe.stage.shaders import Images
 from facepipe.stage.values import ints, reads_prim
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
@@ -312,7 +311,7 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
     """One material; a texture that can't be had is left out of it."""
     while True:
         try:
-            material = read_material(prim, name, images)
+            material = read_material(prim, name, images) or read_materialx(prim, name, images)
             # why an image of the material may not be copied
             inputs = material.textured.values() if material else ()
             if refusal := next((used.texture.refusal for used in inputs if used.texture.refusal), None):

@@ -15,8 +15,8 @@ from typing import Any, Literal, NamedTuple
 from pxr import Usd, UsdShade
 
 from facepipe.parts import Color, Material, TextureInput, UvTransform
+from facepipe.stage.materials import Images, attribute_of, image_of, value_of
 from facepipe.stage.prims import label
-from facepipe.stage.shaders import Images, attribute_of, image_of, value_of
 from facepipe.stage.uv_transforms import IDENTITY, composed
 from facepipe.stage.values import reads_prim
 
@@ -114,6 +114,7 @@ def surface_of(prim: Usd.Prim) -> tuple[UsdShade.Shader, _Surface] | None:
     return None if kind is None else (shader, kind)
 
 
+@reads_prim
 def read_materialx(prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """A Material prim whose surface MaterialX defines; None where it has no such.
 

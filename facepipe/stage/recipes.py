@@ -25,8 +25,8 @@ from facepipe.declare import to_json
 from facepipe.parts import FaceParts, Recipe
 from facepipe.stage.files import SUFFIXES, dependencies, open_stage, quiet_diagnostics
 from facepipe.stage.layer_files import open_layer
+from facepipe.stage.materials import copy_refusal
 from facepipe.stage.prims import apply_schema, is_applied, put_value
-from facepipe.stage.shaders import copy_refusal
 from facepipe.stage.skeleton import read_recipe
 from facepipe.stage.values import USD_ERRORS, errors_below, reads_prim, usd_errors
 

@@ -19,7 +19,7 @@ from facepipe.core.policy.paths import check_written
 from facepipe.parts import Texture
 from facepipe.stage.files import check_suffix, flattened, relative_path, save_layer
 from facepipe.stage.layer_files import name_of
-from facepipe.stage.shaders import images_of
+from facepipe.stage.materials import images_of
 
 
 class TextureFolder:

@@ -16,6 +16,7 @@ from typing import Literal
 from facepipe.core.errors import InputError
 from facepipe.core.images import decoding, open_image
 from facepipe.core.names import first_names, handles
+from facepipe.core.reading import is_file
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
 from facepipe.stage.uv_transforms import IDENTITY
 from facepipe_gltf.read.document import BASIS, Document, Names, Value, file_name, given_name, quote, uri_name
@@ -28,7 +29,7 @@ _Four = tuple[float, float, float, float]
 
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _SIGNATURES = {b"\x89PNG\r\n\x1a\n": "png", b"\xff\xd8\xff": "jpg"}
-_OTHER_SOURCES = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
+_OTHER_SOURCES = ("EXT_texture_avif", "EXT_texture_webp")
 _DIELECTRIC = 0.04  # reflectance of what is no metal
 _DEFAULT = "default_material"
 _IMPLEMENTED = {
@@ -93,6 +94,8 @@ class _Textures:
         if image is None:
             ktx = texture.extension(BASIS) is not None
             why = f"its image is KTX2 ({BASIS}), which is not decoded" if ktx else "has no image that can be read"
+            if document.strict:
+                raise texture.error(why)
             document.warn(texture, f"{why}: left out")
             return None
         sampler = texture.get("sampler")
@@ -138,7 +141,7 @@ class _Textures:
         uri, view = value.get("uri"), value.get("bufferView")
         if uri is not None:
             file = self._document.file_of(uri)
-            if file is not None and not file.exists():
+            if file is not None and not is_file(file):
                 raise _NoImageError(f"the file {quote(uri.text())} can't be found")
             data = self._document.content(uri)
         elif view is not None:
