@@ -191,7 +191,18 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
             for slider in parts.sliders
         ),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),
+        vrm=_of_binds(parts.vrm, names),
     )
+
+
+def _of_binds(vrm: Any, names: Mapping[str, str]) -> Any:
+    """What VRM says of an avatar, its expressions bound to shapes of the new names."""
+    if isinstance(vrm, Mapping):
+        return {
+            key: names.get(one, one) if key == "index" and isinstance(one, str) else _of_binds(one, names)
+            for key, one in vrm.items()
+        }
+    return [_of_binds(one, names) for one in vrm] if isinstance(vrm, list) else vrm
 
 
 def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> None:

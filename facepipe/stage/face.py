@@ -46,7 +46,7 @@ from facepipe.stage.levels import level_names, stage_at
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_vrm
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
 
 if TYPE_CHECKING:
@@ -257,6 +257,7 @@ class Face:
         with errors_below(self.where):
             limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
             recipe = read_recipe(self.prim)
+            vrm = read_vrm(self.prim)
         parts = FaceParts(  # without levels, which are faces of their own
             name=self.name,
             meters_per_unit=self.meters_per_unit,
@@ -273,6 +274,7 @@ class Face:
             attach_joint=self.attach_joint,
             person=self._text(tokens.PERSON) or None,
             attribution=self._text(tokens.ATTRIBUTION),
+            vrm=vrm,
             photos=self.photos,
             recipe=recipe,
         )

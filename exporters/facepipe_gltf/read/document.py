@@ -39,6 +39,11 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_ior",
         "KHR_materials_unlit",
         "KHR_materials_emissive_strength",
+        "VRM",
+        "VRMC_node_constraint",
+        "VRMC_springBone",
+        "VRMC_springBone_extended_collider",
+        "VRMC_vrm",
     }
 )
 _MAX_FILE_BYTES = 2**32

@@ -8,6 +8,7 @@ section 7): where the nodes stand in bind pose that product is the same matrix f
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -155,15 +156,16 @@ class Joints:
         return None
 
 
-def read_joints(document: Document, nodes: Nodes) -> Joints:
+def read_joints(document: Document, nodes: Nodes, more: Sequence[int] = ()) -> Joints:
     """The skeleton of all skins.
 
+    :param more: nodes that are joints too, whether a skin lists them or not
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
     """
     values = document.entries("skins")
     listed = [_joint_nodes(document, value) for value in values]
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
-    order = _parent_first(nodes, [node for skin in listed for node in skin])
+    order = _parent_first(nodes, [*(node for skin in listed for node in skin), *more])
     of_node = {node: joint for joint, node in enumerate(order)}
     # parent joint of every joint, -1 for roots, and the matrices of the nodes between
     parents: list[int] = []
@@ -182,6 +184,10 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
         worlds = nodes.worlds[joint_nodes]
         skins.append(BoundSkin(slots, _bind(document, value, slots, inverses, worlds, binds)))
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
+    for joint, parent in enumerate(parents):  # bound by no skin: as they rest below those that are
+        if joint not in binds:
+            at_rest = rest[joint] if parent < 0 else binds[parent] @ rest[joint]
+            binds[joint] = at_rest if abs(np.linalg.det(at_rest)) > 1e-30 else identity()
     siblings: dict[int, Names] = {}
     paths: list[str] = []
     given = [given_name(nodes.values[node]) for node in order]

@@ -184,11 +184,12 @@ class Humanoid:
     unfit: tuple[str, ...]  # joints with the name of a bone that they can't be, a line each
 
 
-def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
+def humanoid_of(parts: FaceParts, given: str, kept: Mapping[str, int] | None = None) -> Humanoid:
     """The human bones of a face, by the names of its joints and those `given` (``BONE=JOINT,...``).
 
     A face that no mesh is skinned to has none: its joints are not in the file.
 
+    :param kept: bones that the face came with (to numbers of joints), which count instead of names
     :raises InputError: a bone or joint that isn't there, or a required bone below another than VRM has it
     """
     joints = parts.skeleton.joints
@@ -197,7 +198,8 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
         if wanted:
             raise InputError("option bones", "no mesh is skinned to the face's joints, expected none")
         return Humanoid({}, ())
-    named = {bone: joint for bone, joint in bones_of(parts.skeleton.names).items() if joint not in wanted.values()}
+    own = bones_of(parts.skeleton.names) if kept is None else kept
+    named = {bone: joint for bone, joint in own.items() if joint not in wanted.values()}
     bones = named | wanted
     above = {joint: int(parent) for joint, parent in enumerate(parts.skeleton.parents) if parent >= 0}
     unfit = []
@@ -211,7 +213,9 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
             raise InputError(where, f"is the {wrong.bone}, {below}, expected {due} (option bones names other joints)")
         unfit.append(f"{joints[bones[drop]]} is not the {drop}: it hangs elsewhere in the tree than VRM requires")
         del bones[drop]
-    if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
-        problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
+    if "head" not in bones and (torso := [bone for bone in bones if bone in TORSO]):
+        problem = (
+            f"no joint is named like a head, but {', '.join(torso)} are there, expected head=JOINT in option bones"
+        )
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
     return Humanoid(bones, tuple(unfit))
