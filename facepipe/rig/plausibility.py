@@ -7,7 +7,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.parts import FaceParts
 from facepipe.rig.build_rig import build
-from facepipe.rig.joint_names import joint_called
+from facepipe.rig.joint_names import human_joint
 
 HEAD_MM = (150.0, 400.0)  # plausible heights of a head
 
@@ -40,7 +40,7 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]
     marks = next((by_mesh[name][indices] for indices, name in found if len(indices) == _COUNT), None)
     if marks is None:
-        head, hips = joint_called(parts.skeleton, "Head"), joint_called(parts.skeleton, "Hips")
+        head, hips = human_joint(parts, "Head"), human_joint(parts, "Hips")
         if head is not None and hips is not None and len(points):
             return _avatar(*rig.joint_worlds(rig.rest)[[head, hips], :3, 3], points, unit, parts.up_axis)
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)

@@ -215,6 +215,24 @@ def test_what_is_wrong_is_named_and_the_rest_kept(tmp_path: Path) -> None:
     assert all(line.endswith("left out") and "\n" not in line for line in imported.warnings)
 
 
+WRONG: dict[str, Any] = {
+    "VrmFirstPerson": lambda own, springs: own["firstPerson"]["meshAnnotations"][0].update(node=99),
+    "VrmSpringBones": lambda own, springs: springs["springs"][0].update(colliderGroups=[7]),
+    "VrmExpressions": lambda own, springs: own["expressions"]["preset"].update(smug={}),
+}
+
+
+@pytest.mark.parametrize("check", WRONG)
+def test_validate_finds(check: str, tmp_path: Path) -> None:
+    def damage(root: Any) -> None:
+        WRONG[check](root["extensions"]["VRMC_vrm"], root["extensions"]["VRMC_springBone"])
+
+    for data, expected in ((avatar(0), set[str]()), (changed(avatar(0), damage), {f"facepipe:{check}"})):
+        (tmp_path / "in.vrm").write_bytes(data)
+        findings = vrm.validate(tmp_path / "in.vrm", khronos=False)
+        assert {one.check for one in findings if one.severity == "error"} == expected
+
+
 @pytest.mark.parametrize("change", [{"specVersion": "2.0"}, [], "x", None, {}, {"meta": 3, "specVersion": "1.0"}])
 def test_an_extension_that_is_none_costs_the_avatar_alone(change: Any, tmp_path: Path) -> None:
     (tmp_path / "in.vrm").write_bytes(changed(avatar(0), lambda root: root["extensions"].update(VRMC_vrm=change)))

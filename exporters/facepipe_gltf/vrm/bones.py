@@ -65,11 +65,11 @@ _NEEDS_PARENT = frozenset(  # exist only where the bone above them does
     + [f"{side}{finger}{link}" for side in SIDES for finger, links in _FINGERS.items() for link in links[1:]]
 )
 _TABLE = Path(__file__).with_name("joint_names.toml")
-_BREAKS = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z0-9])(?=[A-Z])")
+_BREAKS = re.compile(r"[\W_]+|(?<=[a-z0-9])(?=[A-Z])|(?<=[左右])|(?=[左右])")
 _PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
 _FEWEST = 3
 _ROOT = "root"
-_SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
+_SIDE = {"l": "left", "left": "left", "左": "left", "r": "right", "right": "right", "右": "right"}
 
 
 def above(bone: str, present: Container[str]) -> str | None:
