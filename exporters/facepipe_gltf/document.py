@@ -379,12 +379,15 @@ class _Writer:
                 *([uncolored] if self.uncolored else []),
             ),
             error_mm=self._error_mm(meshes),
-            places=Places(
-                tuple(baked.mesh.name for baked in meshes),
-                tuple(tuple(sculpt.name for sculpt in baked.sculpts) for baked in meshes),
-                dict(zip(self.parts.skeleton.joints, skins[0]["joints"], strict=True)) if skins else {},
-                self.materials.names,
-            ),
+            places=self._places(meshes, skins),
+        )
+
+    def _places(self, meshes: Sequence[Baked], skins: Sequence[Json]) -> Places:
+        return Places(
+            meshes=tuple(baked.mesh.name for baked in meshes),
+            targets=tuple(tuple(sculpt.name for sculpt in baked.sculpts) for baked in meshes),
+            joints=dict(zip(self.parts.skeleton.joints, skins[0]["joints"], strict=True)) if skins else {},
+            materials=self.materials.names,
         )
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:

@@ -215,6 +215,15 @@ def test_what_is_wrong_is_named_and_the_rest_kept(tmp_path: Path) -> None:
     assert all(line.endswith("left out") and "\n" not in line for line in imported.warnings)
 
 
+def test_what_the_file_lacks_is_named(tmp_path: Path) -> None:
+    _, _, report = through(avatar(3), tmp_path, shapes="smile*")
+    lost = [line for line in report.dropped if "no shape" in line]
+    kept = said((tmp_path / "out.vrm").read_bytes())["VRMC_vrm"]["expressions"]
+    assert {line.partition("no shape ")[2].partition(" of")[0] for line in lost} == {"'brow.down'", ascii("口開け")}
+    assert kept["preset"]["aa"]["morphTargetBinds"] == []
+    assert [one["index"] for one in kept["preset"]["happy"]["morphTargetBinds"]] == ["smile L", "smile R"]
+
+
 WRONG: dict[str, Any] = {
     "VrmFirstPerson": lambda own, springs: own["firstPerson"]["meshAnnotations"][0].update(node=99),
     "VrmSpringBones": lambda own, springs: springs["springs"][0].update(colliderGroups=[7]),

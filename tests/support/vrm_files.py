@@ -38,6 +38,7 @@ OTHERS = {  # no human bones
 LOOSE = ("leftEye", "rightEye", "hair3", "fringe", "collider", "twist", "rightHand")  # in no skin
 SHAPES = ("口開け", "smile L", "smile R", "brow.down")
 BALL = 6
+RANGES = ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp")
 
 
 def ball(center: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -170,58 +171,83 @@ def terms(rng: np.random.Generator) -> Json:
     }
 
 
+class Drawn:
+    """Values drawn by a seed; fields are there or not."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def some(self, **fields: Any) -> Json:
+        return {key: one for key, one in fields.items() if self.rng.random() < 0.8}
+
+    def real(self) -> float:
+        return round(float(self.rng.uniform(0.1, 1.0)), 3)
+
+    def vector(self, size: int = 3) -> list[float]:
+        result: list[float] = self.rng.uniform(-1, 1, size).round(3).tolist()
+        return result
+
+
 def avatar(seed: int) -> bytes:
     """A VRM 1.0 that uses every field, some left out by the seed."""
-    person = Person(seed)
-    rng, node = np.random.default_rng(seed + 1), person.node
-    some = lambda table: {key: one for key, one in table.items() if rng.random() < 0.8}  # noqa: E731
-    real = lambda: round(float(rng.uniform(0.1, 1.0)), 3)  # noqa: E731
-    vector = lambda size=3: rng.uniform(-1, 1, size).round(3).tolist()  # noqa: E731
-    bind = lambda index: {"node": node["Face"], "index": index, "weight": real()}  # noqa: E731
-    color = {"material": 1, "type": "emissionColor", "targetValue": [*vector(), 1.0]}
-    expression = lambda *indices: {  # noqa: E731
-        "morphTargetBinds": [bind(index) for index in indices],
-        **some(
-            {
-                "materialColorBinds": [color, color | {"material": 2, "type": "color"}],
-                "textureTransformBinds": [{"material": 2, "scale": vector(2), "offset": vector(2)}],
-                "isBinary": True,
-                "overrideBlink": "blend",
-                "overrideLookAt": "none",
-                "overrideMouth": "block",
-            }
-        ),
+    person, drawn = Person(seed), Drawn(seed + 1)
+    node, real = person.node, drawn.real
+    constraints = {
+        "twist": {"roll": {"source": node["leftLowerArm"], "rollAxis": "X", "weight": 0.5}},
+        "rightEye": {"rotation": {"source": node["leftEye"]}},
+        "fringe": {"aim": {"source": node["head"], "aimAxis": "NegativeY", "weight": real()}},
     }
-    ranges = ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp")
-    vrm = {
+    whole = {name: {"specVersion": "1.0", "constraint": one} for name, one in constraints.items()}
+    extensions = {"VRMC_vrm": _extension(node, drawn, seed), "VRMC_springBone": _springs(node, drawn)}
+    return person.glb(extensions, whole)
+
+
+def _extension(node: dict[str, int], drawn: Drawn, seed: int) -> Json:
+    real, vector = drawn.real, drawn.vector
+
+    def expression(*indices: int) -> Json:
+        color = {"material": 1, "type": "emissionColor", "targetValue": [*vector(), 1.0]}
+        return {
+            "morphTargetBinds": [{"node": node["Face"], "index": index, "weight": real()} for index in indices],
+            **drawn.some(
+                materialColorBinds=[color, color | {"material": 2, "type": "color"}],
+                textureTransformBinds=[{"material": 2, "scale": vector(2), "offset": vector(2)}],
+                isBinary=True,
+                overrideBlink="blend",
+                overrideLookAt="none",
+                overrideMouth="block",
+            ),
+        }
+
+    annotations = (("Hat", "thirdPersonOnly"), ("Face", "auto"), ("Body", "both"))
+    return {
         "specVersion": "1.0",
-        "meta": terms(rng),
+        "meta": terms(drawn.rng),
         "humanoid": {"humanBones": {bone: {"node": node[bone]} for bone in BONES}},
-        "firstPerson": {
-            "meshAnnotations": [
-                {"node": node[mesh], "type": kind}
-                for mesh, kind in (("Hat", "thirdPersonOnly"), ("Face", "auto"), ("Body", "both"))
-            ]
-        },
+        "firstPerson": {"meshAnnotations": [{"node": node[mesh], "type": kind} for mesh, kind in annotations]},
         "lookAt": {
             "type": "bone" if seed % 2 else "expression",
             "offsetFromHeadBone": vector(),
-            **{f"rangeMap{one}": {"inputMaxValue": 90 * real(), "outputScale": 10 * real()} for one in ranges},
+            **{f"rangeMap{one}": {"inputMaxValue": 90 * real(), "outputScale": 10 * real()} for one in RANGES},
         },
         "expressions": {
             "preset": {"aa": expression(0), "happy": expression(1, 2), "blink": {}, "lookUp": expression(2)},
             "custom": {"Grumpy 😠": expression(3, 0)},
         },
     }
+
+
+def _springs(node: dict[str, int], drawn: Drawn) -> Json:
+    real, vector = drawn.real, drawn.vector
+
+    def joint(name: str) -> Json:
+        numbers = {key: real() for key in ("hitRadius", "stiffness", "gravityPower", "dragForce")}
+        return {"node": node[name], **drawn.some(**numbers, gravityDir=[0.0, -1.0, 0.0])}
+
     sphere = {"shape": {"sphere": {"offset": vector(), "radius": real()}}}
     capsule = {"shape": {"capsule": {"offset": vector(), "radius": real(), "tail": vector()}}}
     plane = {"specVersion": "1.0", "shape": {"plane": {"offset": vector(), "normal": [0.0, 1.0, 0.0]}}}
-    joint = lambda name: {  # noqa: E731
-        "node": node[name],
-        **some({"hitRadius": real(), "stiffness": real(), "gravityPower": real(), "dragForce": real()}),
-        **some({"gravityDir": [0.0, -1.0, 0.0]}),
-    }
-    springs = {
+    return {
         "specVersion": "1.0",
         "colliders": [
             {"node": node["collider"]} | sphere,
@@ -239,13 +265,6 @@ def avatar(seed: int) -> bytes:
             {"joints": [joint("fringe"), {"node": node["hair3"]}]},
         ],
     }
-    constraints = {
-        "twist": {"roll": {"source": node["leftLowerArm"], "rollAxis": "X", "weight": 0.5}},
-        "rightEye": {"rotation": {"source": node["leftEye"]}},
-        "fringe": {"aim": {"source": node["head"], "aimAxis": "NegativeY", "weight": real()}},
-    }
-    whole = {name: {"specVersion": "1.0", "constraint": one} for name, one in constraints.items()}
-    return person.glb({"VRMC_vrm": vrm, "VRMC_springBone": springs}, whole)
 
 
 def root_of(data: bytes) -> Json:
@@ -306,94 +325,93 @@ def former_terms(**changes: Any) -> Json:
 def former_avatar(seed: int, **terms: Any) -> tuple[bytes, Json]:
     """A VRM 0.x that looks along -Z, and what it says in the words of VRM 1.0: `said` without terms."""
     person = Person(seed, former=True)
-    rng, node = np.random.default_rng(seed), person.node
+    vectors = np.random.default_rng(seed).uniform(-0.2, 0.2, (3, 3)).round(4).tolist()
+    return person.glb({"VRM": _former(person, vectors, terms)}), _as_newer(person, vectors)
+
+
+def _former(person: Person, vectors: list[list[float]], changes: Json) -> Json:
+    """
+    :param vectors: of the person that looks along +Z: a collider's offset, the eyes above the head, and gravity
+    """
+    node = person.node
     number = {mesh["name"]: i for i, mesh in enumerate(person.builder.root["meshes"])}
-    offset, eyes, pull = rng.uniform(-0.2, 0.2, (3, 3)).round(4).tolist()
-    unity = lambda vector: dict(zip("xyz", (-vector[0], vector[1], vector[2]), strict=True))  # noqa: E731
+    # Unity's space is left-handed, and the model looks the other way there
+    offset, eyes, pull = (dict(zip("xyz", (-x, y, z), strict=True)) for x, y, z in vectors)
     curve = {"curve": [0, 0, 0, 1, 1, 1, 1, 0], "xRange": 80.0, "yRange": 9.0}
-    face = lambda index, weight: {"mesh": number["Face mesh"], "index": index, "weight": weight}  # noqa: E731
+
+    def face(index: int, weight: float) -> Json:
+        return {"mesh": number["Face mesh"], "index": index, "weight": weight}
+
     color = {"materialName": "skin", "propertyName": "_Color", "targetValue": [1.0, 0.5, 0.25, 1.0]}
     moved = {"materialName": "cloth", "propertyName": "_MainTex_ST", "targetValue": [0.5, 0.25, 0.125, 0.5]}
-    vrm = {
-        "exporterVersion": "test",
+    groups = [
+        {"name": "A", "presetName": "a", "binds": [face(0, 40)], "isBinary": False},
+        {"name": "Joy", "presetName": "joy", "binds": [face(1, 100), face(2, 50)], "isBinary": True},
+        {"name": "むっ", "presetName": "unknown", "binds": [face(3, 100)], "materialValues": [color, moved]},
+    ]
+    spring = {
+        "comment": "hair",
+        "stiffiness": 0.7,
+        "gravityPower": 0.25,
+        "gravityDir": pull,
+        "dragForce": 0.4,
+        "center": -1,
+        "hitRadius": 0.02,
+        "bones": [node["hair1"]],
+        "colliderGroups": [1],
+    }
+    bones = [{"bone": bone, "node": node[bone], "useDefaultValues": True} for bone in BONES]
+    return {
         "specVersion": "0.0",
-        "meta": former_terms(**terms),
-        "humanoid": {
-            "humanBones": [{"bone": bone, "node": node[bone], "useDefaultValues": True} for bone in BONES],
-            "armStretch": 0.05,
-            "hasTranslationDoF": False,
-        },
+        "meta": former_terms(**changes),
+        "humanoid": {"humanBones": bones, "armStretch": 0.05, "hasTranslationDoF": False},
         "firstPerson": {
             "firstPersonBone": node["head"],
-            "firstPersonBoneOffset": unity(eyes),
+            "firstPersonBoneOffset": eyes,
             "meshAnnotations": [{"mesh": number["Hat"], "firstPersonFlag": "ThirdPersonOnly"}],
             "lookAtTypeName": "Bone",
-            **{f"lookAt{one}": curve for one in ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp")},
+            **{f"lookAt{one}": curve for one in RANGES},
         },
-        "blendShapeMaster": {
-            "blendShapeGroups": [
-                {"name": "A", "presetName": "a", "binds": [face(0, 40)], "isBinary": False},
-                {"name": "Joy", "presetName": "joy", "binds": [face(1, 100), face(2, 50)], "isBinary": True},
-                {"name": "むっ", "presetName": "unknown", "binds": [face(3, 100)], "materialValues": [color, moved]},
-            ]
-        },
+        "blendShapeMaster": {"blendShapeGroups": groups},
         "secondaryAnimation": {
             "colliderGroups": [
                 {"node": node["chest"], "colliders": []},
-                {"node": node["head"], "colliders": [{"offset": unity(offset), "radius": 0.1}]},
+                {"node": node["head"], "colliders": [{"offset": offset, "radius": 0.1}]},
             ],
-            "boneGroups": [
-                {
-                    "comment": "hair",
-                    "stiffiness": 0.7,
-                    "gravityPower": 0.25,
-                    "gravityDir": unity(pull),
-                    "dragForce": 0.4,
-                    "center": -1,
-                    "hitRadius": 0.02,
-                    "bones": [node["hair1"]],
-                    "colliderGroups": [1],
-                }
-            ],
+            "boneGroups": [spring],
         },
         "materialProperties": [{"name": name, "shader": "VRM/MToon"} for name in ("unused", "skin", "cloth")],
     }
+
+
+def _as_newer(person: Person, vectors: list[list[float]]) -> Json:
+    """What `_former` says, in the words of VRM 1.0."""
+    offset, eyes, pull = vectors
     joint = {"stiffness": 0.7, "gravityPower": 0.25, "gravityDir": pull, "dragForce": 0.4, "hitRadius": 0.02}
     first, other = ["hair2", "hair3"], ["fringe"]
-    children = person.builder.root["nodes"][node["hair1"]]["children"]
-    if children[0] == node["fringe"]:
+    if person.builder.root["nodes"][person.node["hair1"]]["children"][0] == person.node["fringe"]:
         first, other = other, first
-    chain = lambda names: {  # noqa: E731
-        "name": "hair",
-        "colliderGroups": [1],
-        "joints": [*({"node": name} | joint for name in names), {"node": f"{names[-1]}_end"}],
-    }
-    morph = lambda index, weight: {"node": "Face", "index": SHAPES[index], "weight": weight}  # noqa: E731
-    ranges = ("HorizontalInner", "HorizontalOuter", "VerticalDown", "VerticalUp")
-    expected = {
+
+    def chain(names: list[str]) -> Json:
+        joints = [*({"node": name} | joint for name in names), {"node": f"{names[-1]}_end"}]
+        return {"name": "hair", "colliderGroups": [1], "joints": joints}
+
+    def morphs(weights: dict[int, float]) -> Json:
+        binds = [{"node": "Face", "index": SHAPES[index], "weight": weight} for index, weight in weights.items()]
+        return {"morphTargetBinds": binds}
+
+    colors = {"materialColorBinds": [{"material": "skin", "type": "color", "targetValue": [1.0, 0.5, 0.25, 1.0]}]}
+    moves = {"textureTransformBinds": [{"material": "cloth", "scale": [0.5, 0.25], "offset": [0.125, 0.25]}]}
+    ranges = {f"rangeMap{one}": {"inputMaxValue": 80.0, "outputScale": 9.0} for one in RANGES}
+    return {
         "VRMC_vrm": {
             "specVersion": "1.0",
             "humanoid": {"humanBones": {bone: {"node": bone} for bone in BONES}},
             "firstPerson": {"meshAnnotations": [{"node": "Hat", "type": "thirdPersonOnly"}]},
-            "lookAt": {
-                "type": "bone",
-                "offsetFromHeadBone": eyes,
-                **{f"rangeMap{one}": {"inputMaxValue": 80.0, "outputScale": 9.0} for one in ranges},
-            },
+            "lookAt": {"type": "bone", "offsetFromHeadBone": eyes, **ranges},
             "expressions": {
-                "preset": {
-                    "aa": {"morphTargetBinds": [morph(0, 0.4)]},
-                    "happy": {"morphTargetBinds": [morph(1, 1.0), morph(2, 0.5)], "isBinary": True},
-                },
-                "custom": {
-                    "むっ": {
-                        "morphTargetBinds": [morph(3, 1.0)],
-                        "materialColorBinds": [
-                            {"material": "skin", "type": "color", "targetValue": [1.0, 0.5, 0.25, 1.0]}
-                        ],
-                        "textureTransformBinds": [{"material": "cloth", "scale": [0.5, 0.25], "offset": [0.125, 0.25]}],
-                    }
-                },
+                "preset": {"aa": morphs({0: 0.4}), "happy": morphs({1: 1.0, 2: 0.5}) | {"isBinary": True}},
+                "custom": {"むっ": morphs({3: 1.0}) | colors | moves},
             },
         },
         "VRMC_springBone": {
@@ -404,4 +422,3 @@ def former_avatar(seed: int, **terms: Any) -> tuple[bytes, Json]:
         },
         "constraints": {},
     }
-    return person.glb({"VRM": vrm}), expected

@@ -197,6 +197,8 @@ def humanoid_of(parts: FaceParts, given: str, kept: Mapping[str, int] | None = N
     if not any(mesh.skin is not None and len(mesh.face_vertex_counts) for mesh in parts.meshes):
         if wanted:
             raise InputError("option bones", "no mesh is skinned to the face's joints, expected none")
+        if kept:
+            raise InputError(parts.name, "no mesh is skinned to the human bones of its VRM, expected one")
         return Humanoid({}, ())
     own = bones_of(parts.skeleton.names) if kept is None else kept
     named = {bone: joint for bone, joint in own.items() if joint not in wanted.values()}

@@ -437,9 +437,9 @@ def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FacePar
             matrix[1, 3] = _HIPS * figure.height - figure.joints[hips, 1]
         parts = _moved(parts, matrix)
         figure = figure_of(parts, humanoid.bones)
-        changes.append(
-            f"{1000 * matrix[1, 3]:.0f} mm of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m"
-        )
+        up = f"{1000 * matrix[1, 3]:.0f} mm"
+        if up not in ("0 mm", "-0 mm"):  # of a model that stands already
+            changes.append(f"{up} of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m")
     return parts, figure, changes
 
 
