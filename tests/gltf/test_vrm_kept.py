@@ -276,6 +276,14 @@ def test_commands_that_take_a_face_take_a_vrm(tmp_path: Path, capsys: pytest.Cap
     assert said((tmp_path / "out.vrm").read_bytes()) == said(avatar(0))
 
 
+def test_an_import_of_the_stage_keeps_it_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, imported, _ = through(avatar(2), tmp_path)
+    done(capsys, "import", "usd", tmp_path / "face.usda", tmp_path / "again.usda", quiet=False)
+    assert open_face(tmp_path / "again.usda").parts().vrm == imported.parts.vrm
+    done(capsys, "export", tmp_path / "again.usda", "-o", tmp_path / "again.vrm")
+    assert said((tmp_path / "again.vrm").read_bytes()) == said(out)
+
+
 def test_a_glb_names_what_only_a_vrm_holds_and_brings_it_back(tmp_path: Path) -> None:
     (tmp_path / "in.vrm").write_bytes(avatar(0))
     face = read(tmp_path / "in.vrm").parts
