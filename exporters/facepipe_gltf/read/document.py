@@ -33,17 +33,17 @@ _BINARY_CHUNK = 0x004E4942
 _SUPPORTED_EXTENSIONS = frozenset(
     {
         MESHOPT,
+        "VRM",
+        "VRMC_node_constraint",
+        "VRMC_springBone",
+        "VRMC_springBone_extended_collider",
+        "VRMC_vrm",
         "KHR_mesh_quantization",
         "KHR_texture_transform",
         "KHR_materials_clearcoat",
         "KHR_materials_ior",
         "KHR_materials_unlit",
         "KHR_materials_emissive_strength",
-        "VRM",
-        "VRMC_node_constraint",
-        "VRMC_springBone",
-        "VRMC_springBone_extended_collider",
-        "VRMC_vrm",
     }
 )
 _MAX_FILE_BYTES = 2**32

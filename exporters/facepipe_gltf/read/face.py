@@ -103,7 +103,7 @@ class Assembly:
     recorded: bool = False  # a file of ours: what places its meshes is in the record
     shape_names: Names = field(default_factory=Names)
     roles: dict[int, tuple[Role, ...]] = field(default_factory=dict)  # by node
-    written: list[int] = field(default_factory=list)  # nodes of the meshes
+    shown: list[int] = field(default_factory=list)  # nodes of `meshes`
     _built: dict[tuple[int, int], _Built | None] = field(default_factory=dict)
 
     def meshes(self) -> tuple[Mesh, ...]:
@@ -117,8 +117,8 @@ class Assembly:
             primitives = document.entries("meshes")[number].require("primitives").items()
             targets += count * max((len(one.get_or("targets", []).items()) for one in primitives), default=0)
         check_counts(document.root.trail, {"Mesh": len(shown), "BlendShape": targets})
-        pairs = [(node, mesh) for node in shown if (mesh := self._show(node)) is not None]
-        self.written, meshes = [node for node, _ in pairs], [mesh for _, mesh in pairs]
+        read = [(node, mesh) for node, mesh in zip(shown, map(self._show, shown), strict=True) if mesh is not None]
+        self.shown, meshes = [node for node, _ in read], [mesh for _, mesh in read]
         # called as the node that shows it; where that has no name, by the mesh's own
         exact = [mesh.label if mesh.label is not None else mesh.data_label for mesh in meshes]
         return tuple(
@@ -244,7 +244,7 @@ class _Found(NamedTuple):
 
         places = Places(
             joints=dict(self.joints.of_node),
-            meshes={node: number for number, node in enumerate(self.assembly.written)},
+            meshes={node: number for number, node in enumerate(self.assembly.shown)},
             parts=self.parts,
             roles=self.assembly.roles,
             materials=self.assembly.materials[:-1],
@@ -267,7 +267,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     """:param recorded: leave meshes where the file has them, as our record does the rest"""
     nodes = read_nodes(document, options.scene)
     avatar = _avatar(document, nodes)
-    joints = read_joints(document, nodes, () if avatar is None or recorded else avatar.joints)
+    joints = read_joints(document, nodes, () if avatar is None or recorded else tuple(avatar.joints))
     materials = material_names(document)  # the last stands for none
     assembly = Assembly(document, nodes, joints, materials, options.weld, recorded)
     meshes = assembly.meshes()

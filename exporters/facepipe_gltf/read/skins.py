@@ -8,7 +8,6 @@ section 7): where the nodes stand in bind pose that product is the same matrix f
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,7 +155,7 @@ class Joints:
         return None
 
 
-def read_joints(document: Document, nodes: Nodes, more: Sequence[int] = ()) -> Joints:
+def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) -> Joints:
     """The skeleton of all skins.
 
     :param more: nodes that are joints too, whether a skin lists them or not
