@@ -169,7 +169,9 @@ class Skeleton:
     def called(self, names: Sequence[str]) -> Skeleton:
         """The same skeleton, its joints called `names`."""
         bare = replace(self, joint_names=())
-        return bare if tuple(names) == bare.names else replace(self, joint_names=tuple(names))
+        # names that several joints have stand for themselves: without them an exporter would write paths
+        known = tuple(names) == bare.names and len({*names}) == len(names)
+        return bare if known else replace(self, joint_names=tuple(names))
 
     @property
     def parents(self) -> IntArray:
@@ -299,6 +301,10 @@ class Texture:
         return self.data
 
 
+# the rows of a 2 x 3 matrix: (u, v, 1) -> (u', v'), v up
+UvTransform = tuple[float, float, float, float, float, float]
+
+
 @dataclass(frozen=True, kw_only=True)
 class TextureInput:
     """A material input read from a texture: ``texel[channels] * scale + bias``."""
@@ -310,6 +316,7 @@ class TextureInput:
     bias: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     wrap_s: Literal["repeat", "mirror", "clamp"] = "repeat"
     wrap_t: Literal["repeat", "mirror", "clamp"] = "repeat"
+    uv_transform: UvTransform = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # of readers alone: a face has it in its UV sets
 
 
 Color = tuple[float, float, float]
@@ -331,6 +338,7 @@ class Material:
     ior: float = 1.5
     clearcoat: float | TextureInput = 0.0  # a clear layer over it, such as tears or lip gloss
     clearcoat_roughness: float | TextureInput = 0.01
+    unlit: bool = False  # shown as its colour is, without light: glTF's KHR_materials_unlit, which USD has no word for
     label: str | None = None  # as of a blendshape
 
     @property

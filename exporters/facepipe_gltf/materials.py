@@ -203,6 +203,8 @@ class MaterialWriter:
             if source.ior != 1.5:
                 self._extend(result, "KHR_materials_ior", {"ior": max(source.ior, 1.0)})
             self._clearcoat(result, source, uv_names)
+            if source.unlit:
+                self._extend(result, "KHR_materials_unlit", {})
             self.materials.append(result)
             mapped = "normalTexture" in result
             self._surfaces[key] = Surface(

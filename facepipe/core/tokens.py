@@ -50,6 +50,7 @@ RECIPE_DIGESTS = "facepipe:recipe:digests"
 RECIPE_OPTIONS = "facepipe:recipe:options"
 RECIPE_VERSION = "facepipe:recipe:version"
 
+UNLIT = "facepipe:unlit"  # customData of a Material: shown as its colours are, without light
 DATA_LABEL = "facepipe:dataLabel"  # customData of a Mesh: what its source calls the geometry
 REGION_PRIMVAR = "facepipe:region:"  # a primvar, so "primvars:" comes before it in full attribute names
 SEAM_RESIDUAL = "facepipe:seamResidual"  # a primvar: float per point, millimetres

@@ -112,6 +112,7 @@ class UsdOptions:
     variant: Mapping[str, str] = option(
         dict, "variants to read, SET=NAME,... (default: those that the file selects)", parse=parse_variants
     )
+    strict: bool = option(False, "refuse a file with a texture that can't be read, in place of leaving that out")
     meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
     up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")
 

@@ -34,7 +34,7 @@ def read(source: Path, options: Options) -> Imported:
 
     check_ranges(options)
     parts, files, warnings = read_foreign(
-        source, root=options.prim, skeleton=options.skeleton, variants=options.variant
+        source, root=options.prim, skeleton=options.skeleton, variants=options.variant, strict=options.strict
     )
     meshes = tuple(_normalised(source, mesh, warnings) for mesh in parts.meshes)
     skeleton = parts.skeleton

@@ -11,13 +11,14 @@ import numpy.typing as npt
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, Skeleton
-from facepipe.rig.bone_coefficients import coefficient_matrices
+from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
 from facepipe.rig.trs import Trs, decompose, rotation_matrices, slerp
 
 _NO_QUATERNION = 1e-6  # a quaternion shorter than this has no direction
 _JOINT_VALUES = ("translations", "rotations", "scales", "coefficients")
 TICK = 2.0**-10  # seconds before the next key until which a value is held that then changes at once
 ON_FRAME = 1e-3  # frames that a time may be off
+_FLAT = 1e-12  # determinant of a rest transform that can't be inverted
 _FLOAT32_ERROR = 1e-6  # an error below this is that of float32
 
 
@@ -88,6 +89,26 @@ def places(skeleton: Skeleton, animation: Animation, joints: IntArray | None = N
     return np.array([place[joint] for joint in paths], dtype=np.int64)
 
 
+def with_exact_scales(skeleton: Skeleton, animation: Animation) -> tuple[Animation, str]:
+    """The animation, with bone coefficients too where SkelAnimation would round its scales to half precision; a line
+    where these can't hold its motion.
+
+    :raises InputError: as `local_transforms`
+    """
+    scales = animation.scales
+    if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
+        return animation, ""
+    rest = np.asarray(skeleton.rest_transforms)[places(skeleton, animation)]
+    if np.abs(np.linalg.det(rest[:, :3, :3])).min() < _FLAT:
+        return animation, "scales are kept in half precision: joints are flat at rest"
+    relative = np.linalg.inv(rest) @ local_transforms(skeleton, animation)
+    coefficients = matrix_coefficients(relative)
+    lost = float(np.abs(coefficient_matrices(coefficients) - relative).max())
+    if lost > 1e-5 * max(1.0, float(np.abs(relative).max())):
+        return animation, f"scales are kept in half precision: joints sheared against rest by up to {lost:.2g}"
+    return replace(animation, coefficients=coefficients.astype(np.float32)), ""
+
+
 def whole_frames(first: float, last: float, fps: float) -> FloatArray:
     """(t,) seconds of the frames from `first` to `last`, outermost ones included."""
     low, high = np.floor(first * fps + ON_FRAME), np.ceil(last * fps - ON_FRAME)
@@ -127,6 +148,22 @@ def resampled(skeleton: Skeleton, animation: Animation, fps: float, mm_per_unit:
         changed = replace(changed, shape_weights=there_weights)
         off += _unless_tiny("weights", np.abs(_lines(there_weights, new, old) - weights).max(initial=0.0), "")
     return changed, ", ".join(off) or "nothing"
+
+
+def at_times(skeleton: Skeleton, animation: Animation, times: FloatArray) -> Animation:
+    """A clip at the seconds `times` (t,): straight between its samples, rotations slerp, held beyond its ends.
+
+    :raises InputError: as `local_transforms`
+    """
+    old = np.asarray(animation.times, dtype=np.float64)
+    changed = replace(animation, times=times, coefficients=None)
+    if animation.joints:
+        there = _at(decompose(local_transforms(skeleton, animation)), old, times)
+        changed = replace(changed, translations=there.translation, rotations=there.rotation, scales=there.scale)
+    if animation.shape_weights is not None:
+        weights = _lines(np.asarray(animation.shape_weights, dtype=np.float64), old, times)
+        changed = replace(changed, shape_weights=weights)
+    return changed
 
 
 def _unless_tiny(name: str, size: float, unit: str) -> list[str]:

@@ -42,7 +42,8 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     if marks is None:
         head, hips = human_joint(parts, "Head"), human_joint(parts, "Hips")
         if head is not None and hips is not None and len(points):
-            return _avatar(*rig.joint_worlds(rig.rest)[[head, hips], :3, 3], points, unit, parts.up_axis)
+            places = rig.joint_worlds(rig.rest)[:, :3, 3]
+            return _avatar(places[head], places[hips], points, unit, parts.up_axis)
         sides = np.ptp(points, axis=0) if len(points) else np.zeros(3)
         # a body, or a part of a face: its height says nothing of the head
         if sides.min() < _HEAD_PROPORTION * sides.max():

@@ -43,11 +43,13 @@ from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import check_units, open_stage, over
 from facepipe.stage.guard import errors_below, usd_errors
 from facepipe.stage.levels import level_names, stage_at
-from facepipe.stage.materials import Images, author_texture, read_material, textures_of
+from facepipe.stage.materials import author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
+from facepipe.stage.shaders import Images
 from facepipe.stage.skeleton import read_animation, read_limits, read_recipe, read_skeleton, read_vrm
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
+from facepipe.stage.uv_transforms import with_baked_uvs
 
 if TYPE_CHECKING:
     import trimesh
@@ -279,7 +281,7 @@ class Face:
             recipe=recipe,
         )
         check_face_network(self.where, parts, SchemaError)
-        return self._finite(parts)
+        return self._finite(with_baked_uvs(parts))
 
     def rig(self) -> Rig:
         """The rig: what moves the points."""

@@ -7,7 +7,7 @@ import math
 import os
 import struct
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -40,10 +40,11 @@ def quiet_diagnostics() -> Iterator[UsdUtils.CoalescingDiagnosticDelegate]:
         del delegate
 
 
-def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stage:
+def open_stage(path: str | os.PathLike[str], *, strict: bool = True, lacking: Sequence[str] = ()) -> Usd.Stage:
     """The stage of a file.
 
     :param strict: composition errors (unresolved or recursive references, missing sublayers) are errors
+    :param lacking: suffixes of files whose absence is none all the same
     :raises InputError: no such file, no USD file, damaged, composed of too much, or (strict) with errors
     """
     facepipe_schemas.register()
@@ -54,6 +55,8 @@ def open_stage(path: str | os.PathLike[str], *, strict: bool = True) -> Usd.Stag
         held = composable_layers(file)
         stage = Usd.Stage.Open(str(file))
         problems = [str(error) for error in stage.GetCompositionErrors()] if strict else []
+        ends = [f"{suffix}{end}" for suffix in lacking for end in "@:"]
+        problems = [one for one in problems if not any(end in one for end in ends)]
         del held
         # USD maps times between layers by their rates, and never returns where one is zero or not finite
         layers = [layer for layer in stage.GetUsedLayers() if layer != stage.GetSessionLayer()]

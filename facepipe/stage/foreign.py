@@ -23,6 +23,7 @@ from facepipe.parts import Animation, FaceParts, Mesh, Skeleton, Slider
 from facepipe.rig.sliders import with_mutual_mirrors
 from facepipe.stage.api_schemas import inherited_attribute, inherited_skeleton
 from facepipe.stage.files import quiet_diagnostics
+from facepipe.stage.foreign_motion import with_motion
 from facepipe.stage.foreign_scene import (
     Scene,
     ancestors,
@@ -37,6 +38,7 @@ from facepipe.stage.prims import distinct_names
 from facepipe.stage.read_mesh import Binding, read_mesh
 from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton, read_vrm, vrm_text
 from facepipe.stage.sliders import read_slider_network, read_sliders
+from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe.stage.values import floats, matrices, to_floats, to_matrices
 
 _TWIN_NUMBER = re.compile(r"[._]?[0-9]+")
@@ -211,17 +213,19 @@ def read_foreign(
     root: str | None = None,
     skeleton: str | None = None,
     variants: Mapping[str, str] | None = None,
+    strict: bool = False,
 ) -> tuple[FaceParts, list[Path], list[str]]:
     """The face of a UsdSkel stage, repaired as far as its meaning is clear; the layers that were read, and warnings.
 
     :param root: path of the prim to read below; default the default prim, or the whole stage
     :param skeleton: path of the Skeleton, needed where meshes are bound to several
     :param variants: which to read, by variant set; of other sets those that the file selects
+    :param strict: a texture that can't be read is an error, in place of left out
     :raises InputError: no readable stage, no meshes, no such variant, or a choice that has to be made
     :raises SchemaError, TopologyError: data that doesn't hold together
     """
     with quiet_diagnostics(), errors_below(str(path)):
-        scene = Scene(path, root, variants or {})
+        scene = Scene(path, root, variants or {}, strict=strict)
         meshes = choose_meshes(scene)
         # the skeleton first: which meshes are the face's depends on it
         prim = choose_skeleton(scene, meshes, skeleton)
@@ -272,7 +276,7 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
     hung = _texts(scene, tokens.ATTACH_JOINT)
     if len(hung) > 1:
         scene.warn(f"{len(hung)} attach joints: '{hung[0]}' is kept")
-    return FaceParts(
+    parts = FaceParts(
         name=identifier(face_name, "Face"),
         meters_per_unit=unit,
         up_axis="Z" if axis == "Z" else "Y",
@@ -289,6 +293,10 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
         vrm=_avatar(scene),
     )
+    whole, named = with_motion(with_baked_uvs(parts), scene.moving, meshes, prim)
+    for line in named:
+        scene.warn(line)
+    return whole
 
 
 def _avatar(scene: Scene) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -16,28 +17,37 @@ from facepipe.parts import Material
 from facepipe.stage.api_schemas import authored_skel_properties
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
+from facepipe.stage.foreign_motion import moving_of
 from facepipe.stage.guard import reads_prim
-from facepipe.stage.materials import Images, read_material
+from facepipe.stage.materials import read_material
+from facepipe.stage.materialx import unread_inputs
 from facepipe.stage.prims import check_kinds, distinct_names, prims_below
 from facepipe.stage.read_mesh import UV_TYPES
+from facepipe.stage.shaders import Images
 from facepipe.stage.values import ints
 
 _CONTAINERS = ("", "Xform", "Scope", "SkelRoot")
 _KNOWN_PROPERTIES = ("facepipe:", "skel:", "primvars:", "userProperties:blender:")  # the last repeat names
 _PROPERTIES_LISTED = 3
 _PER_POINT_OR_CORNER = ("vertex", "varying", "faceVarying")
+_MTLX = re.compile(r"([^@/\\]{1,80}\.mtlx)[@:]")
 _HIDDEN_PURPOSES = (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy)
 
 
 class Scene:
     """Prims of a stage that may belong to a face."""
 
-    def __init__(self, path: Path, root: str | None, variants: Mapping[str, str]) -> None:
+    def __init__(self, path: Path, root: str | None, variants: Mapping[str, str], *, strict: bool = False) -> None:
         """:raises InputError: no readable stage, no such root or variant, or more prims than a face can have"""
         self.path = path
-        self.stage = open_stage(path)
+        self.strict = strict  # textures that can't be read are errors
+        # USD reads MaterialX files by a plug-in that its wheels lack: the rest of the stage is read without them
+        self.stage = open_stage(path, lacking=(".mtlx",))
         self.stage.SetEditTarget(self.stage.GetSessionLayer())
         self.warnings: list[str] = []
+        missing = sorted({one for error in self.stage.GetCompositionErrors() for one in _MTLX.findall(str(error))})
+        if missing:
+            self.warn(f"{', '.join(missing[:3])}: MaterialX files are not read, only materials authored as UsdShade")
         _choose_variants(self.stage, path, variants)
         self.roots = self._find_roots(root)
         # instances become plain prims: a repair below one is not one below all
@@ -50,6 +60,7 @@ class Scene:
         check_arrays(self.prims, self.path)
         above = [prim for top in self.roots for prim in ancestors(top)]
         self.warnings += _variants_in_effect([*above, *self.prims], variants)
+        self.moving = moving_of(self.stage, self.prims, above, path)
         self._default_values()
         # each root becomes a SkelRoot, and those below it plain Xforms: UsdSkel binds below the outermost alone
         for top in (top for top in self.roots if top.GetTypeName() in _CONTAINERS):
@@ -105,9 +116,11 @@ class Scene:
                 samples = attribute.GetNumTimeSamples()
                 if samples and attribute.Get() is None:
                     attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
-                if samples > 1:
-                    name = attribute.GetName()
-                    moving.setdefault("transforms" if name.startswith("xformOp:") else name, []).append(prim)
+                name = attribute.GetName()
+                # transforms and points are motion, of which `foreign_motion` says what became
+                kept = name.startswith("xformOp:") or (name == "points" and str(prim.GetPath()) in self.moving.points)
+                if samples > 1 and not kept:
+                    moving.setdefault(name, []).append(prim)
         for name, prims in sorted(moving.items()):
             self.warn(f"{name} change over time: one value is kept, of default or first time", dict.fromkeys(prims))
 
@@ -330,20 +343,21 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
             break
         except InputError as error:
             attribute = scene.stage.GetAttributeAtPath(Sdf.Path(error.where))
-            if not attribute or not attribute.HasAuthoredValue():
+            if scene.strict or not attribute or not attribute.HasAuthoredValue():
                 raise
             scene.warn(f"{error}: left out")
             # and read again, as several textures of a material may be missing, and each read names the first
             attribute.Block()
     if material is None:
-        scene.warn("material without UsdPreviewSurface: left out", [prim])
+        scene.warn("material without UsdPreviewSurface or a surface of MaterialX: left out", [prim])
         return None
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
-    lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
-    if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
-        lost.append("the specular workflow")
-    if any(UsdShade.Shader(shader).GetShaderId() == "UsdTransform2d" for shader in Usd.PrimRange(prim)):
-        lost.append("texture transforms")
+    if surface and surface.GetShaderId() == "UsdPreviewSurface":
+        lost = sorted({shader_input.GetBaseName() for shader_input in surface.GetInputs()} - _INPUTS_READ)
+        if surface.GetInput("useSpecularWorkflow") and surface.GetInput("useSpecularWorkflow").Get():
+            lost.append("the specular workflow")
+    else:
+        lost = unread_inputs(prim)
     if lost:
         scene.warn(f"{', '.join(lost)} of the material: left out", [prim])
     return material

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade
 
+from facepipe.core import tokens
 from facepipe.core.errors import InputError
 from facepipe.core.names import unique_identifiers
-from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput
+from facepipe.parts import Color, FaceParts, Material, Texture, TextureInput, UvTransform
 from facepipe.stage.api_schemas import put
-from facepipe.stage.assets import copy_refusal, name_of, read_image
 from facepipe.stage.guard import reads_prim
+from facepipe.stage.materialx import read_materialx
 from facepipe.stage.prims import author_name, editable, label
+from facepipe.stage.shaders import Images, attribute_of, four, image_of, value_of
+from facepipe.stage.uv_transforms import IDENTITY, composed, scaled_turned_moved
 
-Images = dict[str, bytes | None]  # by resolved path
 Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[str, Wrap] = {
     "repeat": "repeat",
@@ -23,11 +25,12 @@ _WRAPS: dict[str, Wrap] = {
     "black": "clamp",
     "useMetadata": "repeat",
 }
+_MOST_TRANSFORMS = 16  # one after another: a circle has no end
 
 
 @reads_prim
 def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
-    """The UsdPreviewSurface of a Material prim; None where it has none.
+    """The UsdPreviewSurface of a Material prim, else what MaterialX says of it; None where it has neither.
 
     :param images: that were read before, filled in: one that many materials name is read once
 
@@ -35,7 +38,7 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """
     surface, _, _ = UsdShade.Material(prim).ComputeSurfaceSource()
     if not surface or surface.GetShaderId() != "UsdPreviewSurface":
-        return None
+        return read_materialx(prim, name, images)
     # what is not authored has the default of the UsdPreviewSurface specification
     return Material(
         name=name,
@@ -44,88 +47,66 @@ def read_material(prim: Usd.Prim, name: str, images: Images) -> Material | None:
         metallic=_number(surface, "metallic", 0.0, images),
         roughness=_number(surface, "roughness", 0.5, images),
         opacity=_number(surface, "opacity", 1.0, images),
-        opacity_threshold=float(_value(surface, "opacityThreshold", 0.0)),
+        opacity_threshold=float(value_of(surface, "opacityThreshold", 0.0)),
         occlusion=_number(surface, "occlusion", 1.0, images),
         normal=_texture(surface, "normal", images),
-        ior=float(_value(surface, "ior", 1.5)),
+        ior=float(value_of(surface, "ior", 1.5)),
         clearcoat=_number(surface, "clearcoat", 0.0, images),
         clearcoat_roughness=_number(surface, "clearcoatRoughness", 0.01, images),
+        unlit=bool(prim.GetCustomDataByKey(tokens.UNLIT)),
         label=label(prim, name),
     )
-
-
-def _value(shader: UsdShade.Shader, name: str, otherwise: Any) -> Any:
-    attribute = _attribute(shader, name)
-    value = attribute.Get() if attribute else None
-    return otherwise if value is None else value
-
-
-def _attribute(shader: UsdShade.Shader, name: str) -> Usd.Attribute | None:
-    """The attribute that an input takes its value from."""
-    given = shader.GetInput(name)
-    attributes = UsdShade.Utils.GetValueProducingAttributes(given) if given else []
-    return attributes[0] if attributes else None
 
 
 def _color(shader: UsdShade.Shader, name: str, otherwise: Color, images: Images) -> Color | TextureInput:
     textured = _texture(shader, name, images)
     if textured:
         return textured
-    red, green, blue = _value(shader, name, otherwise)
+    red, green, blue = value_of(shader, name, otherwise)
     return (float(red), float(green), float(blue))
 
 
 def _number(shader: UsdShade.Shader, name: str, otherwise: float, images: Images) -> float | TextureInput:
-    return _texture(shader, name, images) or float(_value(shader, name, otherwise))
+    return _texture(shader, name, images) or float(value_of(shader, name, otherwise))
 
 
 def _texture(shader: UsdShade.Shader, name: str, images: Images) -> TextureInput | None:
-    given = _attribute(shader, name)
+    given = attribute_of(shader, name)
     if given is None or UsdShade.Utils.GetType(given.GetName()) != UsdShade.AttributeType.Output:
         return None
     source = UsdShade.Shader(given.GetPrim())
     if source.GetShaderId() != "UsdUVTexture":
         return None
-    file = _attribute(source, "file")
-    asset = file.Get() if file else None
-    if asset is None:
+    texture = image_of(source, images)
+    if texture is None:
         return None
-    where = f"{source.GetPath()}.inputs:file"
-    if not isinstance(asset, Sdf.AssetPath):
-        raise InputError(where, f"value of type {type(asset).__name__}, expected an asset path")
-    if asset.resolvedPath not in images:
-        images[asset.resolvedPath] = read_image(asset)
-    data = images[asset.resolvedPath]
-    if data is None:
-        missing = not asset.resolvedPath
-        raise InputError(where, f"texture @{asset.path}@ can't be found" if missing else f"@{asset.path}@ is no image")
-    # a face with an image that may not be copied can be read all the same: who writes the image raises the refusal
-    refusal = copy_refusal(where, file, asset)
+    uv_set, transform = _uv_set(source)
     return TextureInput(
-        texture=Texture(name=name_of(asset.resolvedPath), data=b"" if refusal else data, refusal=refusal),
+        texture=texture,
         channels=given.GetName().rpartition(":")[2],
-        uv_set=_uv_set(source),
-        scale=_four(_value(source, "scale", (1, 1, 1, 1))),
-        bias=_four(_value(source, "bias", (0, 0, 0, 0))),
-        wrap_s=_WRAPS.get(str(_value(source, "wrapS", "repeat")), "repeat"),
-        wrap_t=_WRAPS.get(str(_value(source, "wrapT", "repeat")), "repeat"),
+        uv_set=uv_set,
+        uv_transform=transform,
+        scale=four(value_of(source, "scale", (1, 1, 1, 1))),
+        bias=four(value_of(source, "bias", (0, 0, 0, 0))),
+        wrap_s=_WRAPS.get(str(value_of(source, "wrapS", "repeat")), "repeat"),
+        wrap_t=_WRAPS.get(str(value_of(source, "wrapT", "repeat")), "repeat"),
     )
 
 
-def _four(value: Any) -> tuple[float, float, float, float]:
-    red, green, blue, alpha = value
-    return (float(red), float(green), float(blue), float(alpha))
-
-
-def _uv_set(shader: UsdShade.Shader, name: str = "st") -> str:
-    """The UV set that an input of a texture, or of a transform before it, reads."""
-    given = _attribute(shader, name)
-    if not given:
-        return "st"
-    reader = UsdShade.Shader(given.GetPrim())
-    if name == "st" and reader.GetShaderId() == "UsdTransform2d":
-        return _uv_set(reader, "in")
-    return str(_value(reader, "varname", "st"))
+def _uv_set(shader: UsdShade.Shader) -> tuple[str, UvTransform]:
+    """The UV set that a texture reads, and what transforms before it do to it."""
+    transform, name = IDENTITY, "st"
+    for _ in range(_MOST_TRANSFORMS):
+        given = attribute_of(shader, name)
+        if not given:
+            return "st", transform
+        shader = UsdShade.Shader(given.GetPrim())
+        if shader.GetShaderId() != "UsdTransform2d":
+            break
+        (x, y), (u, v) = value_of(shader, "scale", (1, 1)), value_of(shader, "translation", (0, 0))
+        own = scaled_turned_moved((float(x), float(y)), float(value_of(shader, "rotation", 0.0)), (float(u), float(v)))
+        transform, name = composed(transform, own), "in"
+    return str(value_of(shader, "varname", "st")), transform
 
 
 _COLOR_FIELDS = ("diffuse_color", "emissive_color")
@@ -165,7 +146,7 @@ def author_texture(material: Usd.Prim, field: str, path: str) -> None:
     :raises InputError: the input is no texture
     """
     surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
-    given = _attribute(surface, _USD_NAMES[field]) if surface else None
+    given = attribute_of(surface, _USD_NAMES[field]) if surface else None
     shader = UsdShade.Shader(editable(given.GetPrim())) if given else None
     if not shader or shader.GetShaderId() != "UsdUVTexture":
         raise InputError(material.GetPath(), f"no texture of its {_USD_NAMES[field]}, expected one")
@@ -188,7 +169,7 @@ def author_opacity(material: Usd.Prim, opacity: float) -> None:
 def author_color_scale(material: Usd.Prim, scale: tuple[float, float, float, float]) -> None:
     """What the texture of a material's colour is multiplied with."""
     surface, _, _ = UsdShade.Material(material).ComputeSurfaceSource()
-    given = _attribute(surface, "diffuseColor")
+    given = attribute_of(surface, "diffuseColor")
     if given is None:
         return
     shader = UsdShade.Shader(editable(given.GetPrim()))
@@ -206,6 +187,8 @@ def author_materials(
         path = scope.AppendChild(own)
         prim = UsdShade.Material.Define(stage, path)
         author_name(prim.GetPrim(), material)
+        if material.unlit:
+            prim.GetPrim().SetCustomDataByKey(tokens.UNLIT, True)
         surface = UsdShade.Shader.Define(stage, path.AppendChild("Surface"))
         surface.CreateIdAttr("UsdPreviewSurface")
         prim.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")

@@ -71,7 +71,7 @@ def read_skeleton(prim: Usd.Prim) -> Skeleton:
     result = Skeleton(
         name=prim.GetName(),
         joints=joints,
-        joint_names=names if names != Skeleton(joints=joints).names else (),  # the last parts of the paths need none
+        joint_names=Skeleton(joints=joints).called(names).joint_names if names else (),
         bind_transforms=bind,
         rest_transforms=rest,
         transform=world,

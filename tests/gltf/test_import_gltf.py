@@ -11,15 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import done
 from facepipe_gltf import read as gltf
 from gltf_builder import PNG, Array, Builder, Model, animated, build, glb, make_model, matrix, quaternion
+from gltf_reader import read as read_gltf
 from places import SHARED
 from pxr import Usd, UsdSkel
 
 from facepipe.core.errors import InputError
 from facepipe.core.reading import digest
 from facepipe.parts import Animation, FaceParts, Mesh, TextureInput, exact
-from facepipe.stage import save_parts
+from facepipe.stage import Face, save_parts
 from facepipe.stage.recipes import Imported
 
 SCAN = SHARED / "scans" / "LeePerrySmith.glb"
@@ -275,30 +277,135 @@ def test_the_frame_rate_is_that_which_all_keys_fall_on(times: list[float], rate:
         assert (parts.animations[0].times * rate % 1 == 0).all()
 
 
-def test_a_shape_that_meshes_move_differently_keeps_the_first_motion_with_a_warning(tmp_path: Path) -> None:
+def test_a_mesh_that_two_nodes_play_differently_has_shapes_of_its_own_for_each(tmp_path: Path) -> None:
+    builder = triangle()
+    builder.root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": builder.array(TRIANGLE)}] * 2
+    builder.root["meshes"][0]["extras"] = {"targetNames": ["smile", "frown"]}
+    builder.add("nodes", {"mesh": 0})
+    times = builder.array(np.array([0.0, 1.0]))
+    keys = ([0.0, 0.0, 1.0, 0.25], [0.0, 0.0, 0.5, 0.25])
+    samplers = [{"input": times, "output": builder.array(np.array(weights))} for weights in keys]
+    channels = [{"sampler": i, "target": {"node": i, "path": "weights"}} for i in range(2)]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "talk"})
+    imported = read(tmp_path, builder)
+    first, second = imported.parts.meshes
+    assert [shape.name for shape in first.blendshapes] == ["smile", "frown"]
+    assert [shape.name for shape in second.blendshapes] == ["smile_2", "frown"]
+    (animation,) = imported.parts.animations
+    assert animation.shape_weights is not None
+    assert animation.shapes == ("smile", "frown", "smile_2")
+    np.testing.assert_array_equal(animation.shape_weights[-1], [1.0, 0.25, 0.5])
+    assert imported.warnings == (
+        "face.glb -> nodes[1]: plays 1 shapes otherwise than an earlier node: smile is smile_2",
+    )
+
+
+def test_a_mesh_shown_again_without_motion_stands_still(tmp_path: Path) -> None:
     builder = triangle()
     builder.root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": builder.array(TRIANGLE)}]
     builder.root["meshes"][0]["extras"] = {"targetNames": ["smile"]}
     builder.add("nodes", {"mesh": 0})
-    times = builder.array(np.array([0.0, 1.0]))
-    samplers = [{"input": times, "output": builder.array(np.array(weights))} for weights in ([0.0, 1.0], [0.0, 0.5])]
-    channels = [{"sampler": i, "target": {"node": i, "path": "weights"}} for i in range(2)]
-    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "talk"})
-    imported = read(tmp_path, builder)
-    (animation,) = imported.parts.animations
-    assert animation.shape_weights is not None
-    np.testing.assert_array_equal(animation.shape_weights[[0, -1]], [[0.0], [1.0]])
-    assert [line for line in imported.warnings if "the meshes move the shape smile differently" in line]
+    sampler = {"input": builder.array(np.array([0.0, 1.0])), "output": builder.array(np.array([0.0, 1.0]))}
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "weights"}}]
+    builder.add("animations", {"channels": channels, "samplers": [sampler], "name": "talk"})
+    parts = read(tmp_path, builder).parts
+    assert [mesh.blendshapes[0].name for mesh in parts.meshes] == ["smile", "smile_2"]
+    assert parts.animations[0].shapes == ("smile",)
 
 
 def test_animation_of_other_nodes_is_named_in_a_warning(tmp_path: Path) -> None:
     builder = build(make_model())
+    lamp = builder.add("nodes", {"name": "lamp"})
     sampler = {"input": builder.array(np.array([0.0, 1.0])), "output": builder.array(np.zeros((2, 3)))}
-    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
+    channels = [{"sampler": 0, "target": {"node": lamp, "path": "translation"}}]
     builder.add("animations", {"channels": channels, "samplers": [sampler]})
     imported = read(tmp_path, builder)
     assert imported.parts.animations == ()
     assert any("animations[0]: 1 channels" in line for line in imported.warnings)
+
+
+@pytest.mark.parametrize("node", [0, 2])
+def test_nodes_that_move_above_and_between_joints_are_joints(node: int, tmp_path: Path) -> None:
+    """The armature (0) and a node between two joints (2), turned and moved: every point as glTF says."""
+    model = make_model()
+    builder = build(model)
+    generator = np.random.default_rng(4)
+    turns = np.array([quaternion(generator) for _ in range(2)])
+    times = builder.array(np.array([0.0, 1.0]))
+    samplers = [{"input": times, "output": builder.array(turns)}]
+    channels = [{"sampler": 0, "target": {"node": node, "path": "rotation"}}]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "nod"})
+    imported = read(tmp_path, builder)
+    assert imported.warnings == ()
+    assert len(imported.parts.skeleton.joints) == 10
+    face, (mesh,) = Face.from_parts(imported.parts), imported.parts.meshes
+    for index, turn in enumerate(turns):
+        trs = [(t, turn if i == node else r, s) for i, (t, r, s) in enumerate(model.trs)]
+        local, _ = face.sample("nod", index)
+        got = face.evaluate(joint_transforms=local)
+        expected = model.evaluate(np.zeros(3), trs)[model.triangles]
+        assert np.abs(corners(mesh, got) - expected).max() < 1e-5 * height(model)
+
+
+def test_a_rigid_node_that_moves_is_a_joint_of_its_mesh(tmp_path: Path) -> None:
+    """A head without skin below a neck without mesh: both are joints, and a hat on the head goes with it."""
+    builder = triangle()
+    builder.root["nodes"] = [
+        {"name": "neck", "translation": [0, 1, 0], "children": [1]},
+        {"name": "Head", "mesh": 0, "translation": [0, 0.5, 0], "scale": [2, 2, 2], "children": [2]},
+        {"name": "Hat", "mesh": 0, "translation": [0, 0.25, 0]},
+    ]
+    builder.root["scenes"] = [{"nodes": [0]}]
+    turn = np.array([[0, 0, 0, 1.0], [0, 0, np.sin(0.4), np.cos(0.4)]])
+    times = builder.array(np.array([0.0, 1.0]))
+    samplers = [{"input": times, "output": builder.array(turn)}]
+    channels = [{"sampler": 0, "target": {"node": i, "path": "rotation"}} for i in range(2)]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "nod"})
+    imported = read(tmp_path, builder)
+    assert (imported.warnings, imported.parts.skeleton.joints) == ((), ("neck", "neck/Head"))
+    face = Face.from_parts(imported.parts)
+    for index, at in enumerate(turn):
+        neck, head = matrix(np.array([0, 1, 0]), at, np.ones(3)), matrix(np.array([0, 0.5, 0]), at, np.full(3, 2.0))
+        hat = neck @ head @ matrix(np.array([0, 0.25, 0]), turn[0], np.ones(3))
+        local, _ = face.sample("nod", index)
+        shown = face.split(face.evaluate(joint_transforms=local))
+        for name, world in (("Head", neck @ head), ("Hat", hat)):
+            expected = TRIANGLE @ world[:3, :3].T + world[:3, 3]
+            np.testing.assert_allclose(np.sort(shown[name], axis=0), np.sort(expected, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pointers", "width"),
+    [(["/nodes/0/weights"], 2), (["/nodes/0/weights/1", "/nodes/0/weights/0"], 1), (["/meshes/0/weights"], 2)],
+)
+def test_pointers_to_weights(pointers: list[str], width: int, tmp_path: Path) -> None:
+    builder = triangle()
+    builder.root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": builder.array(TRIANGLE)}] * 2
+    builder.root["meshes"][0]["extras"] = {"targetNames": ["smile", "frown"]}
+    times = builder.array(np.array([0.0, 1.0]))
+    keys = np.array([[0.0, 0.25], [1.0, 0.5]])
+    outputs = [keys] if width == 2 else [keys[:, 1:], keys[:, :1]]
+    samplers = [{"input": times, "output": builder.array(one.reshape(-1))} for one in outputs]
+    channels = [
+        {"sampler": i, "target": {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": pointer}}}}
+        for i, pointer in enumerate(pointers)
+    ]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "talk"})
+    builder.root["extensionsUsed"] = builder.root["extensionsRequired"] = ["KHR_animation_pointer"]
+    imported = read(tmp_path, builder)
+    (animation,) = imported.parts.animations
+    assert imported.warnings == ()
+    columns = dict(zip(animation.shapes, np.asarray(animation.shape_weights).T, strict=True))
+    np.testing.assert_array_equal(columns["smile"], keys[:, 0])
+    np.testing.assert_array_equal(columns["frown"], keys[:, 1])
+
+
+def test_a_pointer_to_nothing_we_have_is_left_out(tmp_path: Path) -> None:
+    builder = triangle()
+    sampler = {"input": builder.array(np.array([0.0, 1.0])), "output": builder.array(np.array([0.0, 1.0]))}
+    target = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/materials/0/alphaCutoff"}}}
+    builder.add("animations", {"channels": [{"sampler": 0, "target": target}], "samplers": [sampler]})
+    assert any("1 channels move neither a joint nor a shape" in line for line in read(tmp_path, builder).warnings)
 
 
 def test_quantised_skinned_mesh_comes_out_in_metres(tmp_path: Path) -> None:
@@ -361,16 +468,26 @@ def test_posed_file_keeps_its_bind(tmp_path: Path) -> None:
     assert np.abs(corners(mesh, got) - model.evaluate(np.zeros(3), model.trs)[model.triangles]).max() < 1e-5
 
 
-def test_second_skin_that_binds_otherwise_is_named_in_a_warning(tmp_path: Path) -> None:
+def test_second_skin_that_binds_otherwise_moves_as_gltf_says(tmp_path: Path) -> None:
+    """By joints of its own for what it binds otherwise: each mesh where the formula has it, at rest and moved."""
     model = make_model()
     builder = second_skin(model, np.eye(4))
-    reference = builder.root["skins"][1]
     binds = model.inverse_binds.copy()
     binds[2, 0, 3] += 0.5
-    reference["inverseBindMatrices"] = builder.array(binds.transpose(0, 2, 1).reshape(-1, 16))
-    assert read(tmp_path, builder).warnings == (
-        "face.glb -> skins[1]: binds joints otherwise than an earlier skin (by 0.86): the earlier is kept",
+    binds[5] = binds[5] @ matrix(np.array([0.0, 0.1, 0.2]), np.array([0.0, 0.0, 0.6, 0.8]), np.ones(3))
+    builder.root["skins"][1]["inverseBindMatrices"] = builder.array(binds.transpose(0, 2, 1).reshape(-1, 16))
+    imported = read(tmp_path, builder)
+    assert imported.warnings == (
+        "face.glb -> skins[1]: binds 2 joints otherwise than an earlier skin: joints are added for it",
     )
+    parts = imported.parts
+    assert len(parts.skeleton.joints) == 11
+    for trs in (model.trs, [(t + 0.01, r, s) for t, r, s in model.trs]):
+        local = np.concatenate([local_of(model, trs), np.tile(np.eye(4), (2, 1, 1))])
+        for mesh, truth in zip(parts.meshes, (model, replace(model, inverse_binds=binds)), strict=True):
+            got = evaluate(parts, mesh, {}, local)
+            expected = truth.evaluate(np.zeros(3), trs)[model.triangles]
+            assert np.abs(corners(mesh, got) - expected).max() < 1e-5 * height(model)
 
 
 def local_of(model: Model, trs: list[tuple[Array, Array, Array]]) -> Array:
@@ -577,13 +694,67 @@ def test_normal_offsets_come_along(tmp_path: Path) -> None:
     assert np.array_equal(corners(mesh, shape.normal_offsets), turned[model.triangles])
 
 
-def test_default_morph_weights_are_named_in_a_warning(tmp_path: Path) -> None:
-    builder = build(make_model())
-    builder.root["meshes"][0]["weights"] = [0.5, 0, 0]
+@pytest.mark.parametrize("owner", ["meshes", "nodes"])
+def test_default_morph_weights_are_a_pose(owner: str, tmp_path: Path) -> None:
+    """What every viewer shows; a node's weights win over those of its mesh."""
+    model = make_model()
+    builder = build(model)
+    builder.root["meshes"][0]["weights"] = [0.5, 0, 0.25]
+    expected = {"jawOpen": 0.5, "eyeBlink_L": 0.25}
+    if owner == "nodes":
+        builder.root["nodes"][11]["weights"] = [0, 1.0, 0]
+        expected = {"browUp": 1.0}
     imported = read(tmp_path, builder)
-    assert imported.warnings == (
-        "face.glb -> meshes[0]: default morph weights are left out: the neutral has all shapes at 0",
-    )
+    (pose,) = imported.parts.animations
+    assert (imported.warnings, pose.name, pose.times, imported.parts.played) == ((), "default", None, None)
+    weights = dict(zip(pose.shapes, np.asarray(pose.shape_weights)[0].tolist(), strict=True))
+    assert weights == expected
+
+
+def test_primitives_without_the_targets_of_others_stand_still(tmp_path: Path) -> None:
+    model = make_model()
+    builder = build(model)
+    primitive = builder.root["meshes"][0]["primitives"][0]
+    still = {key: value for key, value in primitive.items() if key != "targets"} | {
+        "attributes": primitive["attributes"] | {"POSITION": builder.array(model.positions + np.array([0, 0, 1.0]))}
+    }
+    builder.root["meshes"][0]["primitives"].append(still)
+    parts = read(tmp_path, builder).parts
+    (mesh,) = parts.meshes
+    assert tuple(shape.name for shape in mesh.blendshapes) == model.names
+    moved = {int(point) for shape in mesh.blendshapes for point in shape.point_indices}
+    assert moved
+    assert (np.asarray(mesh.points)[sorted(moved), 2] < 0.5).all()
+
+
+@pytest.mark.parametrize("place", ["accessor", "extras", "extra", "target"])
+def test_names_of_targets_where_others_put_them(place: str, tmp_path: Path) -> None:
+    builder = build(make_model())
+    mesh = builder.root["meshes"][0]
+    del mesh["extras"]
+    for target, name in zip(mesh["primitives"][0]["targets"], ("a", "b", "c"), strict=True):
+        if place == "accessor":
+            builder.root["accessors"][target["POSITION"]]["name"] = name
+        elif place == "target":
+            target["name"] = name
+        else:
+            target[place] = {"name": name}
+    imported = read(tmp_path, builder)
+    assert imported.parts.shapes == ("a", "b", "c")
+    assert imported.warnings == ()
+
+
+def test_joints_of_one_name_keep_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    builder = build(make_model())
+    for node in builder.root["nodes"]:
+        node["name"] = "head"
+    parts = read(tmp_path, builder).parts
+    assert {*parts.skeleton.names} == {"head"}
+    assert len({*parts.skeleton.joints}) == 9
+    save_parts(parts, tmp_path / "face.usda")
+    done(capsys, "export", tmp_path / "face.usda", "-o", tmp_path / "out.glb", quiet=False)
+    written = read_gltf(tmp_path / "out.glb").json
+    assert [written["nodes"][joint]["name"] for joint in written["skins"][0]["joints"]] == ["head"] * 9
 
 
 def test_weights_are_renormalised_with_a_warning(tmp_path: Path) -> None:

@@ -61,7 +61,12 @@ def test_tokens_are_the_schemas_attributes() -> None:
     names = {attribute.name for prim in layer.rootPrims for attribute in prim.properties}
     own = [value for value in vars(tokens).values() if isinstance(value, str) and re.match(r"facepipe:.*[a-z]$", value)]
     assert len(own) >= 10
-    others = {tokens.SEAM_RESIDUAL, tokens.SCANNED, tokens.DATA_LABEL}  # plain primvars of results, customData
+    others = {
+        tokens.SEAM_RESIDUAL,
+        tokens.SCANNED,
+        tokens.DATA_LABEL,
+        tokens.UNLIT,
+    }  # plain primvars of results, customData
     assert set(own) - others <= names
 
 

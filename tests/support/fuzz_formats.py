@@ -544,6 +544,148 @@ def damage_avatar(rng: Rng, part: str) -> list[Line]:
     return [rng.choice([line] * 4 + [["export", "face.usda", "-o", "out.glb"], ["inspect", "face.usda"]])]
 
 
+def put_foreign_gltf() -> None:
+    """What other programs write and facepipe doesn't: other images and shading, rigid motion, skins that disagree."""
+    builder = gltf_builder.full_document()
+    del builder.root["meshes"][0]["extras"]
+    for target in builder.root["meshes"][0]["primitives"][0]["targets"]:
+        target["extras"] = {"name": f"shape{len(builder.root['accessors'])}"}
+    written = io.BytesIO()
+    Image.new("RGB", (8, 8), (200, 150, 130)).save(written, "WEBP")
+    image = builder.add("images", {"bufferView": builder.view(written.getvalue()), "mimeType": "image/webp"})
+    texture = builder.add("textures", {"extensions": {"EXT_texture_webp": {"source": image}}})
+    place = {"KHR_texture_transform": {"offset": [0.1, 0], "scale": [2, 2], "rotation": 0.5}}
+    glossy = {
+        "diffuseTexture": {"index": texture, "extensions": place},
+        "specularGlossinessTexture": {"index": 0},
+        "specularFactor": [0.2, 0.2, 0.2],
+        "glossinessFactor": 0.4,
+    }
+    builder.root["materials"][0]["extensions"] = {
+        "KHR_materials_pbrSpecularGlossiness": glossy,
+        "KHR_materials_unlit": {},
+    }
+    builder.root["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "dark"}]}}
+    builder.root["nodes"][11]["weights"] = [0.1, 0, 0.5]
+    skin = builder.root["skins"][0]
+    turned = np.tile(np.eye(4), (len(skin["joints"]), 1, 1)).reshape(-1, 16)
+    other = builder.add("skins", skin | {"inverseBindMatrices": builder.array(turned)})
+    shown = builder.add("nodes", {"mesh": 0, "skin": other})
+    hat = builder.add("nodes", {"mesh": 0, "name": "hat"})
+    builder.root["scenes"][0]["nodes"] += [shown, hat]
+    animation = builder.root["animations"][0]
+    times = builder.array(np.array([0.0, 1.0]))
+    animation["samplers"].append({"input": times, "output": builder.array(np.zeros((2, 3)))})
+    animation["channels"].append({"sampler": 2, "target": {"node": hat, "path": "translation"}})
+    weight = {"KHR_animation_pointer": {"pointer": f"/nodes/{shown}/weights/1"}}
+    animation["samplers"].append({"input": times, "output": builder.array(np.array([0.0, 1.0]))})
+    animation["channels"].append({"sampler": 3, "target": {"path": "pointer", "extensions": weight}})
+    Path("face.glb").write_bytes(builder.glb())
+
+
+FOREIGN_STAGE = """#usda 1.0
+(
+    defaultPrim = "Root"
+    timeCodesPerSecond = 24
+)
+def Xform "Root"
+{
+    double3 xformOp:translate.timeSamples = { 0: (0, 0, 0), 10: (1, 0, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "Face"
+    {
+        int[] faceVertexCounts = [3, 3]
+        int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
+        point3f[] points.timeSamples = {
+            0: [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)],
+            5: [(0, 0, 1), (1, 0, 0), (1, 1, 0), (0, 1, 0)],
+        }
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (interpolation = "vertex")
+        rel material:binding = </Root/Skin>
+    }
+    def Xform "Eye"
+    {
+        float xformOp:rotateY.timeSamples = { 0: 0, 10: 20 }
+        uniform token[] xformOpOrder = ["xformOp:rotateY"]
+        def Mesh "Ball"
+        {
+            int[] faceVertexCounts = [3]
+            int[] faceVertexIndices = [0, 1, 2]
+            point3f[] points = [(0, 0, 0), (1, 0, 0), (1, 1, 0)]
+            rel material:binding = </Root/Glass>
+        }
+    }
+    def Material "Skin"
+    {
+        token outputs:mtlx:surface.connect = </Root/Skin/Surface.outputs:out>
+        def Shader "Surface"
+        {
+            uniform token info:id = "ND_standard_surface_surfaceshader"
+            color3f inputs:base_color.connect = </Root/Skin/Tint.outputs:out>
+            float inputs:specular_roughness = 0.4
+            token outputs:out
+        }
+        def Shader "Tint"
+        {
+            uniform token info:id = "ND_multiply_color3"
+            color3f inputs:in1.connect = </Root/Skin/Image.outputs:out>
+            color3f inputs:in2 = (0.5, 1, 1)
+            color3f outputs:out
+        }
+        def Shader "Image"
+        {
+            uniform token info:id = "ND_image_color3"
+            asset inputs:file = @skin.png@
+            float2 inputs:texcoord.connect = </Root/Skin/Place.outputs:out>
+            color3f outputs:out
+        }
+        def Shader "Place"
+        {
+            uniform token info:id = "ND_place2d_vector2"
+            float2 inputs:scale = (2, 2)
+            float inputs:rotate = 30
+            float2 outputs:out
+        }
+    }
+    def Material "Glass"
+    {
+        token outputs:surface.connect = </Root/Glass/Surface.outputs:surface>
+        def Shader "Surface"
+        {
+            uniform token info:id = "UsdPreviewSurface"
+            color3f inputs:diffuseColor.connect = </Root/Glass/Image.outputs:rgb>
+            token outputs:surface
+        }
+        def Shader "Image"
+        {
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @skin.png@
+            float2 inputs:st.connect = </Root/Glass/Place.outputs:result>
+            float3 outputs:rgb
+        }
+        def Shader "Place"
+        {
+            uniform token info:id = "UsdTransform2d"
+            float2 inputs:scale = (2, 2)
+            float2 outputs:result
+        }
+    }
+}
+"""
+
+
+def put_foreign_stage() -> None:
+    Path("skin.png").write_bytes(gltf_builder.PNG)
+    Path("face.usda").write_text(FOREIGN_STAGE)
+
+
+def damage_foreign(rng: Rng, part: str) -> list[Line]:
+    if part == "gltf":
+        return damage_gltf(rng, part)
+    damage_stage(rng, ".usda")
+    return [["import", "usd", "face.usda", "out.usda"]]
+
+
 # ---- meshes of text
 
 
@@ -978,6 +1120,7 @@ FORMATS: dict[str, Format] = {
         },
         damage_gltf,
     ),
+    "files of others": Format({"gltf": put_foreign_gltf, "usda": put_foreign_stage}, damage_foreign),
     "vrm": Format(
         {
             "vrm": put_gltf(".vrm", "--stub-body", *TERMS),

@@ -15,13 +15,12 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.names import handles
 from facepipe.parts import Animation
-from facepipe.rig.animation import ON_FRAME, TICK, between, local_transforms, whole_frames
-from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
+from facepipe.rig.animation import ON_FRAME, TICK, between, whole_frames, with_exact_scales
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe_gltf.read import accessors
 from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.meshes import Role
-from facepipe_gltf.read.skins import Joints, Nodes, local_trs
+from facepipe_gltf.read.skins import Joints, Nodes, animated_property, local_trs
 from facepipe_gltf.read.values import Value, given_name
 
 _RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 120.0)  # frames per second that files are made at
@@ -46,6 +45,7 @@ class Channel:
     times: FloatArray  # (k,) seconds, ascending
     keys: FloatArray  # (k, width)
     tangents: tuple[FloatArray, FloatArray] | None  # (k, width) in and out, for CUBICSPLINE
+    weight: int | None = None  # of the node's morph weights this one alone
 
     def at(self, times: FloatArray) -> FloatArray:
         """(t, width) values at `times` (t,), held before the first key and after the last; rotations of unit length."""
@@ -197,8 +197,9 @@ def read_animations(
         _animation(document, value, name, channels, nodes, joints, shapes, _times(document, value, channels, fps))
         for name, (value, channels) in zip(names, read, strict=True)
     ]
-    at_rate = (one if one.times is None else replace(one, times=_on_frames(one.times, rate)) for one in animations)
-    return Animations(tuple(at_rate), rate)
+    at_rate = [one if one.times is None else replace(one, times=_on_frames(one.times, rate)) for one in animations]
+    pose = _default_pose(document, nodes, shapes, names)
+    return Animations((*at_rate, *([] if pose is None else [pose])), rate)
 
 
 def _times(document: Document, value: Value, channels: Sequence[Channel], fps: float | None) -> FloatArray:
@@ -231,28 +232,32 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
     return times
 
 
-def _channels(document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]]) -> list[Channel]:
+def _channels(
+    document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]], *, quiet: bool = False
+) -> list[Channel]:
     samplers = value.require("samplers").items()
-    channels: dict[tuple[int, str], Channel] = {}
+    channels: dict[tuple[int, str, int | None], Channel] = {}
     left_out = 0
     for channel in value.require("channels").items():
-        target = channel.require("target")
-        path, node = target.require("path").text(), target.get("node")
-        index = -1 if node is None else document.index("nodes", node)
+        found = animated_property(document, channel.require("target"))
+        index, path, weight = (-1, "", None) if found is None else found
         moves_joint = path in _TYPES and index in joints.of_node
-        if not moves_joint and not (path == "weights" and index in shapes):
+        moves_shape = path == "weights" and index in shapes and (weight is None or weight < len(shapes[index]))
+        if not moves_joint and not moves_shape:
             left_out += 1
             continue
         # glTF 2.0 forbids two channels of one target: which one wins would depend on the reader
-        if (index, path) in channels:
+        if (index, path, weight) in channels:
             raise channel.error(f"a second channel for {path} of nodes[{index}]")
         reference = channel.require("sampler")
         number = reference.integer()
         if number >= len(samplers):
             raise reference.error(f"{number}, but there are {len(samplers)} samplers")
-        width = len(shapes[index]) if path == "weights" else int(_TYPES[path][-1])
-        channels[index, path] = _read_channel(document, samplers[number], index, path, width)
-    if left_out:
+        own = 1 if weight is not None else len(shapes[index]) if path == "weights" else 0
+        width = own or int(_TYPES[path][-1])
+        read = _read_channel(document, samplers[number], index, path, width)
+        channels[index, path, weight] = replace(read, weight=weight)
+    if left_out and not quiet:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
     return list(channels.values())
 
@@ -269,7 +274,7 @@ def _animation(
 ) -> Animation:
     moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _TYPES})
     weights = [channel for channel in channels if channel.path == "weights"]
-    width = 24 * len(moved) + 2 * sum(len(shapes[channel.node]) for channel in weights)
+    width = 24 * len(moved) + 2 * sum(channel.keys.shape[1] for channel in weights)
     # before sampling: a few keys far apart ask for more frames than memory holds
     document.budget.spend(8 * len(times) * width, value.error)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
@@ -286,22 +291,10 @@ def _animation(
         shapes=shape_names,
         shape_weights=shape_weights,
     )
-    # the animation, with bone coefficients too where SkelAnimation would round its scales to half precision
-    scales = animation.scales
-    if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
-        return animation
-    place = {joint: i for i, joint in enumerate(joints.skeleton.joints)}
-    rest = joints.skeleton.rest_transforms[[place[joint] for joint in animation.joints]]
-    if np.abs(np.linalg.det(rest[:, :3, :3])).min() < 1e-12:
-        document.warn(value, "scales are kept in half precision: joints are flat at rest")
-        return animation
-    relative = np.linalg.inv(rest) @ local_transforms(joints.skeleton, animation)
-    coefficients = matrix_coefficients(relative)
-    lost = float(np.abs(coefficient_matrices(coefficients) - relative).max())
-    if lost > 1e-5 * max(1.0, float(np.abs(relative).max())):
-        document.warn(value, f"scales are kept in half precision: joints sheared against rest by up to {lost:.2g}")
-        return animation
-    return replace(animation, coefficients=coefficients.astype(np.float32))
+    animation, lost = with_exact_scales(joints.skeleton, animation)
+    if lost:
+        document.warn(value, lost)
+    return animation
 
 
 def _joint_motion(
@@ -346,19 +339,87 @@ def _shape_motion(
     channels: list[Channel],
     shapes: Mapping[int, Sequence[Role]],
 ) -> tuple[tuple[str, ...], FloatArray | None]:
-    """Shape names and weights (t, s). A shape's weight is the sum of its targets' activations times their weights:
-    this undoes the activation curves of inbetweens, which are piecewise linear."""
+    """Shape names and weights (t, s); of meshes that move one shape differently the first."""
     by_shape: dict[str, FloatArray] = {}
-    for channel in channels:
-        values = channel.at(times)
-        of_channel: dict[str, FloatArray] = {}
-        for role, column in zip(shapes[channel.node], values.T, strict=True):
-            # w = sum_i weight_i activation_i(w), exact as activations are linear between the weights of sculpts
-            of_channel[role.shape] = of_channel.get(role.shape, 0.0) + role.weight * column
-        for shape, weights in of_channel.items():
+    for of_node in _by_node(channels, times, shapes).values():
+        for shape, weights in of_node.items():
             if shape in by_shape and np.abs(by_shape[shape] - weights).max() > _ALIKE:
                 document.warn(value, f"the meshes move the shape {shape} differently: the first is kept")
             by_shape.setdefault(shape, weights)
     if not by_shape:
         return (), None
     return tuple(by_shape), np.stack(list(by_shape.values()), axis=1).astype(np.float32)
+
+
+def _by_node(
+    channels: Sequence[Channel], times: FloatArray, shapes: Mapping[int, Sequence[Role]]
+) -> dict[int, dict[str, FloatArray]]:
+    """(t,) weights of the shapes of each node. A shape's weight is the sum of its targets' activations times their
+    weights: this undoes the activation curves of inbetweens, which are piecewise linear."""
+    found: dict[int, dict[str, FloatArray]] = {}
+    for channel in channels:
+        own = shapes[channel.node] if channel.weight is None else [shapes[channel.node][channel.weight]]
+        of_node = found.setdefault(channel.node, {})
+        for role, column in zip(own, channel.at(times).T, strict=True):
+            # w = sum_i weight_i activation_i(w), exact as activations are linear between the weights of sculpts
+            of_node[role.shape] = of_node.get(role.shape, 0.0) + role.weight * column
+    return found
+
+
+def nodes_apart(
+    document: Document, nodes: Nodes, joints: Joints, shapes: Mapping[int, Sequence[Role]]
+) -> dict[int, tuple[str, ...]]:
+    """Shapes of nodes that an animation plays otherwise than those of the same name of an earlier node.
+
+    A node that shows the mesh of another and that no channel moves stands still; one with a mesh of its own follows the
+    shapes of its names, as teeth do the jaw.
+    """
+    apart: dict[int, dict[str, None]] = {}
+    for value in document.entries("animations"):
+        channels = [one for one in _channels(document, value, joints, shapes, quiet=True) if one.path == "weights"]
+        if not channels:
+            continue
+        times = np.unique(np.concatenate([channel.times for channel in channels]))
+        document.budget.spend(8 * len(times) * sum(channel.keys.shape[1] for channel in channels), value.error)
+        played = _by_node(channels, times, shapes)
+        meshes = {node: nodes.values[node].require("mesh").integer() for node in shapes}
+        first: dict[str, FloatArray] = {}
+        for node in shapes:
+            still = any(meshes[node] == meshes[other] for other in played if other != node)
+            for role in shapes[node]:
+                weights = played.get(node, {}).get(role.shape)
+                weights = np.zeros(len(times)) if weights is None and still else weights
+                if weights is not None and np.abs(first.setdefault(role.shape, weights) - weights).max() > _ALIKE:
+                    apart.setdefault(node, {})[role.shape] = None
+    return {node: tuple(names) for node, names in apart.items()}
+
+
+def _default_pose(
+    document: Document, nodes: Nodes, shapes: Mapping[int, Sequence[Role]], taken: Sequence[str]
+) -> Animation | None:
+    """The morph weights that a file shows where nothing plays, as a pose; None where all are 0.
+
+    A node's weights win over those of its mesh (glTF 2.0 section 3.7.2.2).
+    """
+    found: dict[str, float] = {}
+    for node, own in shapes.items():
+        value = nodes.values[node]
+        given = value.get("weights") or document.entry("meshes", value.require("mesh")).get("weights")
+        if given is None:
+            continue
+        numbers = given.numbers()
+        if len(numbers) != len(own):
+            document.warn(given, f"{len(numbers)} default weights of {len(own)} morph targets: left out")
+            continue
+        of_node: dict[str, float] = {}
+        for role, weight in zip(own, numbers, strict=True):
+            of_node[role.shape] = of_node.get(role.shape, 0.0) + role.weight * weight
+        for shape, weight in of_node.items():
+            if abs(found.setdefault(shape, weight) - weight) > _ALIKE:
+                document.warn(value, f"shows the shape {shape} otherwise than an earlier node: that is kept")
+    moved = {shape: weight for shape, weight in found.items() if weight}
+    if not moved:
+        return None
+    name = handles([*taken, "default"], "Animation")[-1]
+    weights = np.array([[*moved.values()]], np.float32)
+    return Animation(name=name, shapes=tuple(moved), shape_weights=weights)

@@ -43,7 +43,13 @@ _SUPPORTED_EXTENSIONS = frozenset(
         "KHR_materials_clearcoat",
         "KHR_materials_ior",
         "KHR_materials_unlit",
+        "KHR_animation_pointer",
         "KHR_materials_emissive_strength",
+        "KHR_materials_pbrSpecularGlossiness",
+        "KHR_materials_variants",  # named where materials are read; the file's own choice is one of them
+        "KHR_texture_basisu",  # a texture without another image is named and left out
+        "EXT_texture_webp",
+        "EXT_texture_avif",
     }
 )
 _MAX_FILE_BYTES = 2**32
@@ -60,6 +66,7 @@ class Document:
     root: Value
     path: Path
     binary: bytes | None = None
+    strict: bool = False  # what can't be read of a texture is an error
     budget: Budget = field(default_factory=lambda: Budget(_FREE_BYTES, _PER_BYTE))  # of all that data unfolds to
     warnings: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # read so far
@@ -140,6 +147,14 @@ class Document:
             raise value.error(f"bytes {start} to {start + length} of a buffer of {len(data)}")
         return data, start, length
 
+    def is_missing(self, uri: Value) -> bool:
+        """Whether a URI names a file that is not there.
+
+        :raises InputError: as `content`
+        """
+        text = uri.text()
+        return text[:5].lower() != "data:" and not _beside(uri, text, self.path).exists()
+
     def content(self, uri: Value) -> bytes:
         """The bytes behind a URI: base64 data, or a file beside the document or in its roots, each file read once.
 
@@ -165,12 +180,13 @@ class Document:
         return self._contents[key]
 
 
-def open_document(source: Path) -> Document:
+def open_document(source: Path, *, strict: bool = False) -> Document:
     """Read the container and JSON of a .glb or .gltf, and check that what it needs is here.
 
     :raises InputError: truncated, not glTF 2, or an extension is required that isn't supported
     """
     document = read_document(source)
+    document.strict = strict
     asset = document.root.require("asset")
     version = asset.require("version")
     if version.text().split(".")[0] != "2":

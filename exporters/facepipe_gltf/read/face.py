@@ -19,8 +19,9 @@ from facepipe.declare import check_ranges
 from facepipe.geometry.vectors import transformed, unit_vectors
 from facepipe.parts import FaceParts, Mesh, Skin, identity
 from facepipe.stage.recipes import Imported, import_recipe, with_units
+from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe_gltf.read import materials, meshes, primitives
-from facepipe_gltf.read.animations import read_animations
+from facepipe_gltf.read.animations import nodes_apart, read_animations
 from facepipe_gltf.read.document import Document, open_document
 from facepipe_gltf.read.materials import material_names, read_materials
 from facepipe_gltf.read.meshes import Role
@@ -147,8 +148,6 @@ class Assembly:
         document.budget.spend(_COPIES * built.size, value.error)  # of a mesh shown again too: each is written out
         if built.roles:
             self.roles[node] = built.roles
-            if any(value.get_or("weights", []).numbers()):
-                document.warn(value, "default morph weights are left out: the neutral has all shapes at 0")
         named = replace(mesh, label=given_name(value), data_label=given_name(geometry.value))
         if self.recorded:
             return named
@@ -190,7 +189,7 @@ def read(source: Path, options: Options) -> Imported:
     check_ranges(options)
     try:
         with np.errstate(all="ignore"):  # overflow in hostile values ends as infinity, which is refused below
-            document = open_document(source)
+            document = open_document(source, strict=options.strict)
             parts = _parts(document, source, options)
             skeleton = parts.skeleton
             if not (np.isfinite(skeleton.bind_transforms).all() and np.isfinite(skeleton.rest_transforms).all()):
@@ -277,6 +276,8 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
     hidden = sum(value.get("mesh") is not None for i, value in enumerate(nodes.values) if i not in shown)
     if hidden:
         document.warn(document.root, f"{hidden} nodes with a mesh are not in the scene: left out")
+    if not recorded:
+        meshes = _shapes_apart(document, nodes, joints, assembly, meshes)
     animations = read_animations(document, nodes, joints, assembly.roles, options.fps)
     bound = [name for mesh in meshes for name in (mesh.material, *(faces.material for faces in mesh.material_faces))]
     parts = FaceParts(
@@ -291,7 +292,29 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
-    return _Found(parts, avatar, joints, assembly)
+    return _Found(parts if recorded else with_baked_uvs(parts), avatar, joints, assembly)
+
+
+def _shapes_apart(
+    document: Document, nodes: Nodes, joints: Joints, assembly: Assembly, meshes: tuple[Mesh, ...]
+) -> tuple[Mesh, ...]:
+    """The meshes, shapes called otherwise where animations play them otherwise than those of an earlier mesh."""
+    changed = list(meshes)
+    for node, names in nodes_apart(document, nodes, joints, assembly.roles).items():
+        called = {name: assembly.shape_names.new(name) for name in names}
+        roles = assembly.roles[node]
+        assembly.roles[node] = tuple(
+            replace(role, shape=called.get(role.shape, role.shape), label=None) for role in roles
+        )
+        number = assembly.shown.index(node)
+        shapes = [
+            replace(shape, name=called[shape.name], label=None) if shape.name in called else shape
+            for shape in changed[number].blendshapes
+        ]
+        changed[number] = replace(changed[number], blendshapes=tuple(shapes))
+        listed = ", ".join(f"{old} is {new}" for old, new in [*called.items()][:_LISTED])
+        document.warn(nodes.values[node], f"plays {len(called)} shapes otherwise than an earlier node: {listed}")
+    return tuple(changed)
 
 
 def _note_losses(document: Document, *, ours: bool) -> None:

@@ -140,8 +140,6 @@ def _blendshapes(document: Document, geometry: Geometry, weld: Weld, names: Name
     targets = geometry.vertices.targets
     if not targets:
         return ()
-    if any(weight.number() != 0.0 for weight in geometry.value.get_or("weights", []).items()):
-        document.warn(geometry.value, "default morph weights are left out: the neutral has all shapes at 0")
     by_shape: dict[str, list[tuple[Role, Target]]] = {}
     for role, target in zip(roles(document, geometry.value, len(targets), names), targets, strict=True):
         by_shape.setdefault(role.shape, []).append((role, target))
@@ -220,8 +218,28 @@ def _target_names(document: Document, mesh: Value, count: int) -> list[str]:
         document.warn(names, f"is not a list of {count} names: targets are numbered instead")
         break
     else:
+        beside = _names_beside(document, primitives, count)
+        if beside:
+            return beside
         document.warn(mesh, f"its {count} morph targets have no names: called target_<number>")
     return [f"target_{i}" for i in range(count)]
+
+
+def _names_beside(document: Document, primitives: list[Value], count: int) -> list[str]:
+    """Names of targets where exporters without `targetNames` put them; none where some lack one.
+
+    In the target (``extras.name``, ``extra.name``, ``name``), or as the name of its accessor (FBX2glTF).
+    """
+    targets = next((own for one in primitives if len(own := one.get_or("targets", []).items()) == count), [])
+    names = []
+    for target in targets:
+        beside = [target.get("extras"), target.get("extra"), target]
+        position = target.get("POSITION")
+        if position is not None:
+            beside.append(document.entry("accessors", position))
+        given = [one.get("name") for one in beside if one is not None and isinstance(one.data, dict)]
+        names.append(next((one.name() for one in given if one is not None and isinstance(one.data, str)), ""))
+    return names if all(names) and len({*names}) == len(names) else []
 
 
 def _inbetweens(document: Document, mesh: Value, originals: list[str]) -> dict[int, tuple[str, float]]:

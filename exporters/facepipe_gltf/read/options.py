@@ -17,5 +17,6 @@ class Options:
     fps: float | None = option(
         None, "frames per second that animations are sampled at; their own keys where not given", 1.0, 1000.0
     )
+    strict: bool = option(False, "refuse a file with a texture that can't be read, in place of leaving that out")
     meters_per_unit: float | None = option(None, "metres in a unit, in place of what the file declares", 1e-6, 1e3, "m")
     up_axis: Literal["Y", "Z"] | None = option(None, "axis that points up, in place of what the file declares")

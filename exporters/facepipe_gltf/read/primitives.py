@@ -23,6 +23,7 @@ _SETS = [f"{name}_{i}" for name in ("TEXCOORD", "JOINTS", "WEIGHTS") for i in ra
 _KNOWN = {"POSITION", "NORMAL", "TANGENT", "COLOR_0", "COLOR_1", "_FACEPIPE_POINT", *_SETS}  # or named apart
 _STILL = Deltas(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
 _LARGEST_NUMBER = 2.0**24  # that float32 and all below it hold exactly
+TARGET_NOTES = ("extras", "extra", "name")  # beside the attributes of a target: what exporters call it by
 _MODES = ("points", "lines", "line loop", "line strip", "triangles", "triangle strip", "triangle fan")
 
 
@@ -98,9 +99,10 @@ def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
     """The vertices of all primitives as one; what only some primitives have is completed or left out."""
     if len(read) == 1:
         return read[0]
-    # weights are those of the mesh: glTF 2.0 wants as many targets in each of its primitives
-    if len({len(one.targets) for one in read}) > 1:
-        raise value.error("its primitives have different numbers of morph targets, expected the same")
+    # glTF 2.0 wants as many targets in each primitive; where some have fewer, Blender and three.js leave these still
+    most = max(len(one.targets) for one in read)
+    unmoved = Target(positions=_STILL, normals=None)
+    targeted = [(*one.targets, *[unmoved] * (most - len(one.targets))) for one in read]
     starts = np.cumsum([0, *(len(one.positions) for one in read[:-1])]).tolist()
     width = max(0 if one.joints is None else one.joints.shape[1] for one in read)
     normals = _join_optional(document, value, "NORMAL", [one.normals for one in read])
@@ -111,11 +113,11 @@ def _join(document: Document, value: Value, read: list[Vertices]) -> Vertices:
         zeros = [np.zeros((len(one.positions), 2), np.float32) for one in read]
         uvs[number] = np.concatenate([one.uvs.get(number, zero) for one, zero in zip(read, zeros, strict=True)])
     targets = []
-    for i in range(len(read[0].targets)):
-        turned = [one.targets[i].normals for one in read]
+    for i in range(most):
+        turned = [own[i].normals for own in targeted]
         targets.append(
             Target(
-                positions=_join_deltas([one.targets[i].positions for one in read], starts),
+                positions=_join_deltas([own[i].positions for own in targeted], starts),
                 normals=_join_deltas([one or _STILL for one in turned], starts) if any(turned) else None,
             )
         )
@@ -151,7 +153,7 @@ def _influences(document: Document, primitive: Value, attributes: Value, count: 
 def _target(document: Document, target: Value, count: int) -> Target:
     positions, normals = target.get("POSITION"), target.get("NORMAL")
     for name in target.member_names():
-        if name not in ("POSITION", "NORMAL", "TANGENT"):
+        if name not in ("POSITION", "NORMAL", "TANGENT", *TARGET_NOTES):
             document.warn(target, f"morphs of {ascii(name)[:40]} are left out")
     return Target(
         positions=_STILL if positions is None else accessors.deltas(document, positions, count),
@@ -215,7 +217,7 @@ def read_geometry(document: Document, value: Value, skinned: bool) -> Geometry |
         key = tuple(
             (f"{i}{name}", document.index("accessors", attributes.require(name)))
             for i, attributes in enumerate(sets)
-            for name in sorted(attributes.member_names())
+            for name in sorted({*attributes.member_names()} - {*TARGET_NOTES})
         )
         if key not in pools:
             read.append(_read_vertices(document, primitive, skinned))

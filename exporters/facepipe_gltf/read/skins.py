@@ -7,8 +7,10 @@ section 7): where the nodes stand in bind pose that product is the same matrix f
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +22,40 @@ from facepipe_gltf.read.document import Document
 from facepipe_gltf.read.values import Names, Value, given_name, joint_identifier
 
 _SAME = 1e-5
+_POINTER = re.compile(r"/(nodes|meshes)/(\d{1,9})/(translation|rotation|scale|weights)(?:/(\d{1,9}))?")
+
+
+class Animated(NamedTuple):
+    """A property of a node that a channel moves."""
+
+    node: int
+    path: str  # translation, rotation, scale, weights
+    weight: int | None = None  # of its morph weights this one alone
+
+
+def animated_property(document: Document, target: Value) -> Animated | None:
+    """What a channel's target names, by KHR_animation_pointer too; None for another thing.
+
+    A pointer to the weights of a mesh means the first node that shows it.
+
+    :raises InputError: no such node
+    """
+    path, node = target.require("path").text(), target.get("node")
+    pointer = target.extension("KHR_animation_pointer")
+    if path != "pointer" or pointer is None:
+        return None if node is None else Animated(document.index("nodes", node), path)
+    match = _POINTER.fullmatch(pointer.require("pointer").text())
+    if match is None or (match[4] is not None and match[3] != "weights"):
+        return None
+    number, weight = int(match[2]), None if match[4] is None else int(match[4])
+    if match[1] == "meshes":
+        shown = [one.get("mesh") for one in document.entries("nodes")]
+        number = next((i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number), -1)
+    if match[1] == "meshes" and (number < 0 or match[3] != "weights"):
+        return None
+    if number >= len(document.entries("nodes")):
+        raise pointer.error(f"nodes[{number}], but there are {len(document.entries('nodes'))}")
+    return Animated(number, match[3], weight)
 
 
 @dataclass(frozen=True)
@@ -155,8 +191,26 @@ class Joints:
         return None
 
 
+def _rigid_nodes(document: Document, nodes: Nodes, joints: set[int]) -> list[int]:
+    """Nodes that animations move and that carry a mesh without skin, or joints below them: they become joints."""
+    moved: set[int] = set()
+    for animation in document.entries("animations"):
+        for channel in animation.get_or("channels", []).items():
+            found = animated_property(document, channel.require("target"))
+            if found is not None and found.path != "weights":
+                moved.add(found.node)
+    carries = [
+        node in joints or (value.get("mesh") is not None and value.get("skin") is None)
+        for node, value in enumerate(nodes.values)
+    ]
+    for node in reversed(nodes.order):
+        if carries[node] and nodes.parents[node] >= 0:
+            carries[nodes.parents[node]] = True
+    return [node for node in nodes.order if node in moved - joints and carries[node]]
+
+
 def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) -> Joints:
-    """The skeleton of all skins.
+    """The skeleton of all skins, and of nodes that animations move.
 
     :param more: nodes that are joints too, whether a skin lists them or not
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
@@ -164,7 +218,9 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
     values = document.entries("skins")
     listed = [_joint_nodes(document, value) for value in values]
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
-    order = _parent_first(nodes, [*(node for skin in listed for node in skin), *more])
+    skinned = [node for skin in listed for node in skin]
+    rigid = _rigid_nodes(document, nodes, {*skinned})
+    order = _parent_first(nodes, [*skinned, *rigid, *more])
     of_node = {node: joint for joint, node in enumerate(order)}
     # parent joint of every joint, -1 for roots, and the matrices of the nodes between
     parents: list[int] = []
@@ -176,12 +232,14 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
             node = nodes.parents[node]
         parents.append(of_node.get(node, -1))
     binds: dict[int, FloatArray] = {}
+    twins: list[tuple[int, FloatArray]] = []
     skins = []
     for value, joint_nodes in zip(values, listed, strict=True):
         inverses = _inverse_binds(document, value, len(joint_nodes))
         slots = np.array([of_node[node] for node in joint_nodes], np.int64)
         worlds = nodes.worlds[joint_nodes]
-        skins.append(BoundSkin(slots, _bind(document, value, slots, inverses, worlds, binds)))
+        skins.append(_bind(document, value, slots, inverses, worlds, binds, twins))
+    binds |= {of_node[node]: nodes.worlds[node] for node in rigid}
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
     for joint, parent in enumerate(parents):  # bound by no skin: as they rest below those that are
         if joint not in binds:
@@ -195,15 +253,24 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
         path = name if parent < 0 else f"{paths[parent]}/{name}"
         document.budget.spend(len(path), nodes.values[node].error)  # a chain's paths grow with the square of its length
         paths.append(path)
+    # a joint for each that two skins bind differently: below it, still against it, and bound as the second skin says
+    for joint, _ in twins:
+        name = siblings.setdefault(joint, Names()).new(joint_identifier(f"{given[joint] or 'joint'}_bind"))
+        document.budget.spend(128 + len(paths[joint]), document.root.error)
+        paths.append(f"{paths[joint]}/{name}")
+        given.append(None)
+    every = [*(binds[joint] for joint in range(len(order))), *(bind for _, bind in twins)]
     skeleton = Skeleton(
         joints=tuple(paths),
-        bind_transforms=np.array([binds[joint] for joint in range(len(order))]).reshape(-1, 4, 4),
-        rest_transforms=rest,
+        bind_transforms=np.array(every).reshape(-1, 4, 4),
+        rest_transforms=np.concatenate([rest, np.tile(identity(), (len(twins), 1, 1))]),
     )
+    above = np.concatenate([above, np.tile(identity(), (len(twins), 1, 1))])
     # the nodes' own names; of those without the last parts of the paths
     leaves = zip(given, skeleton.names, strict=True)
     skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
-    return Joints(skeleton, of_node, above, tuple(skins))
+    numbered = [replace(one, slots=np.where(one.slots < 0, len(order) - 1 - one.slots, one.slots)) for one in skins]
+    return Joints(skeleton, of_node, above, tuple(numbered))
 
 
 def _joint_nodes(document: Document, value: Value) -> list[int]:
@@ -257,26 +324,37 @@ def _bind(
     inverses: FloatArray,
     worlds: FloatArray,
     binds: dict[int, FloatArray],
-) -> FloatArray:
-    """The skin's geomBind; joints not bound so far join `binds`."""
+    twins: list[tuple[int, FloatArray]],
+) -> BoundSkin:
+    """The skin on the skeleton; joints not bound so far join `binds`, those bound otherwise get a twin in `twins`.
+
+    The skeleton's joints are as many as `worlds` and `binds` know in the end, `twins` come after them.
+    """
     bound = np.array([slot in binds for slot in slots.tolist()])
+    slots = slots.copy()
     if bound.any():
         # inverse_j = B_j^-1 G: where an earlier skin gave B_j, B_j inverse_j is the G of this one, the same for all j
         factors = np.array([binds[slot] for slot in slots[bound].tolist()]) @ inverses[bound]
         geom_bind = _snapped(factors[0])
-        apart = _difference(factors, geom_bind)
-        if apart > _SAME:
-            document.warn(value, f"binds joints otherwise than an earlier skin (by {apart:.2g}): the earlier is kept")
+        apart = np.abs(factors - geom_bind).max(axis=(1, 2)) / max(float(np.abs(geom_bind[:3]).max()), 1e-30)
+        other = np.flatnonzero(bound)[apart > _SAME]
+        if len(other):
+            document.warn(value, f"binds {len(other)} joints otherwise than an earlier skin: joints are added for it")
     else:
         # in a file at rest in bind pose world_j inverse_j is G; at another pose they differ, and G is taken as identity
         factors = worlds @ inverses
         geom_bind = _snapped(factors[0]) if _difference(factors, factors[0]) <= 10 * _SAME else identity()
         if abs(np.linalg.det(geom_bind[:3, :3])) < 1e-30:
             geom_bind = identity()
-    for slot, inverse in zip(slots.tolist(), inverses, strict=True):
-        if slot not in binds:
-            binds[slot] = geom_bind @ np.linalg.inv(inverse)
-    return geom_bind
+        other = np.zeros(0, np.int64)
+    for place, inverse in enumerate(inverses):
+        joint = int(slots[place])
+        if place in other:
+            slots[place] = -1 - len(twins)  # numbered from behind until the number of joints is known
+            twins.append((joint, geom_bind @ np.linalg.inv(inverse)))
+        elif joint not in binds:
+            binds[joint] = geom_bind @ np.linalg.inv(inverse)
+    return BoundSkin(slots, geom_bind)
 
 
 def _difference(matrices: FloatArray, reference: FloatArray) -> float:

@@ -161,7 +161,7 @@ def _numbers(table: _Table, columns: Sequence[int], *, clock: bool = False) -> F
                     raise _bad_cell(table, line, cells, columns) from None
                 values[row, place] = float(text) if text else np.nan
     lost = np.isnan(values)
-    for row in np.flatnonzero(lost.any(axis=1)):  # NaN that the file spells out is a mistake, as text is
+    for row in np.flatnonzero(lost.any(axis=1)).tolist():  # NaN that the file spells out is a mistake, as text is
         line, cells = table.lines[row]
         if any(cells[i] for place, i in enumerate(columns) if lost[row, place] and i < len(cells)):
             raise _bad_cell(table, line, cells, columns)

@@ -150,8 +150,8 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
             raise InputError(trail, f"no '{missing[:60]}', expected the {len(names)} names of the other frames")
     if len(frames) * len(names) > MOST_VALUES:
         raise InputError(path, f"{len(frames)} frames of {len(names)} names, expected at most {MOST_VALUES} values")
-    values = np.array([[math.nan] * len(names) if one is None else [one[name] for name in names] for one in tracked])
-    take = Take(form="frames", where=where, names=names, values=values)
+    rows = np.array([[math.nan] * len(names) if one is None else [one[name] for name in names] for one in tracked])
+    take = Take(form="frames", where=where, names=names, values=rows)
     if tracker:
         take.form, take.rate, take.radians = "MediaPipe face landmarker", None, True
         if more:
@@ -238,10 +238,11 @@ def _azure(path: Path, frames: list[dict[str, Any]]) -> Take:
             if not isinstance(kind, int) or isinstance(kind, bool) or not 0 <= kind < len(AZURE_VISEMES):
                 raise InputError(f"{path} -> event {number} -> visemeId", f"{str(kind)[:40]}, expected 0 to 21")
         cues.sort(key=lambda cue: cue[1])
-        mixes = [AZURE_VISEMES[kind] for kind, _ in cues]
+        mixes = [AZURE_VISEMES[int(str(kind))] for kind, _ in cues]
         starts = [at for _, at in cues]
         return _spoken(path, "Azure viseme ids", mixes, starts, [*starts[1:], starts[-1] + _VISEME_FADE])
-    rows, places = [], []
+    rows: list[list[float]] = []
+    places: list[int] = []
     for number, chunk in chunks:
         trail = f"{path} -> chunk {number}"
         first = int(_number(f"{trail} -> FrameIndex", chunk.get("frameindex", len(rows))))
@@ -319,7 +320,7 @@ def _spoken(
         shape = np.interp(times[here], corners, [0.0, 1.0, 1.0, 0.0])
         for name, share in mix.items():
             weights[name][here] = np.maximum(weights[name][here], share * shape)
-    used = [name for name, weight in weights.items() if weight.any()] or [OCULUS_VISEMES[0]]
+    used = [name for name, weight in weights.items() if weight.any()] or ["viseme_sil"]
     values: FloatArray = np.stack([weights[name] for name in used], axis=1)
     take = Take(form=form, where=[str(path)] * len(times), names=used, values=values, rate=FPS)
     take.notes.append(f"{len(mixes)} cues")

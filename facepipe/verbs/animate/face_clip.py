@@ -248,7 +248,9 @@ def _targets(parts: FaceParts, performance: Performance) -> _Targets:
     matched = match_shapes(names, [*shapes, *sliders])
     column_of = {target: columns[name] for name, targets in matched.items() for target in targets}
     # visemes that the face has no shape for: the mix of shapes that makes their mouth, over what the clip says of these
-    spoken = {name: viseme for name in names if name not in matched and (viseme := meaning(name)) in OCULUS_VISEMES}
+    spoken = {
+        name: viseme for name in names if name not in matched and (viseme := meaning(name) or "") in OCULUS_VISEMES
+    }
     places = match_shapes(
         {shape for viseme in spoken.values() for shape in OCULUS_VISEMES[viseme]}, [*shapes, *sliders]
     )

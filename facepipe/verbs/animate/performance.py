@@ -293,8 +293,8 @@ def read_timecodes(take: Take, codes: Sequence[str], fps: float | None) -> None:
         hour, minute, second = int(match.group(1)), int(match.group(3)), int(match.group(4))
         if hour > 23 or minute > 59 or second > 59:
             raise InputError(trail, f"timecode '{code[:40]}', expected a time of day")
-        last = float(f"0.{match.group(6)}") if fraction else float(f"{match.group(6)}.{match.group(7) or 0}")
-        parsed.append((hour * 3600 + minute * 60 + second, last, fraction, match.group(5) == ";"))
+        ends = float(f"0.{match.group(6)}") if fraction else float(f"{match.group(6)}.{match.group(7) or 0}")
+        parsed.append((hour * 3600 + minute * 60 + second, ends, fraction, match.group(5) == ";"))
     seconds, last = np.array([one[0] for one in parsed], dtype=np.float64), np.array([one[1] for one in parsed])
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     highest = int(last.max())

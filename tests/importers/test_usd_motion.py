@@ -1,0 +1,126 @@
+"""Stages whose prims or points move: every point where USD has it at every sample, and between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faces import clipped_face, replace_mesh
+from foreign_stages import foreign_stage, read, rich_face, warned, written
+from oracle import played
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+
+from facepipe.core.errors import InputError
+from facepipe.parts import FaceParts
+from facepipe.stage import Face
+
+RATE = 24.0
+
+
+def moved(stage: Usd.Stage, path: str, op: str, samples: dict[float, object]) -> None:
+    """A transform over time on a prim, above what it has."""
+    xform = UsdGeom.Xformable(stage.GetPrimAtPath(path))
+    before = xform.GetOrderedXformOps()
+    made = xform.AddTranslateOp(opSuffix="moves") if op == "translate" else xform.AddRotateYOp(opSuffix="moves")
+    for code, value in samples.items():
+        made.Set(value, code)
+    xform.SetXformOpOrder([made, *before])
+
+
+def truth(path: Path, code: float, name: str) -> np.ndarray:
+    """(n, 3) world points of an unskinned mesh at a time, by USD alone."""
+    stage = Usd.Stage.Open(str(path))
+    prim = next(one for one in stage.Traverse() if one.IsA(UsdGeom.Mesh) and one.GetName() == name)
+    points = np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(code), float)
+    world = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(code)).T
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def shown(parts: FaceParts, seconds: float) -> dict[str, np.ndarray]:
+    """Points of each mesh of the face as it plays, at one of the clip's samples."""
+    face = Face.from_parts(parts)
+    clip = next(one for one in parts.animations if one.name == parts.played)
+    index = int(np.argmin(np.abs(np.asarray(clip.times) - seconds)))
+    assert abs(np.asarray(clip.times)[index] - seconds) < 1e-9
+    local, weights = face.sample(clip.name, index)
+    return face.split(face.evaluate(weights, joint_transforms=local))
+
+
+def test_an_unskinned_mesh_that_turns_and_its_neighbour_below_it(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, "/Rich/Teeth", "rotate", {0: 0.0, 12: 30.0, 24: -20.0})
+    path = written(stage, tmp_path / "face.usda")
+    imported = read(path)
+    warned(imported, "</Rich/Teeth>: what moves over time hangs on joints of its own")
+    for code in (0, 12, 24):
+        np.testing.assert_allclose(shown(imported.parts, code / RATE)["Teeth"], truth(path, code, "Teeth"), atol=1e-5)
+
+
+def test_the_root_of_a_played_face_that_travels(tmp_path: Path) -> None:
+    """Joints, shapes and the root's transform together, against UsdSkel."""
+    stage = foreign_stage(replace(clipped_face(), name="Rich"))
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, "/Rich", "translate", {0: Gf.Vec3d(0, 0, 0), 6: Gf.Vec3d(1, 0.5, -2)})
+    path = written(stage, tmp_path / "face.usda")
+    imported = read(path)
+    warned(imported, "</Rich>: its motion over time is that of the root joints")
+    clip = next(one for one in imported.parts.animations if one.name == imported.parts.played)
+    assert clip.times is not None
+    for seconds, expected in zip(clip.times, played(path, clip.times), strict=True):
+        got = np.concatenate([*shown(imported.parts, float(seconds)).values()])
+        np.testing.assert_allclose(got, expected, atol=2e-5)
+
+
+def test_points_over_time_are_shapes_and_a_clip(tmp_path: Path) -> None:
+    parts = rich_face()
+    stage = foreign_stage(replace(parts, meshes=(replace_mesh(parts.meshes[1], blendshapes=()),)))
+    stage.SetTimeCodesPerSecond(RATE)
+    prim = next(one for one in stage.Traverse() if one.IsA(UsdGeom.Mesh))
+    attribute = UsdGeom.Mesh(prim).GetPointsAttr()
+    base, rng = np.array(attribute.Get()), np.random.default_rng(0)
+    for code in (1, 3, 4, 9):
+        attribute.Set((base + rng.normal(size=base.shape) * 0.1).astype(np.float32), code)
+    path = written(stage, tmp_path / "face.usda")
+    imported = read(path)
+    warned(imported, "4 samples of points over time are ")
+    for code in (1, 3, 4, 9):
+        np.testing.assert_allclose(shown(imported.parts, code / RATE)["Teeth"], truth(path, code, "Teeth"), atol=1e-5)
+    clip = next(one for one in imported.parts.animations if one.name == imported.parts.played)
+    weights = np.asarray(clip.shape_weights)
+    between = {name: float(value) for name, value in zip(clip.shapes, (weights[2] + weights[3]) / 2, strict=True)}
+    face = Face.from_parts(imported.parts)
+    np.testing.assert_allclose(face.split(face.evaluate(between))["Teeth"], truth(path, 6.5, "Teeth"), atol=1e-5)
+
+
+def test_more_points_over_time_than_shapes_are_named(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    prim = stage.GetPrimAtPath("/Rich/Teeth")
+    attribute = UsdGeom.Mesh(prim).GetPointsAttr()
+    base = np.array(attribute.Get())
+    for code in range(600):
+        attribute.Set((base + code).astype(np.float32), code)
+    warned(read(written(stage, tmp_path / "face.usdc")), "points change over time: one value is kept")
+
+
+def test_more_than_memory_is_refused(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    xform = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich"))
+    op = xform.AddTranslateOp(opSuffix="moves")
+    for code in range(3000):
+        op.Set(Gf.Vec3d(code, 0, 0), code)
+    for number in range(1500):
+        UsdGeom.Mesh.Define(stage, f"/Rich/M{number}")
+    with pytest.raises(InputError, match="numbers of transforms and points over time"):
+        read(written(stage, tmp_path / "face.usdc"))
+
+
+def test_joints_with_dots(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
+    joints = [str(joint).replace("/", "/b.") for joint in skeleton.GetJointsAttr().Get()]
+    skeleton.GetJointsAttr().Set(joints)
+    parts = read(written(stage, tmp_path / "face.usda")).parts
+    assert parts.skeleton.names == tuple(joint.rpartition("/")[2] for joint in joints)
