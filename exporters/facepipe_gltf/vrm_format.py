@@ -9,10 +9,12 @@ Source: VRMC_vrm-1.0, VRMC_springBone-1.0, VRMC_springBone_extended_collider-1.0
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from facepipe.core.errors import InputError
+from facepipe.core.images import decoding, open_image
 from facepipe.records import Json
 from facepipe_gltf.read.values import Value, quote
 from facepipe_gltf.vrm.bones import PARENTS
@@ -22,11 +24,46 @@ SPRINGS, CONSTRAINT = "VRMC_springBone", "VRMC_node_constraint"
 COLLIDERS = "VRMC_springBone_extended_collider"
 STUBS = "stubs"  # beside the extensions: human bones that facepipe added as nodes, which are no joints of the face
 VERSION = "1.0"
+_URI, _BASE64 = "data:", ";base64,"
+_LARGEST_PICTURE = 1 << 22  # bytes: of 1024 x 1024 pixels, which VRM wants, it has one or two million
 PRESETS = (
     *("happy", "angry", "sad", "relaxed", "surprised", "neutral"),
     *("aa", "ih", "ou", "ee", "oh", "blink", "blinkLeft", "blinkRight"),
     *("lookUp", "lookDown", "lookLeft", "lookRight"),
 )
+
+
+def data_uri(picture: bytes, where: str) -> str:
+    """A picture as text.
+
+    :raises InputError: no PNG or JPEG, or a larger one than a stage keeps
+    """
+    if len(picture) > _LARGEST_PICTURE:
+        raise InputError(where, f"a picture of {len(picture)} bytes, expected at most {_LARGEST_PICTURE}")
+    mime = _mime(picture, where)
+    return f"{_URI}{mime}{_BASE64}{base64.b64encode(picture).decode()}"
+
+
+def picture_in(uri: str, where: str) -> tuple[str, bytes]:
+    """The MIME type and bytes of a picture that `data_uri` made text of.
+
+    :raises InputError: no such text
+    """
+    try:
+        picture = base64.b64decode(uri.partition(_BASE64)[2], validate=True)
+    except ValueError:
+        picture = b""
+    if not uri.startswith(_URI) or not picture:
+        raise InputError(where, "no picture as a data URI, expected one")
+    return _mime(picture, where), picture
+
+
+def _mime(picture: bytes, where: str) -> str:
+    expected = "a PNG or JPEG"
+    image = open_image(picture, where, ("PNG", "JPEG"), expected=expected)
+    with decoding(where, expected):
+        image.load()
+    return f"image/{str(image.format).lower()}"
 
 
 class Links(Protocol):
@@ -43,6 +80,9 @@ class Links(Protocol):
 
     def materials(self, value: Value) -> Sequence[Any]:
         """Of a material, which one program may have in several."""
+
+    def image(self, value: Value) -> Any:
+        """Of a picture: PNG or JPEG."""
 
     def left_out(self, problem: InputError) -> None:
         """Note a part that is not kept."""
@@ -182,13 +222,20 @@ def _meta(value: Value, links: Links) -> Json:
     result: Json = {}
     for key, data in value.members().items():
         one = Value(data, f"{value.trail}.{quote(key)[1:-1]}")
-        problem = "is not kept" if key in ("thumbnailImage", "extensions", "extras") else fault(key, data)
-        if problem is not None:
-            links.left_out(one.error(problem))
-        else:
+        if data in (None, "", [], [""]):  # as good as not there
+            continue
+        try:
+            wrong = "is not kept" if key in ("extensions", "extras") else fault(key, data)
+            if wrong is not None:
+                raise one.error(wrong)
+            if key == "thumbnailImage":
+                result[key] = links.image(one)
+                continue
             for text in data if isinstance(data, list) else [data] if isinstance(data, str) else []:
                 Value(text, one.trail).text()
             result[key] = data
+        except InputError as problem:
+            links.left_out(problem)
     return result
 
 

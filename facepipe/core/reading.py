@@ -154,9 +154,12 @@ def check_json(where: object, value: object, levels: int) -> None:
     """
     level: list[object] = [value]
     for _ in range(levels):
-        for text in level:
-            if isinstance(text, str) and any("\ud800" <= character <= "\udfff" for character in text):
-                raise InputError(where, "text with half a surrogate pair, expected Unicode")
+        try:
+            for text in level:
+                if isinstance(text, str):
+                    text.encode()
+        except UnicodeEncodeError:
+            raise InputError(where, "text with half a surrogate pair, expected Unicode") from None
         inner = [one for one in level if isinstance(one, dict | list)]
         level = [deeper for one in inner for deeper in ([*one, *one.values()] if isinstance(one, dict) else one)]
     if level:

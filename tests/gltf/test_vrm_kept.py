@@ -15,7 +15,7 @@ from faces import tiny_face
 from gltf_builder import glb
 from node import validate, vrm_facts
 from vrm_export import exported, head
-from vrm_files import BONES, LICENSE, Person, avatar, former_avatar, root_of, said
+from vrm_files import BONES, LICENSE, PICTURE, Person, avatar, former_avatar, root_of, said
 
 import facepipe
 from facepipe.core.errors import InputError
@@ -91,6 +91,7 @@ def test_vrm_0_becomes_1_and_looks_along_z(seed: int, tmp_path: Path) -> None:
     terms = found["VRMC_vrm"].pop("meta")
     assert found == expected
     assert terms["authors"] == ["A. Author"]
+    assert terms["thumbnailImage"] == PICTURE.hex()
     assert terms["otherLicenseUrl"] == "https://example.org/terms"
     (tmp_path / "plain.glb").write_bytes(Person(seed).glb({}))  # the same person, looking along +Z
     plain = read(tmp_path / "plain.glb").parts
@@ -120,6 +121,7 @@ def test_three_vrm_sees_the_same_in_vrm_0_and_what_it_becomes(tmp_path: Path) ->
         ({}, {"allowExcessivelyViolentUsage": True, "allowExcessivelySexualUsage": False}),
         ({"allowedUserName": "ExplicitlyLicensedPerson"}, {"avatarPermission": "onlySeparatelyLicensedPerson"}),
         ({"allowedUserName": "Anyone", "commercialUssageName": 1}, {"avatarPermission": "onlyAuthor"}),
+        ({"texture": 99, "violentUssageName": None, "title": []}, {"allowExcessivelyViolentUsage": False}),
         ({"violentUssageName": "Disallow"}, {"allowExcessivelyViolentUsage": False}),
         (
             {"licenseName": "CC_BY_NC", "otherPermissionUrl": ""},
@@ -192,7 +194,7 @@ def test_what_is_wrong_is_named_and_the_rest_kept(tmp_path: Path) -> None:
         own["expressions"]["preset"]["aa"]["morphTargetBinds"].append({"node": face, "index": 99, "weight": 1})
         own["expressions"]["preset"]["smug"] = {}
         own["meta"]["modification"] = "whatever"
-        own["meta"]["thumbnailImage"] = 0
+        own["meta"]["thumbnailImage"] = 0  # no picture
         own["humanoid"]["humanBones"]["tail"] = {"node": 0}
         own["lookAt"]["type"] = "nose"
         springs["colliders"][0]["node"] = -1
@@ -204,6 +206,7 @@ def test_what_is_wrong_is_named_and_the_rest_kept(tmp_path: Path) -> None:
     expected = said(data)
     own, springs = expected["VRMC_vrm"], expected["VRMC_springBone"]
     own["meta"].pop("modification")
+    own["meta"].pop("thumbnailImage")
     own["lookAt"].pop("type")
     springs["colliders"].pop(0)
     springs["colliderGroups"] = [{"name": "skull", "colliders": []}, {"colliders": [1, 0]}]

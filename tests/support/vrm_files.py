@@ -7,6 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
+from gltf_builder import PNG as PICTURE
 from gltf_builder import Builder, Json, glb
 
 LICENSE = "https://vrm.dev/licenses/1.0/"
@@ -70,6 +71,9 @@ class Person:
         self.nodes()
         self.materials = [self.builder.add("materials", {"name": name}) for name in ("unused", "skin", "cloth")]
         self.meshes()
+        for picture in (b"no picture", PICTURE):
+            self.builder.add("images", {"mimeType": "image/png", "bufferView": self.builder.view(picture)})
+        self.builder.add("textures", {"source": 1})
 
     def turned(self, vector: Any) -> np.ndarray:
         """A vector of the person that looks along +Z."""
@@ -168,6 +172,7 @@ def terms(rng: np.random.Generator) -> Json:
         "allowRedistribution": bool(rng.integers(2)),
         "modification": pick("prohibited", "allowModification", "allowModificationRedistribution"),
         "otherLicenseUrl": "https://example.org/terms",
+        "thumbnailImage": 1,
     }
 
 
@@ -284,12 +289,18 @@ def said(data: bytes) -> Json:
             result = {one: named(inner, one) for one, inner in value.items()}
             if {"node", "index"} <= value.keys():
                 mesh = root["meshes"][root["nodes"][value["node"]]["mesh"]]
-                result["index"] = mesh["extras"]["targetNames"][value["index"]]
+                owner = mesh if "extras" in mesh else mesh["primitives"][0]
+                result["index"] = owner["extras"]["targetNames"][value["index"]]
             return result
         if isinstance(value, list):
             return [named(one) for one in value]
         if key in ("node", "center", "source"):
             return nodes[value]
+        if key == "thumbnailImage":
+            view = root["bufferViews"][root["images"][value]["bufferView"]]
+            binary = data[28 + int.from_bytes(data[12:16], "little") :]
+            start = view.get("byteOffset", 0)
+            return binary[start : start + view["byteLength"]].hex()
         return materials[value] if key == "material" else value
 
     own = root["extensions"]
@@ -310,7 +321,7 @@ def former_terms(**changes: Any) -> Json:
         "author": "A. Author",
         "contactInformation": "",
         "reference": "https://example.org/first",
-        "texture": -1,
+        "texture": 0,
         "allowedUserName": "Everyone",
         "violentUssageName": "Allow",
         "sexualUssageName": "Disallow",

@@ -17,7 +17,7 @@ from facepipe_gltf.read.skins import Nodes
 from facepipe_gltf.read.values import Value
 from facepipe_gltf.read.vrm0 import Migrated, Tail, migrated, turned_round
 from facepipe_gltf.vrm.options import EXTENSION, LICENSE_URL
-from facepipe_gltf.vrm_format import CONSTRAINT, SPRINGS, STUBS, converted, section
+from facepipe_gltf.vrm_format import CONSTRAINT, SPRINGS, STUBS, converted, data_uri, section
 
 FORMER = "VRM"  # the extension of VRM 0.x
 _NOTED = 12  # parts left out that are named one by one
@@ -46,6 +46,9 @@ class _Numbers:
     def materials(self, value: Value) -> list[int]:
         return [value.integer()]
 
+    def image(self, value: Value) -> int:
+        return value.integer()
+
     def left_out(self, problem: InputError) -> None:
         """What is wrong is named when it is brought to names."""
 
@@ -54,6 +57,7 @@ class _Numbers:
 class _Names:
     """Indices of a document as names of the face."""
 
+    document: Document
     joints: Mapping[int, str]  # by node
     meshes: Mapping[int, Mesh]  # by node, as the face has them
     targets: Mapping[int, Sequence[str]]  # by node
@@ -82,6 +86,17 @@ class _Names:
             raise value.error(f"{value.integer()}, but there are {len(self.material_names)} materials")
         return [self.material_names[value.integer()]]
 
+    def image(self, value: Value) -> str:
+        entry = self.document.entry("images", value)
+        uri, view = entry.get("uri"), entry.get("bufferView")
+        if uri is not None:
+            picture = self.document.content(uri)
+        else:
+            data, start, length = self.document.view(entry.require("bufferView") if view is None else view)
+            self.document.budget.spend(length, value.error)
+            picture = bytes(data[start : start + length])
+        return data_uri(picture, value.trail)
+
     def left_out(self, problem: InputError) -> None:
         self.count += 1
         if self.count <= _NOTED:
@@ -105,6 +120,7 @@ class Avatar:
         """
         face = _with_tails(face, read, self.tails, len(document.entries("nodes")))
         links = _Names(
+            document=document,
             joints={node: face.skeleton.joints[joint] for node, joint in read.joints.items()},
             meshes={node: face.meshes[number] for node, number in read.meshes.items()},
             targets={node: read.targets(face.meshes[number], node) for node, number in read.meshes.items()},

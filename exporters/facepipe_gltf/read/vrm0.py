@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
+from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts, Mesh
 from facepipe.records import Json
 from facepipe_gltf.read.document import Document
@@ -132,7 +133,7 @@ class _Migration:
         for node in self.nodes.order:
             self.children.setdefault(self.nodes.parents[node], []).append(node)
 
-    def note(self, where: Value, what: str) -> None:
+    def note(self, where: Value | str, what: str) -> None:
         """Name what has no counterpart; of hundreds of a kind the first."""
         self.noted += 1
         if self.noted <= _NOTED:
@@ -163,8 +164,13 @@ class _Migration:
         if name not in (None, "Redistribution_Prohibited"):
             what = f"licenseName {quote(str(name)[:40])} has no counterpart in VRM 1.0"
             self.note(meta, f"{what}: redistribution and modification are prohibited")
-        if isinstance(known.get("texture"), int) and known["texture"] >= 0:
-            self.note(meta, "its thumbnail is left out")
+        texture = known.get("texture")
+        if texture not in (None, -1):
+            try:
+                image = self.document.entry("textures", Value(texture, f"{meta.trail}.texture"))
+                result["thumbnailImage"] = image.get_or("source", None).data
+            except InputError as problem:
+                self.note(problem.where, f"{problem.what}: left out")
         # texts that are empty were not given
         return {key: one for key, one in result.items() if one not in (None, "", [None], [""])}
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.records import Json
-from facepipe_gltf.document import Places
+from facepipe_gltf.document import Document, Places
+from facepipe_gltf.materials import Image
 from facepipe_gltf.read.values import Value, quote
 from facepipe_gltf.vrm.options import EXTENSION, fault
-from facepipe_gltf.vrm_format import COLLIDERS, CONSTRAINT, SPRINGS, STUBS, converted, section
+from facepipe_gltf.vrm_format import COLLIDERS, CONSTRAINT, SPRINGS, STUBS, converted, picture_in, section
 
 _NOTED = 12
 
@@ -71,6 +72,9 @@ class _Indices:
             raise value.error(f"no material {quote(value.text())} in the file")
         return self.of_material[value.text()]
 
+    def image(self, value: Value) -> str:
+        return str(value.data)
+
     def left_out(self, problem: InputError) -> None:
         self.count += 1
         if self.count <= _NOTED:
@@ -117,6 +121,22 @@ def write_back(vrm: Mapping[str, object], places: Places, document: Json) -> tup
     if links.count > _NOTED:
         links.lost.append(f"{links.count - _NOTED} further parts of what VRM says of the avatar")
     return extension, links.lost
+
+
+def with_thumbnail(meta: Json, document: Document) -> tuple[Json, Document]:
+    """The terms with the picture of the model as an image of the document; without it, and a line, where it is none."""
+    uri = meta.get("thumbnailImage")
+    if uri is None:
+        return meta, document
+    rest = {key: value for key, value in meta.items() if key != "thumbnailImage"}
+    try:
+        mime, picture = picture_in(str(uri), f"{EXTENSION} -> meta.thumbnailImage")
+    except InputError as problem:
+        return rest, replace(document, dropped=(*document.dropped, f"{problem.where}: {problem.what}"))
+    entries = document.json.setdefault("images", [])
+    entries.append({"name": "thumbnail", "mimeType": mime})
+    images = (*document.images, Image(name="thumbnail", mime=mime, data=picture))
+    return {**rest, "thumbnailImage": len(entries) - 1}, replace(document, images=images)
 
 
 def _converted(name: str, data: Any, links: _Indices) -> Json:

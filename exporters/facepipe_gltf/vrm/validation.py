@@ -189,6 +189,9 @@ class _Checked:
     def materials(self, value: Value) -> list[int]:
         return [value.integer()]
 
+    def image(self, value: Value) -> int:
+        return value.integer()
+
     def left_out(self, problem: InputError) -> None:
         self.found.append((re.sub(r"[.\[\]]+", "/", str(problem.where)).rstrip("/"), problem.what))
 

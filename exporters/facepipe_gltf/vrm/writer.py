@@ -25,7 +25,7 @@ from facepipe_gltf.placement import numbers, place, space_of
 from facepipe_gltf.raw import local_matrix, path_above
 from facepipe_gltf.vrm.bones import REQUIRED, SIDES, TORSO, Humanoid, humanoid_of, misplaced
 from facepipe_gltf.vrm.expressions import Expressions, expressions_of, table, with_slider_shapes
-from facepipe_gltf.vrm.kept import kept_bones, kept_meta, kept_stubs, write_back
+from facepipe_gltf.vrm.kept import kept_bones, kept_meta, kept_stubs, with_thumbnail, write_back
 from facepipe_gltf.vrm.options import EXTENSION, Options, meta_of
 from facepipe_gltf.writer import embedded, report_of, write_glb
 
@@ -267,6 +267,7 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
         placed, figure, added = _standing(shaped, humanoid, bool(missing))
     # without tangents, which readers compute: a VRM holds what every runtime reads
     document = write(replace(placed, animations=()), options.gltf, tangents=False)
+    meta, document = with_thumbnail(meta, document)
     tree = NodeTree(document.json)
     bones = _human_nodes(parts, document, tree, humanoid, figure, added)
     if EXTENSION in parts.vrm:
