@@ -15,7 +15,7 @@ from faces import tiny_face
 from gltf_builder import glb
 from node import validate, vrm_facts
 from vrm_export import exported, head
-from vrm_files import BONES, LICENSE, PICTURE, Person, avatar, former_avatar, root_of, said
+from vrm_files import BONES, LICENSE, PICTURE, Person, avatar, former_avatar, in_centimetres, root_of, said
 
 import facepipe
 from facepipe.core.errors import InputError
@@ -60,8 +60,9 @@ def test_every_field_comes_back_whatever_the_order_of_nodes(seed: int, tmp_path:
     assert not [one for one in vrm.validate(tmp_path / "out.vrm", khronos=False) if one.severity != "info"]
 
 
-def test_three_vrm_sees_the_same_avatar(tmp_path: Path) -> None:
-    through(avatar(1), tmp_path)
+@pytest.mark.parametrize("unit", ["metres", "centimetres"])
+def test_three_vrm_sees_the_same_avatar(unit: str, tmp_path: Path) -> None:
+    through(avatar(1) if unit == "metres" else in_centimetres(avatar(1)), tmp_path)
     before, after = (vrm_facts(tmp_path / name) for name in ("in.vrm", "out.vrm"))
     assert after == before
     assert before["meta"]["modification"]

@@ -433,3 +433,20 @@ def _as_newer(person: Person, vectors: list[list[float]]) -> Json:
         },
         "constraints": {},
     }
+
+
+def in_centimetres(data: bytes) -> bytes:
+    """The same avatar below an armature of Blender's kind: Z up and in centimetres."""
+    root, start = root_of(data), 28 + int.from_bytes(data[12:16], "little")
+    binary, nodes, half = bytearray(data[start:]), {one["name"]: one for one in root["nodes"]}, float(np.sqrt(0.5))
+    for name in (*BONES, *OTHERS):
+        nodes[name]["translation"] = [100.0 * one for one in nodes[name]["translation"]]
+    x, y, z = nodes["hips"]["translation"]
+    nodes["Armature"] |= {"scale": [0.01] * 3, "rotation": [-half, 0.0, 0.0, half]}
+    nodes["hips"] |= {"translation": [x, -z, y], "rotation": [half, 0.0, 0.0, half]}
+    nodes["Hat"]["scale"] = [100.0] * 3
+    view = root["bufferViews"][root["accessors"][root["skins"][0]["inverseBindMatrices"]]["bufferView"]]
+    place = slice(view["byteOffset"], view["byteOffset"] + view["byteLength"])
+    columns = np.frombuffer(bytes(binary[place]), "<f4").reshape(-1, 4, 4) * (100.0, 100.0, 100.0, 1.0)
+    binary[place] = columns.astype("<f4").tobytes()
+    return glb(root, bytes(binary))
