@@ -418,6 +418,7 @@ class FaceParts:
     attach_joint: str | None = None  # path of the body joint that the root joints hang under
     person: str | None = None  # the pose that is the person, where bone coefficients made it; None: the sliders' values
     attribution: str = ""  # copyright and license line that stays with the face
+    vrm: Mapping[str, object] = field(default_factory=dict)  # what a VRM says of its avatar, as JSON: names, no indices
     photos: tuple[PhotoView, ...] = ()
     recipe: Recipe | None = None
 

@@ -144,6 +144,16 @@ class Document:
     warnings: tuple[str, ...]
     dropped: tuple[str, ...]
     error_mm: float | None
+    places: Places
+
+
+class Places(NamedTuple):
+    """What the entries of a document are called on the face."""
+
+    meshes: tuple[str, ...]  # of the first nodes
+    targets: tuple[tuple[str, ...], ...]  # their morph targets: a shape, or ``<shape>_<inbetween>``
+    joints: dict[str, int]  # path -> node
+    materials: tuple[str | None, ...]
 
 
 def write(parts: FaceParts, options: Options, *, levels: Sequence[FaceParts] = (), tangents: bool = True) -> Document:
@@ -368,6 +378,15 @@ class _Writer:
                 *([uncolored] if self.uncolored else []),
             ),
             error_mm=self._error_mm(meshes),
+            places=self._places(meshes, skins),
+        )
+
+    def _places(self, meshes: Sequence[Baked], skins: Sequence[Json]) -> Places:
+        return Places(
+            meshes=tuple(baked.mesh.name for baked in meshes),
+            targets=tuple(tuple(sculpt.name for sculpt in baked.sculpts) for baked in meshes),
+            joints=dict(zip(self.parts.skeleton.joints, skins[0]["joints"], strict=True)) if skins else {},
+            materials=self.materials.names,
         )
 
     def _error_mm(self, meshes: Sequence[Baked]) -> float | None:

@@ -198,6 +198,9 @@ def dropped(parts: FaceParts, meshes: Sequence[Baked], options: Options, recorde
         lines.append(f"attach joint ({parts.attach_joint}): no joint of the file hangs below it")
     if parts.bone_limits is not None and kept.bone_limits is None:
         lines.append("bone limits")
+    if parts.vrm:
+        terms = "what VRM says of the avatar (terms, human bones, expressions ...)"
+        lines.append(f"{terms}: {'for other programs, ' if recorded else ''}only a .vrm holds it")
     if parts.recipe is not None and recorded is None:
         lines.append("recipe")
     if parts.animations and not options.animations:

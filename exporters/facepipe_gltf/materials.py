@@ -163,6 +163,11 @@ class MaterialWriter:
         self._by_name = {material.name: material for material in materials}
         self._surfaces: dict[tuple[str | None, tuple[str, ...], bool, bool], Surface] = {}
 
+    @property
+    def names(self) -> tuple[str | None, ...]:
+        """Of each material of the file the one of the face."""
+        return tuple(name for name, *_ in self._surfaces)
+
     def surface(self, name: str | None, mesh: Mesh) -> Surface:
         """The material `name` as `mesh` needs it; None is UsdPreviewSurface's default.
 

@@ -344,7 +344,7 @@ def blending_of(path: Path, folder: Path, server: Server) -> Blending | None:
     """
     from facepipe.hosting.live_blend import LiveBlend
 
-    live = None if path.suffix.lower() == ".glb" else LiveBlend.from_stage(path)
+    live = None if path.suffix.lower() in (".glb", ".vrm") else LiveBlend.from_stage(path)
     return None if live is None else Blending(path, live, folder, server)
 
 
@@ -419,7 +419,7 @@ def _entry(path: Path, onnx: Path | None, folder: Path, number: int, server: Ser
     else:
         if onnx is not None:
             raise InputError(onnx, f"is for a GLB, expected one in place of {path.name}")
-        parts = facepipe.open(path).parts()
+        parts = facepipe.read(path).parts()
         entry, files = write_assets(parts, path.name, folder / str(number), f"faces/{number}", pose)
     server.files |= files
     return entry

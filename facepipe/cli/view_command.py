@@ -28,7 +28,7 @@ _HOST = "view"
 
 def configure(parser: argparse.ArgumentParser, words: list[str]) -> None:
     """Add the arguments."""
-    parser.add_argument("face", type=Path, metavar="FACE", help="face stage or .glb")
+    parser.add_argument("face", type=Path, metavar="FACE", help="face stage, .glb or .vrm")
     parser.add_argument("other", type=Path, nargs="?", metavar="OTHER", help="another to compare it with")
     parser.add_argument("--onnx", type=Path, metavar="ONNX", help="sliders of a .glb, of `facepipe export --sliders`")
     parser.add_argument("--no-browser", action="store_true", help="open no browser, only print where the page is")

@@ -142,6 +142,25 @@ def check_values(where: object, data: bytes) -> None:
         raise InputError(where, f"more than {_MOST_VALUES} values")
 
 
+def check_json(where: object, value: object, levels: int) -> None:
+    """Check JSON of others before it is kept as text.
+
+    :raises InputError: deeper than `levels`, or text that UTF-8 can't hold
+    """
+    level: list[object] = [value]
+    for _ in range(levels):
+        try:
+            for text in level:
+                if isinstance(text, str):
+                    text.encode()
+        except UnicodeEncodeError:
+            raise InputError(where, "text with half a surrogate pair, expected Unicode") from None
+        inner = [one for one in level if isinstance(one, dict | list)]
+        level = [deeper for one in inner for deeper in ([*one, *one.values()] if isinstance(one, dict) else one)]
+    if level:
+        raise InputError(where, f"more than {levels} levels of JSON")
+
+
 def read_toml(path: Path, most: int) -> dict[str, Any]:
     """The TOML in a file of at most `most` bytes.
 

@@ -392,6 +392,7 @@ def renamed(parts: FaceParts, names: Mapping[str, str], where: object) -> FacePa
         animations=tuple(_animation_renamed(one, names, where) for one in parts.animations),
         sliders=tuple(_slider_renamed(one, names, where) for one in parts.sliders),
         slider_network=network and replace(network, shapes=_all(network.shapes, names)),
+        vrm=_of_binds(parts.vrm, names),
     )
 
 
@@ -421,6 +422,16 @@ def _slider_renamed(slider: Slider, names: Mapping[str, str], where: object) -> 
 def _moved_apart(where: object, by: str, one: str, other: str, name: str) -> InputError:
     what = f"the shapes '{one}' and '{other}' would both be called '{name}', but the {by} moves them differently"
     return InputError(where, f"{what}, expected two names")
+
+
+def _of_binds(vrm: Any, names: Mapping[str, str]) -> Any:
+    """What VRM says of an avatar, its expressions bound to shapes of the new names."""
+    if isinstance(vrm, Mapping):
+        return {
+            key: names.get(one, one) if key == "index" and isinstance(one, str) else _of_binds(one, names)
+            for key, one in vrm.items()
+        }
+    return [_of_binds(one, names) for one in vrm] if isinstance(vrm, list) else vrm
 
 
 def _check(where: object, kind: str, old: Sequence[str], new: Sequence[str]) -> None:

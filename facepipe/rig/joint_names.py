@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
-from facepipe.parts import Skeleton
+from facepipe.parts import FaceParts, Skeleton
 from facepipe.rig.conventions import shape_key
 
 _NAMES = {  # as `shape_key` has them
@@ -14,6 +15,15 @@ _NAMES = {  # as `shape_key` has them
     "Hips": ("hips", "hip", "pelvis", "下半身"),
 }
 _PREFIX = re.compile(r"^(mixamorig\d*|j_bip_c|bip\d*|def|org|cc_base|c|facial|face)[:_\- ]+", re.IGNORECASE)
+
+
+def human_joint(parts: FaceParts, part: str) -> int | None:
+    """The joint of a part of an avatar, as its VRM says, else as `joint_called`; None where there is none."""
+    found: object = parts.vrm
+    for key in ("VRMC_vrm", "humanoid", "humanBones", f"{part[:1].lower()}{part[1:]}", "node"):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    joints = parts.skeleton.joints
+    return joints.index(found) if isinstance(found, str) and found in joints else joint_called(parts.skeleton, part)
 
 
 def joint_called(skeleton: Skeleton, part: str) -> int | None:

@@ -39,9 +39,9 @@ def implausible(parts: FaceParts) -> tuple[str, ...]:
     found = [(mesh.landmarks[_SCHEME].indices, mesh.name) for mesh in parts.meshes if _SCHEME in mesh.landmarks]
     marks = next((by_mesh[name][indices] for indices, name in found if len(indices) == _COUNT), None)
     if marks is None:
-        from facepipe.rig.joint_names import joint_called  # with tables of names that a face with landmarks needs not
+        from facepipe.rig.joint_names import human_joint  # with tables of names that a face with landmarks needs not
 
-        head, hips = joint_called(parts.skeleton, "Head"), joint_called(parts.skeleton, "Hips")
+        head, hips = human_joint(parts, "Head"), human_joint(parts, "Hips")
         if head is not None and hips is not None and len(points):
             places = rig.joint_worlds(rig.rest)[:, :3, 3]
             return _avatar(places[head], places[hips], points, unit, parts.up_axis)

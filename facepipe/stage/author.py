@@ -26,6 +26,7 @@ from facepipe.stage.skeleton import (
     author_skeleton,
     author_source,
     author_time_range,
+    vrm_text,
 )
 from facepipe.stage.sliders import author_slider_network, author_sliders, check_face_network, check_sliders
 from facepipe.stage.textures import TextureFolder, texture_home
@@ -76,6 +77,7 @@ def author(parts: FaceParts, textures: dict[str, str] | None = None) -> Usd.Stag
         (tokens.ATTRIBUTION, parts.attribution),
         (tokens.ATTACH_JOINT, parts.attach_joint),
         (tokens.PERSON, parts.person),
+        (tokens.VRM, vrm_text(parts.vrm)),
         (tokens.VERSION, __version__),
     ):
         if value:

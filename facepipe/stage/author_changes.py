@@ -26,7 +26,7 @@ from facepipe.stage.face import Face
 from facepipe.stage.photos import author_photo_changes, check_photos, is_photo
 from facepipe.stage.prims import check_property_name, editable, prims_below, put, put_value, remove_schema
 from facepipe.stage.read_mesh import read_point_values
-from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe
+from facepipe.stage.skeleton import author_animation_changes, author_limits, author_recipe, vrm_text
 from facepipe.stage.sliders import author_network_change, author_sliders, check_face_network, check_sliders
 from facepipe.stage.values import matrix, require_same, same, to_matrices
 
@@ -243,12 +243,13 @@ def _author_slider_changes(prim: Usd.Prim, old: Sequence[Slider], new: Sequence[
 
 
 def _author_text_changes(prim: Usd.Prim, old: FaceParts, new: FaceParts) -> tuple[str, ...]:
-    """Author on the face prim attribution, attach joint, person and recipe where they differ; a line for each."""
+    """Author on the face prim attribution, attach joint, person, VRM and recipe where they differ; a line for each."""
     lines = []
     for name, line, before, after in (
         (tokens.ATTRIBUTION, "attribution", old.attribution, new.attribution),
         (tokens.ATTACH_JOINT, "attach joint", old.attach_joint or "", new.attach_joint or ""),
         (tokens.PERSON, "person", old.person or "", new.person or ""),
+        (tokens.VRM, "what VRM says of the avatar", vrm_text(old.vrm), vrm_text(new.vrm)),
     ):
         if before != after:
             put_value(prim, name, after)

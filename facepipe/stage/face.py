@@ -35,7 +35,7 @@ from facepipe.stage.files import check_units, level_names, open_stage, over, sta
 from facepipe.stage.materials import Images, author_texture, read_material, textures_of
 from facepipe.stage.prims import INSTANCES, check_kinds, distinct_names, editable, is_applied, prims_below
 from facepipe.stage.read_mesh import Binding, read_mesh, read_point_values
-from facepipe.stage.skeleton import author_source, read_animation, read_limits, read_recipe, read_skeleton
+from facepipe.stage.skeleton import author_source, read_animation, read_limits, read_recipe, read_skeleton, read_vrm
 from facepipe.stage.sliders import check_face_network, read_slider_network, read_sliders
 from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe.stage.values import errors_below, usd_errors
@@ -248,6 +248,7 @@ class Face:
         with errors_below(self.where):
             limits = read_limits(self._skeleton_prim, len(self.skeleton.joints))
             recipe = read_recipe(self.prim)
+            vrm = read_vrm(self.prim)
         parts = FaceParts(  # without levels, which are faces of their own
             name=self.name,
             meters_per_unit=self.meters_per_unit,
@@ -264,6 +265,7 @@ class Face:
             attach_joint=self.attach_joint,
             person=self._text(tokens.PERSON) or None,
             attribution=self._text(tokens.ATTRIBUTION),
+            vrm=vrm,
             photos=self.photos,
             recipe=recipe,
         )

@@ -34,7 +34,7 @@ from facepipe.stage.foreign_scene import (
 )
 from facepipe.stage.prims import distinct_names, inherited_attribute, inherited_skeleton
 from facepipe.stage.read_mesh import Binding, read_mesh
-from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton
+from facepipe.stage.skeleton import read_animation, read_limits, read_skeleton, read_vrm, vrm_text
 from facepipe.stage.sliders import read_slider_network, read_sliders
 from facepipe.stage.uv_transforms import with_baked_uvs
 from facepipe.stage.values import errors_below, floats, matrices, reads_prim, to_floats, to_matrices
@@ -285,11 +285,22 @@ def _parts(scene: Scene, meshes: list[Usd.Prim], prim: Usd.Prim | None) -> FaceP
         materials=materials,
         attach_joint=hung[0] if hung else None,
         attribution="; ".join(_texts(scene, tokens.ATTRIBUTION)),
+        vrm=_avatar(scene),
     )
     whole, named = with_motion(with_baked_uvs(parts), scene.moving, meshes, prim)
     for line in named:
         scene.warn(line)
     return whole
+
+
+def _avatar(scene: Scene) -> dict[str, object]:
+    """What VRM says of the first avatar that is read; empty where there is none."""
+    prims = list(_prims(scene))
+    found = [_sound(scene, "what VRM says of the avatar", read_vrm, prim) for prim in prims]
+    avatars = {vrm_text(one): prim for one, prim in zip(found, prims, strict=True) if one}
+    if len(avatars) > 1:
+        scene.warn("what VRM says of an avatar left out: that of another is kept", list(avatars.values())[1:])
+    return next((one for one in found if one), {})
 
 
 def _animations(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from facepipe.core import tokens
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError, SchemaError, TopologyError
-from facepipe.core.reading import check_values
+from facepipe.core.reading import check_json, check_values
 from facepipe.parts import Animation, BoneLimits, Recipe, Skeleton
 from facepipe.rig.animation import local_transforms
 from facepipe.rig.trs import decompose
@@ -42,6 +42,7 @@ from facepipe.stage.values import (
     to_vec3h,
 )
 
+VRM_LEVELS = 16  # of JSON
 _ATTRIBUTES: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "joints": ("joints", list),
     "translations": ("translations", to_vec3f),
@@ -171,6 +172,33 @@ def read_recipe(prim: Usd.Prim) -> Recipe | None:
         options=options,
         version=str(prim.GetAttribute(tokens.RECIPE_VERSION).Get() or ""),
     )
+
+
+@reads_prim
+def read_vrm(prim: Usd.Prim) -> dict[str, object]:
+    """What VRM says of the avatar that the face prim is; empty for most faces.
+
+    :raises SchemaError: no JSON object
+    :raises InputError: one of more levels than any avatar has
+    """
+    text = str(prim.GetAttribute(tokens.VRM).Get() or "")
+    if not text:
+        return {}
+    where = f"{prim.GetPath()}.{tokens.VRM}"
+    check_values(where, text.encode())
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise SchemaError(where, "no JSON object, expected one")
+    check_json(where, found, VRM_LEVELS)
+    return found
+
+
+def vrm_text(vrm: Mapping[str, object]) -> str:
+    """The text that the face prim has of it; empty for none."""
+    return json.dumps(dict(vrm), sort_keys=True, ensure_ascii=False) if vrm else ""
 
 
 def author_skeleton(stage: Usd.Stage, path: Sdf.Path, skeleton: Skeleton) -> UsdSkel.Skeleton:

@@ -87,8 +87,9 @@ def test_bones_that_are_missing_are_named_and_nothing_is_written(
         "DEF-spine DEF-spine.001 DEF-spine.002 DEF-spine.003 DEF-spine.004 DEF-spine.006 DEF-shoulder.{L} "
         "DEF-upper_arm.{L} DEF-forearm.{L} DEF-hand.{L} DEF-thigh.{L} DEF-shin.{L} DEF-foot.{L} DEF-toe.{L} "
         "DEF-eye.{L}",
+        "センター 上半身 上半身2 上半身3 首 頭 {J}肩 {J}腕 {J}ひじ {J}手首 {J}足 {J}ひざ {J}足首 {J}つま先 {J}目",
     ],
-    ids=["mixamo", "mixamo namespace", "vroid", "unreal", "rigify"],
+    ids=["mixamo", "mixamo namespace", "vroid", "unreal", "rigify", "mmd"],
 )
 def test_joints_are_known_by_the_names_of_their_convention(names: str) -> None:
     expected = ["hips", "spine", "chest", "upperChest", "neck", "head"]
@@ -96,7 +97,8 @@ def test_joints_are_known_by_the_names_of_their_convention(names: str) -> None:
     joints = []
     for side in ("Left", "Right"):
         expected += [f"{side.lower()}{part}" for part in parts]
-        joints += [word.format(side, L=side[0], l=side[0].lower()) for word in names.split()]
+        japanese = {"Left": "左", "Right": "右"}[side]
+        joints += [word.format(side, L=side[0], l=side[0].lower(), J=japanese) for word in names.split()]
     found = bones_of(list(dict.fromkeys(joints)))
     assert set(found) == set(expected)
     assert [found[bone] for bone in expected] == list(range(len(expected)))
@@ -208,7 +210,8 @@ def test_scales_that_vrm_does_not_have_are_named(tmp_path: Path) -> None:
     parts = standing()
     rest = np.array(parts.skeleton.rest_transforms)
     rest[parts.skeleton.names.index("mixamorig:LeftHand"), 1, 1] = 1.5
-    report = exported(replace(parts, skeleton=replace(parts.skeleton, rest_transforms=rest)), tmp_path / "head.vrm")
+    uneven = replace(parts, skeleton=replace(parts.skeleton, rest_transforms=rest))
+    report = exported(uneven, tmp_path / "head.vrm", stub_body=False)
     assert [line for line in report.warnings if line.startswith("mixamorig:LeftHand: scaled unevenly")]
     findings = vrm.validate(tmp_path / "head.vrm", khronos=False)
     assert [finding.check for finding in findings if finding.severity != "info"] == ["facepipe:VrmScales"]

@@ -28,6 +28,7 @@ import rebuild_project
 import rebuild_stages
 import scan_domes
 import slider_tables
+import vrm_files
 from blender_texts import TextBlock
 from bone_faces import save_sources
 from faces import clipped_face, tiny_face
@@ -58,6 +59,7 @@ from facepipe.scanning.database import DatabaseOptions, create_database, save_da
 from facepipe.stage import save_parts
 
 Rng = random.Random
+TERMS = ("--authors", "A. Author", "--license-url", "https://vrm.dev/licenses/1.0/")
 
 
 def change(name: str, how: Callable[[Rng, bytes], bytes], rng: Rng) -> None:
@@ -515,7 +517,39 @@ def damage_gltf(rng: Rng, part: str) -> list[Line]:
             binary = damage.damaged_bytes(rng, binary)
         data = glb(root, binary)
     path.write_bytes(data)
-    return [rng.choice([["import", "gltf", path.name, "out.usda"], ["validate", path.name]])]
+    lines = [["import", "gltf", path.name, "out.usda"], ["validate", path.name]]
+    return [rng.choice(lines + ([["export", path.name, "-o", "out.vrm", *TERMS]] if path.suffix == ".vrm" else []))]
+
+
+def put_avatar(data: Callable[[int], bytes]) -> Callable[[], None]:
+    def put() -> None:
+        Path("face.vrm").write_bytes(data(5))
+
+    return put
+
+
+def put_kept() -> None:
+    """A stage that keeps what a VRM says."""
+    Path("face.vrm").write_bytes(vrm_files.avatar(5))
+    assert main(["import", "gltf", "face.vrm", "face.usda"]) == 0
+    Path("face.vrm").unlink()
+
+
+def damage_avatar(rng: Rng, part: str) -> list[Line]:
+    """A damaged file, or one of its extensions in a stage that keeps them."""
+    if not Path("face.usda").is_file():
+        return damage_gltf(rng, part)
+    from pxr import Sdf, Tf
+
+    layer = Sdf.Layer.FindOrOpen("face.usda")
+    spec = layer.GetAttributeAtPath(f"/{layer.defaultPrim}.facepipe:vrm")
+    text = damage.damaged_json(rng, spec.default.encode())
+    with contextlib.suppress(Tf.ErrorException, TypeError, ValueError):
+        spec.default = text.decode("utf-8", "replace").replace("\0", "")
+    layer.Save()
+    del layer, spec
+    line = ["export", "face.usda", "-o", "out.vrm", *TERMS]
+    return [rng.choice([line] * 4 + [["export", "face.usda", "-o", "out.glb"], ["inspect", "face.usda"]])]
 
 
 def put_foreign_gltf() -> None:
@@ -1098,9 +1132,12 @@ FORMATS: dict[str, Format] = {
     "files of others": Format({"gltf": put_foreign_gltf, "usda": put_foreign_stage}, damage_foreign),
     "vrm": Format(
         {
-            "vrm": put_gltf(".vrm", "--stub-body", "--authors", "me", "--license-url", "https://vrm.dev/licenses/1.0/"),
+            "vrm": put_gltf(".vrm", "--stub-body", *TERMS),
+            "avatar": put_avatar(vrm_files.avatar),
+            "former": put_avatar(lambda seed: vrm_files.former_avatar(seed)[0]),
+            "kept": put_kept,
         },
-        damage_gltf,
+        damage_avatar,
     ),
     "obj": Format({"shapes": put_obj}, damage_obj),
     "ply": Format(

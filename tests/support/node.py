@@ -64,6 +64,12 @@ def vrm_load(file: Path, poses: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return answer
 
 
+def vrm_facts(file: Path) -> dict[str, Any]:
+    """What three-vrm knows of the avatar in a .vrm (tests/support/js/vrm_facts.mjs)."""
+    facts: dict[str, Any] = run_node("vrm_facts.mjs", [str(file)])
+    return facts
+
+
 def three_play(file: Path, clip: str, times: Sequence[float], out: Path) -> tuple[dict[str, Any], np.ndarray]:
     """What three.js shows of an animation: its meshes, and (times, vertices, 3) world positions, kept in `out`."""
     request = json.dumps({"clip": clip, "times": list(times)})

@@ -10,5 +10,5 @@ if TYPE_CHECKING:
 else:
     __getattr__, __dir__ = lazy(__name__)
 
-SUFFIXES = (".glb", ".gltf")
+SUFFIXES = (".glb", ".gltf", ".vrm")
 __all__ = ["SUFFIXES", "Options", "read"]

@@ -44,6 +44,11 @@ _SUPPORTED_EXTENSIONS = frozenset(
         BASIS,  # its textures are named and left out: they alone are lost
         DRACO,
         MESHOPT,
+        "VRM",
+        "VRMC_node_constraint",
+        "VRMC_springBone",
+        "VRMC_springBone_extended_collider",
+        "VRMC_vrm",
         "KHR_mesh_quantization",
         "KHR_texture_transform",
         "KHR_materials_clearcoat",

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,10 @@ from facepipe_gltf.read.primitives import Geometry
 from facepipe_gltf.read.record import filled, read_record, resampled
 from facepipe_gltf.read.skins import Joints, Nodes, read_joints, read_nodes
 
+if TYPE_CHECKING:
+    from facepipe_gltf.read.vrm import Avatar
+
+_AVATARS = {"VRM", "VRMC_vrm", "VRMC_springBone", "VRMC_node_constraint"}  # extensions
 _KINDS = ("scenes", "nodes", "meshes", "skins", "animations", "materials", "textures", "images", "samplers", "cameras")
 _READ = ("facepipe", "targetNames")  # keys of extras
 _NEAREST = (9728, 9984, 9986)  # texture filters
@@ -195,25 +199,61 @@ def _parts(document: Document, source: Path, options: Options) -> FaceParts:
     record = read_record(document) if options.weld else None
     if record is not None:
         try:
-            read = _read(document, source, options, recorded=True)
+            found = _read(document, source, options, recorded=True)
             if options.fps is not None:
-                record = resampled(record, read)
-            face = filled(document, record, read)
+                record = resampled(record, found.parts)
+            face = found.as_avatar(document, filled(document, record, found.parts))
             _note_losses(document, ours=True)
             recipe = import_recipe("gltf", {source: document.files}, options)
             made = None if face.recipe is None else asdict(face.recipe)
             return replace(face, recipe=replace(recipe, options={**recipe.options, "made": made}))
         except InputError as error:
             document.warn(error.where, f"{error.what}: what glTF has no place for is left out")
-    face = _read(document, source, options)
+    found = _read(document, source, options)
     _note_losses(document, ours=False)
-    return face
+    return found.as_avatar(document, found.parts)
 
 
-def _read(document: Document, source: Path, options: Options, *, recorded: bool = False) -> FaceParts:
+class _Found(NamedTuple):
+    """What a document shows, and what it says of it as an avatar."""
+
+    parts: FaceParts
+    avatar: Avatar | None
+    joints: Joints
+    assembly: Assembly
+
+    def as_avatar(self, document: Document, face: FaceParts) -> FaceParts:
+        """The face, as read or from our record, with what the document says of its avatar."""
+        if self.avatar is None:
+            return face
+        from facepipe_gltf.read.vrm import Places
+
+        places = Places(
+            joints=dict(self.joints.of_node),
+            meshes={node: number for number, node in enumerate(self.assembly.shown)},
+            parts=self.parts,
+            roles=self.assembly.roles,
+            materials=self.assembly.materials[:-1],
+            stubs=self.assembly.recorded,
+        )
+        return self.avatar.on(document, face, places)
+
+
+def _avatar(document: Document, nodes: Nodes) -> Avatar | None:
+    extensions = document.root.get_or("extensions", {}).member_names()
+    used = [name.data for name in document.root.get_or("extensionsUsed", []).items()]
+    if _AVATARS.isdisjoint([*extensions, *used]):
+        return None
+    from facepipe_gltf.read.vrm import read_avatar  # which no other file needs
+
+    return read_avatar(document, nodes)
+
+
+def _read(document: Document, source: Path, options: Options, *, recorded: bool = False) -> _Found:
     """:param recorded: leave meshes where the file has them, as our record does the rest"""
     nodes = read_nodes(document, options.scene)
-    joints = read_joints(document, nodes)
+    avatar = _avatar(document, nodes)
+    joints = read_joints(document, nodes, () if avatar is None or recorded else tuple(avatar.joints))
     materials = material_names(document)  # the last stands for none
     assembly = Assembly(document, nodes, joints, materials, options.weld, recorded)
     meshes = assembly.meshes()
@@ -239,7 +279,7 @@ def _read(document: Document, source: Path, options: Options, *, recorded: bool 
         attribution=" ".join(document.root.require("asset").get_or("copyright", "").text().split()),
         recipe=import_recipe("gltf", {source: document.files}, options),
     )
-    return parts if recorded else with_baked_uvs(parts)
+    return _Found(parts if recorded else with_baked_uvs(parts), avatar, joints, assembly)
 
 
 def _shapes_apart(

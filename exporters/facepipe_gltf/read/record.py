@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
+from facepipe.core.reading import check_json
 from facepipe.geometry.polygons import point_normals, triangulate
 from facepipe.parts import Animation, Blendshape, FaceParts, Inbetween, Mesh, Skeleton, UvSet
 from facepipe.rig.animation import local_transforms
@@ -33,6 +34,7 @@ from facepipe_gltf.record_format import (
 _SAME = 1e-4  # of the skeleton's size: what float32 and a warning tool's digits may cost
 _NEAR = 2e-4  # seconds: what is nearer is one key
 _NOISE = 5e-7  # what float32 leaves of a coefficient at rest
+_VRM_LEVELS = 16  # as of a stage
 _UNIT = 2e-7  # a direction this near to length 1 has it in float32
 
 
@@ -150,6 +152,7 @@ def filled(document: Document, record: Record, read: FaceParts) -> FaceParts:
     :raises InputError: the file does not fit the record
     """
     face = record.face
+    check_json("facepipe", face.vrm, _VRM_LEVELS)
     counts = [len(read.meshes), len(face.meshes), len(record.meshes)]
     if len(set(counts)) > 1:
         raise _misfit(f"{counts[0]} meshes, expected {counts[1]}")

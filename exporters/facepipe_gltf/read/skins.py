@@ -202,9 +202,10 @@ def _rigid_nodes(document: Document, nodes: Nodes, joints: set[int]) -> list[int
     return [node for node in nodes.order if node in moved - joints and carries[node]]
 
 
-def read_joints(document: Document, nodes: Nodes) -> Joints:
+def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) -> Joints:
     """The skeleton of all skins, and of nodes that animations move.
 
+    :param more: nodes that are joints too, whether a skin lists them or not
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
     """
     values = document.entries("skins")
@@ -220,7 +221,7 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     skinned = [node for skin in listed for node in skin]
     rigid = _rigid_nodes(document, nodes, {*skinned})
-    order = _parent_first(nodes, [*skinned, *rigid])
+    order = _parent_first(nodes, [*skinned, *rigid, *more])
     of_node = {node: joint for joint, node in enumerate(order)}
     # parent joint of every joint, -1 for roots, and the matrices of the nodes between
     parents: list[int] = []
@@ -241,6 +242,10 @@ def read_joints(document: Document, nodes: Nodes) -> Joints:
         skins.append(_bind(document, value, slots, inverses, worlds, binds, twins))
     binds |= {of_node[node]: nodes.worlds[node] for node in rigid}
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
+    for joint, parent in enumerate(parents):  # bound by no skin: as they rest below those that are
+        if joint not in binds:
+            at_rest = rest[joint] if parent < 0 else binds[parent] @ rest[joint]
+            binds[joint] = at_rest if abs(np.linalg.det(at_rest)) > 1e-30 else identity()
     siblings: dict[int, Names] = {}
     paths: list[str] = []
     given = [given_name(nodes.values[node]) for node in order]

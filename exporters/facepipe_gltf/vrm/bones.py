@@ -65,11 +65,11 @@ _NEEDS_PARENT = frozenset(  # exist only where the bone above them does
     + [f"{side}{finger}{link}" for side in SIDES for finger, links in _FINGERS.items() for link in links[1:]]
 )
 _TABLE = Path(__file__).with_name("joint_names.toml")
-_BREAKS = re.compile(r"[^A-Za-z0-9]+|(?<=[a-z0-9])(?=[A-Z])")
+_BREAKS = re.compile(r"[\W_]+|(?<=[a-z0-9])(?=[A-Z])|(?<=[左右])|(?=[左右])")
 _PREFIX = re.compile(r"mixamorig\d*|j|bip|adj|def|org|facial|c")
 _FEWEST = 3
 _ROOT = "root"
-_SIDE = {"l": "left", "left": "left", "r": "right", "right": "right"}
+_SIDE = {"l": "left", "left": "left", "左": "left", "r": "right", "right": "right", "右": "right"}
 
 
 def above(bone: str, present: Container[str]) -> str | None:
@@ -184,11 +184,12 @@ class Humanoid:
     unfit: tuple[str, ...]  # joints with the name of a bone that they can't be, a line each
 
 
-def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
+def humanoid_of(parts: FaceParts, given: str, kept: Mapping[str, int] | None = None) -> Humanoid:
     """The human bones of a face, by the names of its joints and those `given` (``BONE=JOINT,...``).
 
     A face that no mesh is skinned to has none: its joints are not in the file.
 
+    :param kept: bones that the face came with (to numbers of joints), which count instead of names
     :raises InputError: a bone or joint that isn't there, or a required bone below another than VRM has it
     """
     joints = parts.skeleton.joints
@@ -196,8 +197,11 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
     if not any(mesh.skin is not None and len(mesh.face_vertex_counts) for mesh in parts.meshes):
         if wanted:
             raise InputError("option bones", "no mesh is skinned to the face's joints, expected none")
+        if kept:
+            raise InputError(parts.name, "no mesh is skinned to the human bones of its VRM, expected one")
         return Humanoid({}, ())
-    named = {bone: joint for bone, joint in bones_of(parts.skeleton.names).items() if joint not in wanted.values()}
+    own = bones_of(parts.skeleton.names) if kept is None else kept
+    named = {bone: joint for bone, joint in own.items() if joint not in wanted.values()}
     bones = named | wanted
     above = {joint: int(parent) for joint, parent in enumerate(parts.skeleton.parents) if parent >= 0}
     unfit = []
@@ -211,7 +215,9 @@ def humanoid_of(parts: FaceParts, given: str) -> Humanoid:
             raise InputError(where, f"is the {wrong.bone}, {below}, expected {due} (option bones names other joints)")
         unfit.append(f"{joints[bones[drop]]} is not the {drop}: it hangs elsewhere in the tree than VRM requires")
         del bones[drop]
-    if "head" not in bones and (own := [bone for bone in bones if bone in TORSO]):
-        problem = f"no joint is named like a head, but {', '.join(own)} are there, expected head=JOINT in option bones"
+    if "head" not in bones and (torso := [bone for bone in bones if bone in TORSO]):
+        problem = (
+            f"no joint is named like a head, but {', '.join(torso)} are there, expected head=JOINT in option bones"
+        )
         raise InputError(f"{parts.name} -> {parts.skeleton.name}", problem)
     return Humanoid(bones, tuple(unfit))

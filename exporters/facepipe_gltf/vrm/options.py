@@ -33,6 +33,18 @@ _CHOICES = {
     "creditNotation": ("required", "unnecessary"),
     "modification": ("prohibited", "allowModification", "allowModificationRedistribution"),
 }
+STRICTEST = {  # what holds where a file doesn't say (meta.md)
+    "avatarPermission": "onlyAuthor",
+    "allowExcessivelyViolentUsage": False,
+    "allowExcessivelySexualUsage": False,
+    "commercialUsage": "personalNonProfit",
+    "allowPoliticalOrReligiousUsage": False,
+    "allowAntisocialOrHateUsage": False,
+    "creditNotation": "required",
+    "allowRedistribution": False,
+    "modification": "prohibited",
+}
+_OWN = ("name", "version")  # no terms: who changes a model may call it otherwise
 _OTHERS = ("extensions", "extras", "thumbnailImage")
 _FIELDS = (*_TEXTS, *_LISTS, *_FLAGS, *_CHOICES, *_OTHERS)
 _LARGEST = 1 << 20  # bytes
@@ -63,29 +75,27 @@ class Options:
         return GltfOptions(shapes=self.shapes, morph_normals=self.morph_normals)
 
 
-def meta_of(options: Options, name: str, attribution: str) -> Json:
+def meta_of(options: Options, name: str, attribution: str, kept: Json | None = None) -> Json:
     """The meta of a model: of the options, of their file, and of the face's attribution.
 
     :param name: what the model is called where the file doesn't say
-    :raises InputError: no licence, no authors, or a field that VRM doesn't have or takes otherwise
+    :param kept: the terms that a face of a VRM came with: options add to them, and change none
+    :raises InputError: no licence, no authors, a field that VRM doesn't have or takes otherwise, or another term than
+        the face came with
     """
     meta: Json = {"name": name}
-    if attribution:
+    if attribution and "authors" not in (kept or {}):
         meta |= {"authors": [attribution], "copyrightInformation": attribution}
-    if options.meta is not None:
-        given: Json = read_json_object(options.meta, _LARGEST)
-        if "thumbnailImage" in given:
-            problem = "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
-            raise InputError(options.meta, problem)
-        for field, fault in _faults(given):
-            raise InputError(f"{options.meta} -> {field}", fault)
-        meta |= given
-    # flags take precedence over the file, and the file over the face: who exports knows best
-    authors = [one.strip() for one in options.authors.split(",") if one.strip()]
-    if authors:
-        meta["authors"] = authors
-    if options.license_url:
-        meta["licenseUrl"] = options.license_url
+    meta |= kept or {}
+    given = _given(options)
+    # a field that is not there has a value too, the strictest: another would be looser
+    standing = {} if kept is None else STRICTEST | kept
+    for field, value in given.items():
+        if field not in _OWN and field in standing and standing[field] != value:
+            where = f"option {field if options.meta is None or field == 'authors' else 'meta'}"
+            terms = f"{field} is {json.dumps(standing[field], ensure_ascii=False)[:80]}"
+            raise InputError(where, f"{json.dumps(value)[:60]}, but the terms that the face came with say: {terms}")
+    meta |= given
     if "authors" not in meta:
         raise InputError("option authors", "not given and the face has no attribution, expected a name")
     if "licenseUrl" not in meta:
@@ -97,6 +107,26 @@ def meta_of(options: Options, name: str, attribution: str) -> Json:
     return meta
 
 
+def _given(options: Options) -> Json:
+    """The fields of meta that the options and their file say."""
+    meta: Json = {}
+    if options.meta is not None:
+        given: Json = read_json_object(options.meta, _LARGEST)
+        if "thumbnailImage" in given:
+            problem = "thumbnailImage is the number of an image in a file, expected none: this makes no thumbnail"
+            raise InputError(options.meta, problem)
+        for field, what in _faults(given):
+            raise InputError(f"{options.meta} -> {field}", what)
+        meta |= given
+    # flags take precedence over the file, and the file over the face: who exports knows best
+    authors = [one.strip() for one in options.authors.split(",") if one.strip()]
+    if authors:
+        meta["authors"] = authors
+    if options.license_url:
+        meta["licenseUrl"] = options.license_url
+    return meta
+
+
 def problems(meta: Json) -> list[tuple[str, str]]:
     """Errors of a meta object: field and message."""
     lacking = [(one, "is missing, expected one") for one in ("name", "authors", "licenseUrl") if one not in meta]
@@ -105,8 +135,14 @@ def problems(meta: Json) -> list[tuple[str, str]]:
 
 def _faults(meta: Json) -> list[tuple[str, str]]:
     """Fields with values that VRM doesn't take, and a message on each."""
-    found = {field: _expected(field, value) for field, value in meta.items()}
-    return [(field, f"{json.dumps(meta[field])[:60]}, expected {what}") for field, what in found.items() if what]
+    found = [(field, fault(field, value)) for field, value in meta.items()]
+    return [(field, what) for field, what in found if what is not None]
+
+
+def fault(field: str, value: Any) -> str | None:
+    """A message on a field of meta that VRM doesn't have or takes otherwise; None where it is right."""
+    what = _expected(field, value)
+    return None if what is None else f"{json.dumps(value)[:60]}, expected {what}"
 
 
 def _expected(field: str, value: Any) -> str | None:

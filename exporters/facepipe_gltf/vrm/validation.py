@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from facepipe.core.errors import InputError
 from facepipe.core.reports import Finding
 from facepipe.records import Json
 from facepipe_gltf.mesh_validation import Problem, primitives_of, targets
@@ -23,10 +25,12 @@ from facepipe_gltf.raw import (
     path_above,
     world_matrices,
 )
+from facepipe_gltf.read.values import Value
 from facepipe_gltf.validation import CHECKS, judged
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
 from facepipe_gltf.vrm.options import EXTENSION, problems
+from facepipe_gltf.vrm_format import CONSTRAINT, SPRINGS, VERSION, converted
 
 _LEVEL = 0.26  # sine of 15 degrees, by which arms held out may be off
 _UNIFORM = 1e-4
@@ -162,6 +166,68 @@ def _look_at(document: RawDocument, vrm: Json) -> Iterator[Problem]:
             yield f"{where}/{name}", "expected inputMaxValue and outputScale"
 
 
+class _Checked:
+    """References within a document; `found` gets what is wrong."""
+
+    def __init__(self, document: RawDocument) -> None:
+        self._document = document
+        self.found: list[Problem] = []
+
+    def joint(self, value: Value) -> int:
+        if self._document.item("nodes", value.data) is None:
+            raise value.error(f"{str(value.data)[:40]}, expected a node")
+        return value.integer()
+
+    def mesh(self, value: Value) -> int:
+        if "mesh" not in (self._document.item("nodes", value.data) or {}):
+            raise value.error(f"{str(value.data)[:40]}, expected a node with a mesh")
+        return value.integer()
+
+    def target(self, mesh: Value, value: Value) -> int:
+        return value.integer()
+
+    def materials(self, value: Value) -> list[int]:
+        return [value.integer()]
+
+    def image(self, value: Value) -> int:
+        return value.integer()
+
+    def left_out(self, problem: InputError) -> None:
+        self.found.append((re.sub(r"[.\[\]]+", "/", str(problem.where)).rstrip("/"), problem.what))
+
+
+def _read(document: RawDocument, name: str, data: object, where: str) -> Iterator[Problem]:
+    """What is wrong with an extension by the table of its fields."""
+    links = _Checked(document)
+    try:
+        converted(name, Value(data, where), links)
+    except InputError as problem:
+        links.left_out(problem)
+    yield from links.found
+
+
+def _first_person(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """Annotations name nodes with meshes."""
+    if "firstPerson" in vrm:
+        own = {"specVersion": VERSION, "firstPerson": vrm["firstPerson"]}
+        yield from _read(document, EXTENSION, own, f"/extensions/{EXTENSION}")
+
+
+def _springs(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """Springs, colliders and their groups name nodes and each other."""
+    extensions = as_object(document.json.get("extensions"))
+    if SPRINGS in extensions:
+        yield from _read(document, SPRINGS, extensions[SPRINGS], f"/extensions/{SPRINGS}")
+
+
+def _constraints(document: RawDocument, vrm: Json) -> Iterator[Problem]:
+    """Constraints name nodes as their sources."""
+    for number, node in enumerate(document.items("nodes")):
+        extensions = as_object(node.get("extensions"))
+        if CONSTRAINT in extensions:
+            yield from _read(document, CONSTRAINT, extensions[CONSTRAINT], f"/nodes/{number}/extensions/{CONSTRAINT}")
+
+
 def _human_bones(vrm: Json) -> dict[str, Any]:
     """Bone -> its node in the file, unchecked."""
     bones = as_object(as_object(vrm.get("humanoid")).get("humanBones"))
@@ -176,4 +242,7 @@ _CHECKS: tuple[tuple[str, Callable[..., Iterator[Problem]], Literal["error", "wa
     ("VrmPose", _pose, "warning"),
     ("VrmExpressions", _expressions, "error"),
     ("VrmLookAt", _look_at, "error"),
+    ("VrmFirstPerson", _first_person, "error"),
+    ("VrmSpringBones", _springs, "error"),
+    ("VrmConstraints", _constraints, "error"),
 )

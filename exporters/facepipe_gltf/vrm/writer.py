@@ -18,13 +18,14 @@ from facepipe.core.names import first_names
 from facepipe.core.reports import ExportReport
 from facepipe.parts import FaceParts, HasParts
 from facepipe.records import Json
-from facepipe.rig import set_face
+from facepipe.rig import build, set_face
 from facepipe.rig.trs import decompose, rest_worlds
 from facepipe_gltf.document import Document, write
 from facepipe_gltf.placement import numbers, place, space_of
 from facepipe_gltf.raw import local_matrix, path_above
 from facepipe_gltf.vrm.bones import REQUIRED, SIDES, TORSO, Humanoid, humanoid_of, misplaced
 from facepipe_gltf.vrm.expressions import Expressions, expressions_of, table, with_slider_shapes
+from facepipe_gltf.vrm.kept import kept_bones, kept_meta, kept_stubs, with_thumbnail, write_back
 from facepipe_gltf.vrm.options import EXTENSION, Options, meta_of
 from facepipe_gltf.writer import embedded, report_of, write_glb
 
@@ -37,6 +38,7 @@ _LEG_OUT = 0.055
 _HEADS = 6.0  # head heights in a person's height where no landmark says where the chin is: heads come with their necks
 _SCHEME, _MARKS, _CHIN_MARK, _RIGHT_EYE, _LEFT_EYE = "multipie68", 68, 8, slice(36, 42), slice(42, 48)
 _QUARTER = math.pi / 2
+_BODY_PROPORTION = 3.0
 _UNIFORM = 1e-4
 _RANGE_FIELDS = {
     "rangeMapHorizontalInner": "inner",
@@ -240,40 +242,33 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
     :raises InputError: no licence or authors, or bones that the face lacks and may not get
     :raises ExportError: a face that glTF can't hold
     """
-    meta = meta_of(options, name, parts.attribution)
-    humanoid = humanoid_of(parts, options.bones)
+    meta = meta_of(options, name, parts.attribution, kept_meta(parts))
+    humanoid = _humanoid(parts, options)
     missing = _missing([*humanoid.bones])
-    if missing and not options.stub_body:
-        what = f"no joints for {len(missing)} of the 15 human bones that VRM requires: {', '.join(missing)}"
-        raise InputError(parts.name, f"{what}; expected joints of known names, or option stub_body, which adds them")
-    shaped, slider_shapes = with_slider_shapes(parts)
-    placed, figure, added = _standing(shaped, humanoid, bool(missing))
+    shaped, slider_shapes = with_slider_shapes(replace(parts, vrm={}))
+    placed, figure, added = shaped, figure_of(shaped, humanoid.bones), list[str]()
+    if missing or EXTENSION not in parts.vrm:  # a model of VRM stands as it is to stand
+        placed, figure, added = _standing(shaped, humanoid, bool(missing))
     # without tangents, which readers compute: a VRM holds what every runtime reads
     document = write(replace(placed, animations=()), options.gltf, tangents=False)
+    meta, document = with_thumbnail(meta, document)
     tree = NodeTree(document.json)
     bones = _human_nodes(parts, document, tree, humanoid, figure, added)
-    expressions = expressions_of(tree.nodes, document.json.get("meshes", []))
-    shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
-    extension: Json = {
+    if EXTENSION in parts.vrm:
+        extension, more = write_back(parts.vrm, document.places, document.json)
+    else:
+        extension, more = _new_extension(placed, document, tree, humanoid, bones, figure)
+    extension |= {
         "specVersion": "1.0",
         "meta": meta,
         "humanoid": {"humanBones": {bone: {"node": node} for bone, node in bones.items()}},
-        "expressions": expressions.json,
-        "firstPerson": {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]},
     }
-    lost = [*document.dropped, *expressions.lost]
+    lost = [*document.dropped, *more]
     if parts.animations:
         lost.append(f"{len(parts.animations)} animations (VRM files have none)")
-    if figure.eyes is None:
-        lost.append("lookAt (no eye joints, no landmarks multipie68, no shapes eyeBlink)")
-    else:
-        gaze = _gaze(placed, humanoid, expressions)
-        extension["lookAt"] = _look_at(tree, bones, figure.eyes, gaze or "expression")
-        if gaze is None:
-            lost.append("the gaze (neither eye joints with skin weights nor the shapes eyeLook turn the eyes)")
     document.json.setdefault("extensions", {})[EXTENSION] = extension
     document.json["extensionsUsed"] = sorted([*document.json.get("extensionsUsed", []), EXTENSION])
-    counts = {"human bones": len(bones), "expressions": sum(map(len, expressions.json.values()))}
+    counts = {"human bones": len(bones), "expressions": sum(map(len, extension.get("expressions", {}).values()))}
     # a line on nodes whose scale is not one positive number, which VRM requires (tpose.md)
     scaled = [(node["name"], node["scale"]) for node in tree.nodes if "scale" in node]
     odd = [name for name, (x, y, z) in scaled if min(x, y, z) <= 0 or max(x, y, z) > min(x, y, z) * (1 + _UNIFORM)]
@@ -285,6 +280,72 @@ def _vrm_document(parts: FaceParts, options: Options, name: str) -> tuple[Docume
     )
     finished = replace(document, counts=document.counts | counts, warnings=warnings, dropped=tuple(lost))
     return finished, (*added, *slider_shapes)
+
+
+def _humanoid(parts: FaceParts, options: Options) -> Humanoid:
+    """The human bones of a face, those it came with before those that names say.
+
+    :raises InputError: bones that the face lacks and may not get
+    """
+    avatar, stubs = EXTENSION in parts.vrm, kept_stubs(parts)
+    humanoid = humanoid_of(parts, options.bones, kept_bones(parts) if avatar else None)
+    missing = _missing([*humanoid.bones])
+    # bones between those of a known body can be added, a second body can't
+    whole = not stubs and (avatar or not missing or ("hips" not in humanoid.bones and is_body(parts)))
+    if options.stub_body and whole:
+        how = f"no joints are known as {', '.join(missing)}: option bones names them" if missing else "it is complete"
+        raise InputError("option stub_body", f"the face has a body, expected a head without one ({how})")
+    if missing and not options.stub_body and not {*missing} <= stubs:
+        what = f"no joints for {len(missing)} of the 15 human bones that VRM requires: {', '.join(missing)}"
+        ways = "joints of known names, or option bones, which names them"
+        if not whole:
+            ways = "joints of known names, or option stub_body, which adds them"
+        raise InputError(parts.name, f"{what}; expected {ways}")
+    return humanoid
+
+
+def is_body(parts: FaceParts) -> bool:
+    """Whether a face has the joints and the proportions of a body, whatever its joints are called.
+
+    The depth of a standing or lying body is less than a third of its length, arms held out or not; a head's is more.
+    """
+    used = {
+        int(joint)
+        for mesh in parts.meshes
+        if mesh.skin is not None
+        for joint in np.unique(np.asarray(mesh.skin.joint_indices)[np.asarray(mesh.skin.joint_weights) > 0])
+    }
+    if len(used) < len(REQUIRED):
+        return False
+    points = build(parts).evaluate()
+    sides = np.sort(np.ptp(points, axis=0)) if len(points) else np.zeros(3)
+    return bool(sides[0] * _BODY_PROPORTION < sides[2])
+
+
+def _new_extension(
+    parts: FaceParts,
+    document: Document,
+    tree: NodeTree,
+    humanoid: Humanoid,
+    bones: Mapping[str, int],
+    figure: Figure,
+) -> tuple[Json, list[str]]:
+    """Expressions, first person and lookAt of a face that is new to VRM, and lines on what it has none of."""
+    expressions = expressions_of(tree.nodes, document.json.get("meshes", []))
+    shown = [i for i, node in enumerate(tree.nodes) if "mesh" in node]
+    extension: Json = {
+        "expressions": expressions.json,
+        "firstPerson": {"meshAnnotations": [{"node": node, "type": "auto"} for node in shown]},
+    }
+    lost = list(expressions.lost)
+    if figure.eyes is None:
+        lost.append("lookAt (no eye joints, no landmarks multipie68, no shapes eyeBlink)")
+    else:
+        gaze = _gaze(parts, humanoid, expressions)
+        extension["lookAt"] = _look_at(tree, bones, figure.eyes, gaze or "expression")
+        if gaze is None:
+            lost.append("the gaze (neither eye joints with skin weights nor the shapes eyeLook turn the eyes)")
+    return extension, lost
 
 
 def _human_nodes(
@@ -339,6 +400,8 @@ def _human_nodes(
                 f"{parts.name} -> {name}", f"{what}: the joints between are missing (option bones names them)"
             )
     loose = [node for node in tree.roots if "mesh" in tree.nodes[node] and "skin" not in tree.nodes[node]]
+    if EXTENSION in parts.vrm and not kept_stubs(parts):  # the avatar's own author has left them where they are
+        loose = []
     for node in loose:
         tree.hang_mesh(node, bones["head"])
     if loose and skins:
@@ -369,9 +432,9 @@ def _standing(parts: FaceParts, humanoid: Humanoid, stub: bool) -> tuple[FacePar
             matrix[1, 3] = _HIPS * figure.height - figure.joints[hips, 1]
         parts = _moved(parts, matrix)
         figure = figure_of(parts, humanoid.bones)
-        changes.append(
-            f"{1000 * matrix[1, 3]:.0f} mm of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m"
-        )
+        up = f"{1000 * matrix[1, 3]:.0f} mm"
+        if up not in ("0 mm", "-0 mm"):  # of a model that stands already
+            changes.append(f"{up} of height: feet stand at 0, the top of the head at {figure.high[1]:.2f} m")
     return parts, figure, changes
 
 

@@ -16,7 +16,7 @@ from facepipe.core.reports import Report
 from facepipe.parts import Animation, FaceParts, Mesh, Recipe, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients, rest_coefficients
 from facepipe.rig.conventions import match_shapes, meaning, shapes_of, spelling
-from facepipe.rig.joint_names import joint_called
+from facepipe.rig.joint_names import human_joint, joint_called
 from facepipe.rig.sliders import slide
 from facepipe.rig.trs import decompose, rotation_matrices
 from facepipe.rig.visemes import OCULUS_VISEMES
@@ -278,7 +278,8 @@ def _turned(
     lost: dict[str, str] = {}
     wanted = dict(zip(PARTS, (options.head, options.left_eye, options.right_eye), strict=True))
     for part in PARTS:
-        joint = joint_of(where, parts.skeleton, part, wanted[part])
+        given = wanted[part]
+        joint = human_joint(parts, part) if given is None else joint_of(where, parts.skeleton, part, given)
         # (T, 3) yaw, pitch and roll of a part in radians; what a performance lacks of them is 0
         columns = {angle_of(name): column for name, column in zip(performance.names, performance.values.T, strict=True)}
         zero = np.zeros(len(performance.values))
