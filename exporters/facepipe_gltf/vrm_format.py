@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from facepipe.core.errors import InputError
 from facepipe.core.images import decoding, open_image
 from facepipe.records import Json
-from facepipe_gltf.read.values import Value, quote
+from facepipe_gltf.read.document import Value, quote
 from facepipe_gltf.vrm.bones import PARENTS
 from facepipe_gltf.vrm.options import EXTENSION, fault
 

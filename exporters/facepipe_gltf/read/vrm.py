@@ -11,10 +11,9 @@ import numpy as np
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Mesh, Skeleton
 from facepipe.records import Json
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Value
 from facepipe_gltf.read.meshes import Role
 from facepipe_gltf.read.skins import Nodes
-from facepipe_gltf.read.values import Value
 from facepipe_gltf.read.vrm0 import Migrated, Tail, migrated, turned_round
 from facepipe_gltf.vrm.options import EXTENSION, LICENSE_URL
 from facepipe_gltf.vrm_format import CONSTRAINT, SPRINGS, STUBS, converted, data_uri, section

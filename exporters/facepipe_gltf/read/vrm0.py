@@ -17,9 +17,8 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts, Mesh
 from facepipe.records import Json
-from facepipe_gltf.read.document import Document
+from facepipe_gltf.read.document import Document, Value, quote
 from facepipe_gltf.read.skins import Nodes
-from facepipe_gltf.read.values import Value, quote
 from facepipe_gltf.vrm.options import EXTENSION, LICENSE_URL, STRICTEST
 from facepipe_gltf.vrm_format import PRESETS, SPRINGS, VERSION
 

@@ -11,7 +11,7 @@ from facepipe.parts import FaceParts
 from facepipe.records import Json
 from facepipe_gltf.document import Document, Places
 from facepipe_gltf.materials import Image
-from facepipe_gltf.read.values import Value, quote
+from facepipe_gltf.read.document import Value, quote
 from facepipe_gltf.vrm.options import EXTENSION, fault
 from facepipe_gltf.vrm_format import COLLIDERS, CONSTRAINT, SPRINGS, STUBS, converted, picture_in, section
 

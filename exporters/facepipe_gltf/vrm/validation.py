@@ -25,7 +25,7 @@ from facepipe_gltf.raw import (
     path_above,
     world_matrices,
 )
-from facepipe_gltf.read.values import Value
+from facepipe_gltf.read.document import Value
 from facepipe_gltf.validation import CHECKS, judged
 from facepipe_gltf.vrm.bones import PARENTS, REQUIRED, SIDES, misplaced
 from facepipe_gltf.vrm.expressions import table
