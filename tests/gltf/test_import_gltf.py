@@ -296,7 +296,7 @@ def test_a_mesh_that_two_nodes_play_differently_has_shapes_of_its_own_for_each(t
     assert animation.shapes == ("smile", "frown", "smile_2")
     np.testing.assert_array_equal(animation.shape_weights[-1], [1.0, 0.25, 0.5])
     assert imported.warnings == (
-        "face.glb -> nodes[1]: plays 1 shapes otherwise than an earlier node: smile is smile_2",
+        "face.glb -> nodes[1]: shows 1 shapes otherwise than an earlier node: smile is smile_2",
     )
 
 

@@ -26,9 +26,9 @@ _POINTER = re.compile(r"/(nodes|meshes)/(\d{1,9})/(translation|rotation|scale|we
 
 
 class Animated(NamedTuple):
-    """A property of a node that a channel moves."""
+    """A property that a channel moves, of one node or of all that show a mesh."""
 
-    node: int
+    nodes: tuple[int, ...]
     path: str  # translation, rotation, scale, weights
     weight: int | None = None  # of its morph weights this one alone
 
@@ -36,26 +36,25 @@ class Animated(NamedTuple):
 def animated_property(document: Document, target: Value) -> Animated | None:
     """What a channel's target names, by KHR_animation_pointer too; None for another thing.
 
-    A pointer to the weights of a mesh means the first node that shows it.
+    A pointer to the weights of a mesh means the nodes that show it and have none of their own, which would win.
 
     :raises InputError: no such node
     """
     path, node = target.require("path").text(), target.get("node")
     pointer = target.extension("KHR_animation_pointer")
     if path != "pointer" or pointer is None:
-        return None if node is None else Animated(document.index("nodes", node), path)
+        return None if node is None else Animated((document.index("nodes", node),), path)
     match = _POINTER.fullmatch(pointer.require("pointer").text())
     if match is None or (match[4] is not None and match[3] != "weights"):
         return None
     number, weight = int(match[2]), None if match[4] is None else int(match[4])
     if match[1] == "meshes":
-        shown = [one.get("mesh") for one in document.entries("nodes")]
-        number = next((i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number), -1)
-    if match[1] == "meshes" and (number < 0 or match[3] != "weights"):
-        return None
+        shown = [one.get("mesh") if one.get("weights") is None else None for one in document.entries("nodes")]
+        of_mesh = tuple(i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number)
+        return Animated(of_mesh, match[3], weight) if of_mesh and match[3] == "weights" else None
     if number >= len(document.entries("nodes")):
         raise pointer.error(f"nodes[{number}], but there are {len(document.entries('nodes'))}")
-    return Animated(number, match[3], weight)
+    return Animated((number,), match[3], weight)
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,7 @@ def _rigid_nodes(document: Document, nodes: Nodes, joints: set[int]) -> list[int
         for channel in animation.get_or("channels", []).items():
             found = animated_property(document, channel.require("target"))
             if found is not None and found.path != "weights":
-                moved.add(found.node)
+                moved.update(found.nodes)
     carries = [
         node in joints or (value.get("mesh") is not None and value.get("skin") is None)
         for node, value in enumerate(nodes.values)

@@ -328,11 +328,14 @@ def read_timecodes(take: Take, codes: Sequence[str], fps: float | None) -> None:
 
 
 def _shown_rate(seconds: FloatArray, last: FloatArray) -> float | None:
-    """The one usual rate at which frames go on in steps of one length where a second ends; None for none or several."""
+    """The usual rate at which frames go on in steps of one length where a second ends; None for none.
+
+    Frames that are missing there make it seem lower, so the highest counts.
+    """
     step = middle(np.diff(last)[np.diff(seconds) == 0])
     ends = np.flatnonzero(np.diff(seconds) == 1)
-    left = np.unique(np.rint(last[ends] - last[ends + 1] + step))
-    return float(left[0]) if len(left) == 1 and left[0] in _USUAL_RATES else None
+    left = float(np.rint(last[ends] - last[ends + 1] + step).max(initial=0.0))
+    return left if left in _USUAL_RATES and left > last.max() else None
 
 
 def middle(steps: FloatArray) -> float:
