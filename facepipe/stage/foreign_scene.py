@@ -108,7 +108,7 @@ class Scene:
             yield from prims_below(root, self.path)
 
     def _default_values(self) -> None:
-        """Values of the first time sample where there are only time samples, or one, which is then there at all times."""
+        """Values of the first time sample where there is one alone, which counts at all times, or no other value."""
         moving: dict[str, list[Usd.Prim]] = {}
         above = [ancestor for root in self.roots for ancestor in ancestors(root)]
         for prim in [*self.prims, *above]:

@@ -149,11 +149,14 @@ class Clip:
     values: Array  # (k, names), NaN where nothing was tracked
     off: float = 1e-4  # seconds that a time of the file may be off by rounding
     rate: float = 30.0
+    said: str = ""  # what a line must name, as it can't be read
     what: dict[str, Any] = field(default_factory=dict)  # what was drawn, for people
 
     def differences(self, read: Performance) -> list[tuple[str, str]]:
         """(subject, figure) of each thing that a performance has otherwise."""
         found = []
+        if self.said and not any(self.said in line for line in read.warnings):
+            found.append(("unsaid", self.said))
         columns = {_plain(name): column for name, column in zip(read.names, read.values.T, strict=True)}
         known = {_plain(name): name for name in self.names}
         some = [i for i in range(len(self.names)) if np.isfinite(self.values[:, i]).any()]
@@ -234,8 +237,8 @@ def _write_table(
 ) -> dict[str, Any]:
     """Rows of texts as some program would write them: delimiter, decimal sign, quotes, ends of lines, encoding."""
     delimiter = _any(rng, *delimiters)
-    comma = delimiter != "," and _yes(rng)
-    quoted, trailing = _yes(rng, 0.3), _yes(rng, 0.25)
+    comma = len(delimiters) > 1 and _yes(rng)
+    quoted, trailing = (comma and delimiter == ",") or _yes(rng, 0.3), _yes(rng, 0.25)
     end, encoding = _any(rng, "\n", "\r\n"), _any(rng, "utf-8", "utf-8", "utf-8-sig", "utf-16")
     lines = []
     for number, cells in enumerate([header, *rows]):
@@ -294,7 +297,7 @@ def live_link(rng: np.random.Generator, folder: Path) -> Clip:
     header = ["Timecode", "BlendShapeCount", *_spelt(rng, names)]
     what = _write_table(rng, folder / "take.csv", header, rows, ",")
     what |= {"fps": fps, "step": step, "empty": empty, "first": first}
-    return Clip(folder / "take.csv", names, kept * step / fps, values, 0.02 / fps, fps / step, what)
+    return Clip(folder / "take.csv", names, kept * step / fps, values, 0.02 / fps, fps / step, what=what)
 
 
 def drop_frame(rng: np.random.Generator, folder: Path) -> Clip:
@@ -318,7 +321,13 @@ def drop_frame(rng: np.random.Generator, folder: Path) -> Clip:
     what = _write_table(rng, folder / "take.csv", ["Timecode", "BlendShapeCount", *names], rows, ",")
     rate = nominal * 1000 / 1001
     return Clip(
-        folder / "take.csv", names, np.arange(len(labels)) / rate, values, 0.02 / rate, rate, what | {"of": nominal}
+        folder / "take.csv",
+        names,
+        np.arange(len(labels)) / rate,
+        values,
+        0.02 / rate,
+        rate,
+        what=what | {"of": nominal},
     )
 
 
@@ -338,7 +347,9 @@ def timecode_times(rng: np.random.Generator, folder: Path) -> Clip:
         code += f".{milli:03}" if fraction else f":{milli:03}" + _any(rng, "", ".125")
         rows.append([code, str(len(names)), *(f"{v:.5f}" for v in values[i])])
     what = _write_table(rng, folder / "take.csv", ["Timecode", "BlendShapeCount", *_spelt(rng, names)], rows, ",")
-    return Clip(folder / "take.csv", names, np.arange(count) / fps, values, 2.2e-3, fps, what | {"fraction": fraction})
+    return Clip(
+        folder / "take.csv", names, np.arange(count) / fps, values, 2.2e-3, fps, what=what | {"fraction": fraction}
+    )
 
 
 def table(rng: np.random.Generator, folder: Path) -> Clip:
@@ -373,7 +384,8 @@ def table(rng: np.random.Generator, folder: Path) -> Clip:
     if percent:
         stored[:, ~turning] *= 100
     if degrees:
-        stored[:, turning] = np.degrees(stored[:, turning])
+        small = 0.08 if _yes(rng, 0.3) else 1.0  # so small that they might be radians
+        stored[:, turning] = np.degrees(small * stored[:, turning])
     stored = np.round(stored, 5)
     values = stored.copy()
     if percent:
@@ -397,7 +409,7 @@ def table(rng: np.random.Generator, folder: Path) -> Clip:
     }
     # floats of seconds since 1970 hold microseconds
     off = 2.2e-3 if unit == "ms" else max(2e-6, 0.022 / fps if not jitter else 0.011 / fps)
-    return Clip(path, names, seconds, values, off, fps, what)
+    return Clip(path, names, seconds, values, off, fps, what=what)
 
 
 def audio2face_table(rng: np.random.Generator, folder: Path) -> Clip:
@@ -409,7 +421,7 @@ def audio2face_table(rng: np.random.Generator, folder: Path) -> Clip:
     start = float(_any(rng, 0.0, 1.5))
     rows = [[str(i), f"{start + i / fps:.9g}", *(f"{v:.6f}" for v in row)] for i, row in enumerate(values)]
     what = _write_table(rng, folder / "take.csv", header, rows, ",")
-    return Clip(folder / "take.csv", names, np.arange(count) / fps, values, 0.02 / fps, fps, what)
+    return Clip(folder / "take.csv", names, np.arange(count) / fps, values, 0.02 / fps, fps, what=what)
 
 
 def media_pipe_table(rng: np.random.Generator, folder: Path) -> Clip:
@@ -426,7 +438,7 @@ def media_pipe_table(rng: np.random.Generator, folder: Path) -> Clip:
         for i, (at, row) in enumerate(zip(milli, values, strict=True))
     ]
     what = _write_table(rng, folder / "take.csv", ["frame", "timestamp_ms", *names], rows, ",")
-    return Clip(folder / "take.csv", names, (milli - milli[0]) / 1000, values, 1.3e-3, fps, what)
+    return Clip(folder / "take.csv", names, (milli - milli[0]) / 1000, values, 1.3e-3, fps, what=what)
 
 
 def turn_matrix(yaw: float, pitch: float, roll: float) -> Array:
@@ -489,7 +501,13 @@ def media_pipe(rng: np.random.Generator, folder: Path) -> Clip:
         path.write_text(json.dumps(frames if _yes(rng) else {"results": frames}))
     what = {"python": python, "columns": by_columns, "times": times, "gone": sorted(gone), "several": several}
     return Clip(
-        path, names, milli / 1000 if times else seconds, values, 2.3e-3 if times else 1e-4, fps if times else 30.0, what
+        path,
+        names,
+        milli / 1000 if times else seconds,
+        values,
+        2.3e-3 if times else 1e-4,
+        fps if times else 30.0,
+        what=what,
     )
 
 
@@ -533,7 +551,9 @@ def azure(rng: np.random.Generator, folder: Path) -> Clip:
         path.write_text("\n".join(map(json.dumps, events)))
     else:
         path.write_text(json.dumps(events))
-    return Clip(path, AZURE, np.flatnonzero(kept) / 60, values[kept], 1e-4, 60.0, {"text": text, "chunks": len(chunks)})
+    return Clip(
+        path, AZURE, np.flatnonzero(kept) / 60, values[kept], 1e-4, 60.0, what={"text": text, "chunks": len(chunks)}
+    )
 
 
 def talking_head(rng: np.random.Generator, folder: Path) -> Clip:
@@ -548,7 +568,7 @@ def talking_head(rng: np.random.Generator, folder: Path) -> Clip:
     whole = {"name": "wave", **whole} if _yes(rng) else whole
     (folder / "take.json").write_text(json.dumps(whole))
     seconds = np.cumsum(steps) / 1000
-    return Clip(folder / "take.json", names, seconds, values, 1.1e-3, 25.0 if even else 2.0, {"even": even})
+    return Clip(folder / "take.json", names, seconds, values, 1.1e-3, 25.0 if even else 2.0, what={"even": even})
 
 
 def arkit(rng: np.random.Generator, folder: Path) -> Clip:
@@ -558,6 +578,7 @@ def arkit(rng: np.random.Generator, folder: Path) -> Clip:
     values = np.round(waves(rng, count, names, fps), 5)
     clock = _any(rng, "fps", "time", "timestamp_ms", "timestamp since 1970", "timecode", "none")
     fps = 60.0 if clock == "none" else fps
+    beside = _yes(rng, 0.3)
     since, way, lost = 1.7e12 + int(rng.integers(1e6)), int(rng.integers(3)), _yes(rng, 0.3)
     frames = []
     for i, row in enumerate(values):
@@ -578,6 +599,8 @@ def arkit(rng: np.random.Generator, folder: Path) -> Clip:
         elif clock == "timecode":
             second, number = divmod(i, int(fps))
             frame["timecode"] = f"10:00:{second:02}:{number:02}"
+        if beside and way != 2:  # ARKit's own matrices, and what people log
+            frame |= {"leftEyeTransform": np.eye(4).ravel().tolist(), "tracked": True}
         frames.append(frame)
     if lost and way != 1:
         for name in names[:5]:
@@ -588,7 +611,9 @@ def arkit(rng: np.random.Generator, folder: Path) -> Clip:
     whole: Any = {"fps": fps, "frames": frames} if clock == "fps" else frames
     (folder / "take.json").write_text(json.dumps(whole))
     off = 1.2e-3 if "stamp" in clock else 0.02 / fps
-    return Clip(folder / "take.json", names, np.arange(count) / fps, values, off, fps, {"clock": clock, "way": way})
+    said = "leftEyeTransform" if beside and way != 2 else ""
+    what = {"clock": clock, "way": way}
+    return Clip(folder / "take.json", names, np.arange(count) / fps, values, off, fps, said, what)
 
 
 @dataclass
@@ -644,9 +669,11 @@ def stage_clip(rng: np.random.Generator, folder: Path) -> Clip:
     """A SkelAnimation alone, as Audio2Face exports it; also of another unit of time, or with the head's joint."""
     fps, count = float(_any(rng, 24, 30, 60)), int(rng.integers(30, 90))
     turning, z_up = _yes(rng), _yes(rng)
+    boned = turning and _yes(rng)
     names = [*_shapes(rng), *(HEAD if turning else [])]
     values = waves(rng, count, names, fps).astype(np.float32).astype(float)
-    if turning:
+    rests = [turn_matrix(*rng.uniform(-1, 1, 3)) if boned else np.eye(3) for _ in range(2)]  # neck, head
+    if turning and not boned:  # rest is its first sample then
         values[0, [i for i, n in enumerate(names) if n in TURNS]] = 0.0
     shapes = [n for n in names if n not in TURNS]
     per, first = float(_any(rng, fps, 1.0, 24.0)), float(_any(rng, 0.0, 101.0))
@@ -668,15 +695,25 @@ def stage_clip(rng: np.random.Generator, folder: Path) -> Clip:
             if z_up:  # what is (x, y, z) with Y up is (x, -z, y)
                 axes = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
                 matrix = axes @ matrix @ axes.T
-            turned.append(f"{code}: [(1, 0, 0, 0), ({', '.join(f'{v:.9g}' for v in _quaternion(matrix))})]")
+            pair = [_quaternion(rests[0]), _quaternion(rests[0].T @ matrix @ rests[0] @ rests[1])]
+            turned.append(f"{code}: [{', '.join('(' + ', '.join(f'{v:.9g}' for v in one) + ')' for one in pair)}]")
         lines.append(f"    quatf[] rotations.timeSamples = {{ {', '.join(turned)} }}")
         lines.append(
             "    float3[] translations = [(0, 0, 0), (0, 0.1, 0)]\n    half3[] scales = [(1, 1, 1), (1, 1, 1)]"
         )
+    if boned:
+        rows = [np.block([[rest.T, np.zeros((3, 1))], [np.array([[0, 0.1, 0, 1]])]]) for rest in rests]
+        places = ", ".join(
+            "( " + ", ".join(f"({', '.join(f'{v:.9g}' for v in row)})" for row in one) + " )" for one in rows
+        )
+        lines.append('}\ndef Skeleton "Bones" (prepend apiSchemas = ["SkelBindingAPI"])\n{')
+        lines.append("    rel skel:animationSource = </World>")
+        lines.append('    uniform token[] joints = ["neck", "neck/head"]')
+        lines += [f"    uniform matrix4d[] {kind}Transforms = [{places}]" for kind in ("rest", "bind")]
     path = folder / "take.usda"
     path.write_text("\n".join([*lines, "}\n"]))
     what = {"turning": turning, "z_up": z_up, "per": per, "first": first}
-    return Clip(path, names, np.arange(count) / fps, values, 0.02 / fps, fps, what)
+    return Clip(path, names, np.arange(count) / fps, values, 0.02 / fps, fps, what=what)
 
 
 def _quaternion(matrix: Array) -> list[float]:

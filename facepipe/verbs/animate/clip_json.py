@@ -27,6 +27,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reading import check_values, read_bytes, read_json
 from facepipe.rig.visemes import AZURE_BLENDSHAPES, AZURE_VISEMES, OCULUS_VISEMES
 from facepipe.verbs.animate.performance import (
@@ -112,6 +113,7 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     tracked: list[dict[str, float] | None] = []
     tracker = False
     more = 0
+    unread: dict[str, None] = {}
     skipped = (*_WEIGHTS, *_MATRICES, *_TIMES, "timecode", "frame", "index", "facelandmarks")
     for trail, own, frame in zip(where, keyed, frames, strict=True):
         held = _first(own, _WEIGHTS)
@@ -130,6 +132,7 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
                 continue
         beside = {name: value for name, value in frame.items() if _plain(name) not in skipped}
         if held is not None:
+            unread.update(dict.fromkeys(name for name in beside if not angle_of(name)))
             beside = {name: value for name, value in beside.items() if angle_of(name)}
             if not isinstance(held, Mapping):
                 raise InputError(trail, "weights of another form, expected names with numbers")
@@ -152,6 +155,8 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         raise InputError(path, f"{len(frames)} frames of {len(names)} names, expected at most {MOST_VALUES} values")
     rows = np.array([[math.nan] * len(names) if one is None else [one[name] for name in names] for one in tracked])
     take = Take(form="frames", where=where, names=names, values=rows)
+    if unread:
+        take.warnings.append(f"{first_names([str(name)[:40] for name in unread], 4)} of its frames: left out")
     if tracker:
         take.form, take.rate, take.radians = "MediaPipe face landmarker", None, True
         if more:

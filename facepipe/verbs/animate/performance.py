@@ -35,6 +35,7 @@ _ON_FRAME = 0.01  # frames that a time may be off
 _TICK = 1e-3  # seconds that a clock of whole milliseconds may be off: some cut the rest off
 _NO_TURN = math.pi  # no head turns farther, recordings wrap there; 1 % for rounding
 _NO_EYE_TURN = 1.3  # radians, 75 degrees: eyes reach 55
+_FAR_TURN = 1.2  # radians of yaw or pitch, 69 degrees: trackers lose faces there; a phone on its side rolls by 1.6
 _PERCENT = (10.0, 150.0)  # largest weight of a clip in percent
 _EXAGGERATED = 2.0  # weights beyond are of another unit, or of a caricature
 _DAY = 24 * 3600
@@ -195,6 +196,7 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     turns = np.array([bool(angle_of(name)) for name in take.names])
     peaks = np.nanmax(np.abs(take.values), axis=0, initial=0.0, where=np.isfinite(take.values))
     if turns.any() and not take.radians:
+        nods = np.array([(angle_of(name) or "").endswith(("Yaw", "Pitch")) for name in take.names])
         eyes = np.array([(angle_of(name) or "").find("Eye") > 0 for name in take.names])
         most, eye = float(peaks[turns].max()), float(peaks[eyes].max(initial=0.0))
         degrees = angles == "deg" or (angles == "auto" and (most > 1.01 * _NO_TURN or eye > _NO_EYE_TURN))
@@ -204,6 +206,9 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
             take.notes.append(f"turns in degrees{found}")
         elif most > 1.01 * _NO_TURN:
             take.warnings.append(f"turns up to {most:g} radians, {most / (2 * math.pi):.1f} times round: --angles deg?")
+        elif angles == "auto" and (far := float(peaks[nods].max(initial=0.0))) > _FAR_TURN:
+            what = f"turns up to {far:g}, taken as radians, which are {math.degrees(far):.0f} degrees"
+            take.warnings.append(f"{what}: --angles deg or rad says which")
     weights = np.abs(take.values[:, ~turns])
     weights = weights[np.isfinite(weights) & (weights > 0)]
     most = float(weights.max(initial=0.0))
