@@ -150,6 +150,7 @@ class Clip:
     off: float = 1e-4  # seconds that a time of the file may be off by rounding
     rate: float = 30.0
     said: str = ""  # what a line must name, as it can't be read
+    beside: Sequence[str] = ()  # columns that are no weights
     what: dict[str, Any] = field(default_factory=dict)  # what was drawn, for people
 
     def differences(self, read: Performance) -> list[tuple[str, str]]:
@@ -161,7 +162,8 @@ class Clip:
         known = {_plain(name): name for name in self.names}
         some = [i for i in range(len(self.names)) if np.isfinite(self.values[:, i]).any()]
         lost = [self.names[i] for i in some if _plain(self.names[i]) not in columns and self.values[:, i].any()]
-        more = [name for key, name in zip(columns, read.names, strict=True) if key not in known]
+        beside = {_plain(name) for name in self.beside}
+        more = [name for key, name in zip(columns, read.names, strict=True) if key not in {*known, *beside}]
         if lost:
             found.append(("names", f"{len(lost)} names lost: {' '.join(lost[:4])}"))
         if more:
@@ -396,6 +398,8 @@ def table(rng: np.random.Generator, folder: Path) -> Clip:
     columns = [header, *_spelt(rng, names)]
     if _yes(rng, 0.3):
         columns, rows = ["frame", *columns], [[str(i), *row] for i, row in enumerate(rows)]
+    beside = {"fps": "25", "confidence": "0.9", "faceId": "0", "quality": "88"} if _yes(rng, 0.3) else {}
+    columns, rows = [*columns, *beside], [[*row, *beside.values()] for row in rows]
     path = folder / _any(rng, "take.csv", "take.tsv", "take.txt")
     what = _write_table(rng, path, columns, rows)
     what |= {
@@ -409,7 +413,7 @@ def table(rng: np.random.Generator, folder: Path) -> Clip:
     }
     # floats of seconds since 1970 hold microseconds
     off = 2.2e-3 if unit == "ms" else max(2e-6, 0.022 / fps if not jitter else 0.011 / fps)
-    return Clip(path, names, seconds, values, off, fps, what=what)
+    return Clip(path, names, seconds, values, off, fps, beside=[*beside], what=what)
 
 
 def audio2face_table(rng: np.random.Generator, folder: Path) -> Clip:

@@ -524,3 +524,11 @@ def test_what_frames_hold_beside_weights_is_named(tmp_path: Path) -> None:
     assert read_performance(document(tmp_path / "take.json", frames)).warnings == (
         "lookAtPoint of its frames: left out",
     )
+
+
+def test_columns_that_are_no_weights_say_nothing_of_their_unit(tmp_path: Path) -> None:
+    values = np.column_stack([captured()[:, :2], np.full(FRAMES, 25.0)])
+    path = rows(tmp_path / "take.csv", [*SHAPES[:2], "fps"], [[] for _ in values], values)
+    read = read_performance(path)
+    np.testing.assert_allclose(read.values, values, atol=1e-6)
+    assert read.read_as.endswith("60 fps taken, as it holds no times (--fps)")

@@ -18,7 +18,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names
-from facepipe.rig.conventions import shape_key, spelling
+from facepipe.rig.conventions import meaning, shape_key, spelling
 
 FPS = 60.0  # of a file that does not say
 RATES = (1.0, 1000.0)  # frames per second that a file may have
@@ -209,7 +209,10 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
         elif angles == "auto" and (far := float(peaks[nods].max(initial=0.0))) > _FAR_TURN:
             what = f"turns up to {far:g}, taken as radians, which are {math.degrees(far):.0f} degrees"
             take.warnings.append(f"{what}: --angles deg or rad says which")
-    weights = np.abs(take.values[:, ~turns])
+    # by names of faces, where there are: a column of rates or shares beside says nothing of their unit
+    known = np.array([meaning(name) is not None for name in take.names])
+    shown = ~turns & known if (~turns & known).any() else ~turns
+    weights = np.abs(take.values[:, shown])
     weights = weights[np.isfinite(weights) & (weights > 0)]
     most = float(weights.max(initial=0.0))
     # by shares: one bad value of a tracker must not make all others a hundredth
@@ -217,8 +220,8 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     if _PERCENT[0] < most <= _PERCENT[1] and beyond > 0.2:
         take.values[:, ~turns] /= 100
         take.notes.append(f"weights in percent (up to {most:g})")
-    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[~turns] > 0).sum() > 3):
-        name = take.names[int(np.flatnonzero(~turns)[np.argmax(peaks[~turns])])]
+    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[shown] > 0).sum() > 3):
+        name = take.names[int(np.flatnonzero(shown)[np.argmax(peaks[shown])])]
         raise InputError(where, f"{name[:60]} up to {most:g}, expected weights from 0 to 1, or percent")
     elif most > _EXAGGERATED:
         take.warnings.append(f"weights up to {most:g}, taken as they are: 1 is the whole shape")
@@ -226,6 +229,9 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
 
 def _frames(take: Take, fps: float | None) -> tuple[FloatArray, float]:
     """(k,) when the rows of a take are, in frames of a rate, and that rate."""
+    if take.seconds is None and not take.rate and not fps:
+        held = "no times" if take.frames is None else "numbers of frames alone"
+        take.notes.append(f"{FPS:g} fps taken, as it holds {held} (--fps)")
     if take.frames is not None:
         return take.frames, take.rate or fps or FPS
     if take.seconds is None:
