@@ -57,7 +57,7 @@ OUTCOMES = ("right", "named", "silently wrong")
 NAMES = {
     "animation": "shear|they follow|otherwise than an earlier|differently: the first is kept",
     "animation, slightly": "half precision|shear|they follow|otherwise than an earlier|differently: the first is kept",
-    "between samples": "shear",
+    "between samples": "shear|there they are lines",
     "default weights": "otherwise than an earlier",
     "damaged": "left out",
     "specular": "specular colour is left out",

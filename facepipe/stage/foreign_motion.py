@@ -29,7 +29,7 @@ MOST_SHAPES = 512  # samples of points that become shapes
 _MOST_NUMBERS = 1 << 26  # of transforms and points over time together
 _TOLERANCE = 5e-5  # metres that lines between samples of transforms may be off
 _HALVINGS = 9  # of the time between two samples at most
-_MOST_CODES = 1 << 14
+_MOST_BETWEEN = 1 << 22  # numbers of transforms that are looked at between samples
 _CHECKED = (0.3, 0.62)  # shares of a span where it is looked at: whole turns don't end at both
 _SAME = 1e-6  # of the size: transforms nearer are one
 
@@ -42,6 +42,7 @@ class Moving(NamedTuple):
     worlds: Mapping[str, FloatArray]  # path of a mesh or Skeleton -> (T, 4, 4) to the world
     owners: Mapping[str, str]  # path of a mesh -> the nearest prim, itself or above, whose transform changes
     points: Mapping[str, tuple[FloatArray, FloatArray]]  # path of a mesh -> (t,) codes, (t, n, 3)
+    rough: bool  # more bends between samples than codes were added for
 
 
 def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.Prim], path: Path) -> Moving:
@@ -68,14 +69,14 @@ def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.P
         if owner and not owner.IsPseudoRoot():
             owners[str(prim.GetPath())] = str(owner.GetPath())
     moved = [prim for prim in shown if str(prim.GetPath()) in owners]
-    codes, places = _worlds(moved, codes, _TOLERANCE / (float(UsdGeom.GetStageMetersPerUnit(stage)) or 1.0))
+    codes, places, rough = _worlds(moved, codes, _TOLERANCE / (float(UsdGeom.GetStageMetersPerUnit(stage)) or 1.0))
     worlds = {str(prim.GetPath()): places[:, i] for i, prim in enumerate(moved)}
     points = {str(prim.GetPath()): read for prim in sampled if (read := _points(prim)) is not None}
-    return Moving(float(stage.GetTimeCodesPerSecond()) or 24.0, codes, worlds, owners, points)
+    return Moving(float(stage.GetTimeCodesPerSecond()) or 24.0, codes, worlds, owners, points, rough)
 
 
-def _worlds(prims: Sequence[Usd.Prim], codes: FloatArray, within: float) -> tuple[FloatArray, FloatArray]:
-    """Codes, and the (T, prims, 4, 4) places of prims in the world there: at those given and between.
+def _worlds(prims: Sequence[Usd.Prim], codes: FloatArray, within: float) -> tuple[FloatArray, FloatArray, bool]:
+    """Codes, and the (T, prims, 4, 4) places of prims in the world there: as `_with_between`.
 
     Between two samples USD is linear in the values of each operation: in angles, which may be whole turns, and in the
     numbers of matrices.
@@ -83,7 +84,7 @@ def _worlds(prims: Sequence[Usd.Prim], codes: FloatArray, within: float) -> tupl
     :param within: distance that points of a prim may be off between, in stage units
     """
     if not prims:
-        return codes, np.zeros((len(codes), 0, 4, 4))
+        return codes, np.zeros((len(codes), 0, 4, 4)), False
     placed = [_placed(prim) for prim in prims]
     reach = np.concatenate([np.full(len(frames), far) for frames, far in placed])
 
@@ -104,10 +105,12 @@ def _with_between(
     times: FloatArray,
     reach: FloatArray,
     within: float,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, bool]:
     """Times, those given and so many between that lines of translations and scales, and slerp of rotations, are near.
 
-    :param at: (T, ...) what is there at times (T,), given back for all times
+    What is there at all of them comes with it, and whether too many would be needed.
+
+    :param at: (T, ...) what is there at times (T,)
     :param frames_of: (T, n, 4, 4) matrices of it, which the lines are of
     :param reach: (n,) distances of points from a frame's origin
     :param within: distance that they may be off
@@ -115,18 +118,21 @@ def _with_between(
     start, end = times[:-1], times[1:]
     every, values = [times], [at(times)]
     first, last = values[0][:-1], values[0][1:]
-    for _ in range(_HALVINGS):
+    size = max(values[0].size // max(len(times), 1), 1)
+    asked, rough = 0, False
+    for halving in range(_HALVINGS + 1):
+        asked += (len(_CHECKED) + 1) * len(start) * size
+        if not len(start) or asked > _MOST_BETWEEN:
+            rough = asked > _MOST_BETWEEN
+            break
         bent = np.zeros(len(start), bool)
-        a, b = decompose(frames_of(first)), decompose(frames_of(last))
-        for share in _CHECKED if len(start) else ():
-            now = decompose(frames_of(at(start + share * (end - start))))  # without shear, which no line has
-            turned = slerp(a.rotation, b.rotation, np.full((*a.rotation.shape[:-1], 1), share))
-            line = (one + share * (other - one) for one, other in ((a.translation, b.translation), (a.scale, b.scale)))
-            moved, scaled = line
-            off = np.abs(compose(*now[:3]) - compose(moved, turned, scaled))
+        for share in _CHECKED:
+            # without shear, which no line has
+            now = compose(*decompose(frames_of(at(start + share * (end - start))))[:3])
+            off = np.abs(now - _line(frames_of(first), frames_of(last), share))
             bent |= ~(off[..., :3, :3].sum(-1).max(-1) * reach + off[..., :3, 3].max(-1) <= within).all(-1)
-        count, size = sum(map(len, every)) + int(bent.sum()), values[0][0].size
-        if not bent.any() or count > _MOST_CODES or count * size > _MOST_NUMBERS:
+        rough = halving == _HALVINGS and bool(bent.any())
+        if rough or not bent.any():
             break
         start, end, first, last = start[bent], end[bent], first[bent], last[bent]
         middle = (start + end) / 2
@@ -135,7 +141,15 @@ def _with_between(
         start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
     together = np.concatenate(every)
     order = np.argsort(together, kind="stable")
-    return together[order], np.concatenate(values)[order]
+    return together[order], np.concatenate(values)[order], rough
+
+
+def _line(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
+    """(..., 4, 4) between matrices, as animations have it."""
+    a, b = decompose(first), decompose(last)
+    turned = slerp(a.rotation, b.rotation, np.full((*a.rotation.shape[:-1], 1), share))
+    moved, scaled = (one + share * (other - one) for one, other in ((a.translation, b.translation), (a.scale, b.scale)))
+    return compose(moved, turned, scaled)
 
 
 def _placed(prim: Usd.Prim) -> tuple[FloatArray, float]:
@@ -193,10 +207,11 @@ def with_motion(
     taken = [one.name for one in parts.animations]
     name = handles([*taken, "motion"], "Animation")[-1] if played is None else played.name
     within = _TOLERANCE / parts.meters_per_unit
-    whole, lost = with_exact_scales(
-        parts.skeleton, replace(_merged(parts.skeleton, together, times, within), name=name)
-    )
+    merged, rough = _merged(parts.skeleton, together, times, within)
+    whole, lost = with_exact_scales(parts.skeleton, replace(merged, name=name))
     named += [lost] if lost else []
+    if rough or moving.rough:
+        named.append("transforms over time turn more between their samples than is kept: there they are lines")
     others = tuple(one for one in parts.animations if one is not played)
     return replace(parts, animations=(*others, whole), played=name), named
 
@@ -305,8 +320,12 @@ def _with_samples(
     return parts, Animation(name="motion", times=codes / moving.rate, shapes=shapes_used, shape_weights=weights)
 
 
-def _merged(skeleton: Skeleton, animations: Sequence[Animation], times: FloatArray, within: float) -> Animation:
+def _merged(
+    skeleton: Skeleton, animations: Sequence[Animation], times: FloatArray, within: float
+) -> tuple[Animation, bool]:
     """Animations that play together as one; where two move a joint, the motion of the later is around it.
+
+    And whether that turns more between samples than is kept.
 
     :param times: of its samples; more come between where two motions of a joint make no line
     :param within: as of `_with_between`
@@ -326,12 +345,12 @@ def _merged(skeleton: Skeleton, animations: Sequence[Animation], times: FloatArr
                     moved[joint] = around @ moved[joint] if joint in moved else local
         return np.stack([moved[joint] for joint in joints], axis=1)
 
-    result = Animation(name="motion", times=times if len(times) > 1 else None)
+    result, rough = Animation(name="motion", times=times if len(times) > 1 else None), False
     if joints:
         chosen = [joints.index(joint) for joint in twice]
         size = float(np.ptp(skeleton.bind_transforms[:, :3, 3], axis=0).max(initial=0.0))
         reach = np.full(len(twice), 2.0 * size)
-        times, local = _with_between(locals_at, lambda local: local[:, chosen], times, reach, within)
+        times, local, rough = _with_between(locals_at, lambda local: local[:, chosen], times, reach, within)
         trs = decompose(local)
         result = replace(
             result,
@@ -348,7 +367,7 @@ def _merged(skeleton: Skeleton, animations: Sequence[Animation], times: FloatArr
             weights |= dict(zip(one.shapes, values.T, strict=True))
     if weights:
         result = replace(result, shapes=tuple(weights), shape_weights=np.stack([*weights.values()], axis=1))
-    return result
+    return result, rough
 
 
 def _sampled(skeleton: Skeleton, animation: Animation, times: FloatArray) -> Animation:

@@ -15,7 +15,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
 from facepipe.rig.animation import at_times, sample_transforms, sample_weights
-from facepipe.stage import Face
+from facepipe.stage import Face, foreign_motion
 
 RATE = 24.0
 
@@ -108,6 +108,13 @@ def test_a_root_that_turns_while_its_skeleton_plays(tmp_path: Path) -> None:
     for seconds, expected in zip(times, played(path, times), strict=True):
         got = np.concatenate([*between(parts, float(seconds)).values()])
         np.testing.assert_allclose(got, expected, atol=2e-3 * float(np.abs(expected).max()))
+
+
+def test_more_turns_than_are_kept_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign_motion, "_MOST_BETWEEN", 300)
+    stage = foreign_stage(rich_face())
+    moved(stage, "/Rich/Teeth", "rotate", {0: 0.0, 48: 360.0})
+    warned(read(written(stage, tmp_path / "face.usda")), "turn more between their samples than is kept")
 
 
 def test_shear_over_time_is_named(tmp_path: Path) -> None:
