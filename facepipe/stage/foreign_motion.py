@@ -162,9 +162,14 @@ def _placed(prim: Usd.Prim) -> tuple[FloatArray, float]:
     rests = matrices(skeleton.GetRestTransformsAttr().Get())
     joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or ()]
     roots = [i for i, joint in enumerate(joints) if "/" not in joint and i < len(rests)]
-    size = float(np.ptp(binds[:, :3, 3], axis=0).max(initial=0.0)) if np.isfinite(binds).all() else 0.0
     frames = rests[roots] if roots and np.isfinite(rests).all() else np.eye(4)[None]
-    return frames, 2.0 * size
+    return frames, _around(binds)
+
+
+def _around(binds: FloatArray) -> float:
+    """How far from a joint points may be, by (j, 4, 4) bind transforms: twice what all joints span."""
+    places = binds[:, :3, 3]
+    return 2.0 * float(np.ptp(places, axis=0).max()) if len(places) and np.isfinite(places).all() else 0.0
 
 
 def _xform_codes(prim: Usd.Prim) -> list[float]:
@@ -348,8 +353,7 @@ def _merged(
     result, rough = Animation(name="motion", times=times if len(times) > 1 else None), False
     if joints:
         chosen = [joints.index(joint) for joint in twice]
-        size = float(np.ptp(skeleton.bind_transforms[:, :3, 3], axis=0).max(initial=0.0))
-        reach = np.full(len(twice), 2.0 * size)
+        reach = np.full(len(twice), _around(skeleton.bind_transforms))
         times, local, rough = _with_between(locals_at, lambda local: local[:, chosen], times, reach, within)
         trs = decompose(local)
         result = replace(

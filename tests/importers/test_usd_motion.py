@@ -117,6 +117,20 @@ def test_more_turns_than_are_kept_are_named(tmp_path: Path, monkeypatch: pytest.
     warned(read(written(stage, tmp_path / "face.usda")), "turn more between their samples than is kept")
 
 
+def test_a_skeleton_without_joints_may_move(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
+    for attribute in (skeleton.GetJointsAttr(), skeleton.GetBindTransformsAttr(), skeleton.GetRestTransformsAttr()):
+        attribute.Clear()
+    head = stage.GetPrimAtPath("/Rich/Head")
+    for one in head.GetAuthoredProperties():
+        if "skel:joint" in one.GetName():
+            head.RemoveProperty(one.GetName())
+    moved(stage, "/Rich", "translate", {0: Gf.Vec3d(0, 0, 0), 6: Gf.Vec3d(1, 0.5, -2)})
+    parts = read(written(stage, tmp_path / "face.usda")).parts
+    assert any(joint.endswith("Rich") for joint in parts.skeleton.joints)
+
+
 def test_shear_over_time_is_named(tmp_path: Path) -> None:
     """USD mixes matrices number by number: half way between two turns lies no turn."""
     stage = foreign_stage(rich_face())
