@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,26 @@ _STARTS = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"RIFF", b"II*\x00", b"
 def is_image(data: bytes) -> bool:
     """Whether bytes begin as an image does. Only images are copied or exported, whatever file a stage names."""
     return data.startswith(_STARTS)
+
+
+def damage_of(data: bytes) -> str | None:
+    """What a look at the parts of a PNG or JPEG finds wrong, without decoding it; None for other pictures.
+
+    A PNG ends with its last chunk, and those that make its pixels have their checksums; a JPEG has an end.
+    """
+    if data.startswith(_JPEG):
+        return None if data.rfind(b"\xff\xd9") > data.rfind(b"\xff\xda") >= 0 else "is cut short"
+    at, kind = len(_PNG), b""
+    while data.startswith(_PNG) and kind != b"IEND":
+        if at + 12 > len(data):
+            return "is cut short"
+        size, kind = struct.unpack_from(">I4s", data, at)
+        end = at + 8 + size
+        # readers skip the others: their names begin with a small letter (PNG specification, section 5.4)
+        if kind[:1].isupper() and data[end : end + 4] != struct.pack(">I", zlib.crc32(memoryview(data)[at + 4 : end])):
+            return "is cut short" if end + 4 > len(data) else "is damaged: a checksum is wrong"
+        at = end + 4
+    return None
 
 
 def open_image(

@@ -7,7 +7,8 @@ linear, and so are weights, so that this is exact.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,11 +21,15 @@ from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, Skeleton, Skin
 from facepipe.rig.animation import at_times, local_transforms, with_exact_scales
-from facepipe.rig.trs import decompose
-from facepipe.stage.values import floats, matrix, reads_prim
+from facepipe.rig.trs import compose, decompose, slerp
+from facepipe.stage.values import floats, matrices, matrix, reads_prim
 
 MOST_SHAPES = 512  # samples of points that become shapes
 _MOST_NUMBERS = 1 << 26  # of transforms and points over time together
+_TOLERANCE = 5e-5  # metres that lines between samples of transforms may be off
+_HALVINGS = 9  # of the time between two samples at most
+_MOST_BETWEEN = 1 << 22  # numbers of transforms that are looked at between samples
+_CHECKED = (0.3, 0.62)  # shares of a span where it is looked at: whole turns don't end at both
 _SAME = 1e-6  # of the size: transforms nearer are one
 
 
@@ -36,6 +41,7 @@ class Moving(NamedTuple):
     worlds: Mapping[str, FloatArray]  # path of a mesh or Skeleton -> (T, 4, 4) to the world
     owners: Mapping[str, str]  # path of a mesh -> the nearest prim, itself or above, whose transform changes
     points: Mapping[str, tuple[FloatArray, FloatArray]]  # path of a mesh -> (t,) codes, (t, n, 3)
+    rough: bool  # more bends between samples than codes were added for
 
 
 def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.Prim], path: Path) -> Moving:
@@ -61,14 +67,108 @@ def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.P
             owner = owner.GetParent()
         if owner and not owner.IsPseudoRoot():
             owners[str(prim.GetPath())] = str(owner.GetPath())
-    caches = [UsdGeom.XformCache(Usd.TimeCode(code)) for code in codes]
-    worlds = {
-        str(prim.GetPath()): np.stack([matrix(cache.GetLocalToWorldTransform(prim)) for cache in caches])
-        for prim in shown
-        if str(prim.GetPath()) in owners
-    }
+    moved = [prim for prim in shown if str(prim.GetPath()) in owners]
+    codes, places, rough = _worlds(moved, codes, _TOLERANCE / (float(UsdGeom.GetStageMetersPerUnit(stage)) or 1.0))
+    worlds = {str(prim.GetPath()): places[:, i] for i, prim in enumerate(moved)}
     points = {str(prim.GetPath()): read for prim in sampled if (read := _points(prim)) is not None}
-    return Moving(float(stage.GetTimeCodesPerSecond()) or 24.0, codes, worlds, owners, points)
+    return Moving(float(stage.GetTimeCodesPerSecond()) or 24.0, codes, worlds, owners, points, rough)
+
+
+def _worlds(prims: Sequence[Usd.Prim], codes: FloatArray, within: float) -> tuple[FloatArray, FloatArray, bool]:
+    """Codes, and the (T, prims, 4, 4) places of prims in the world there: as `_with_between`.
+
+    Between two samples USD is linear in the values of each operation: in angles, which may be whole turns, and in the
+    numbers of matrices.
+
+    :param within: distance that points of a prim may be off between, in stage units
+    """
+    if not prims:
+        return codes, np.zeros((len(codes), 0, 4, 4)), False
+    placed = [_placed(prim) for prim in prims]
+    reach = np.concatenate([np.full(len(frames), far) for frames, far in placed])
+
+    def at(times: FloatArray) -> FloatArray:
+        caches = [UsdGeom.XformCache(Usd.TimeCode(time)) for time in times.tolist()]
+        return np.stack([[matrix(cache.GetLocalToWorldTransform(prim)) for prim in prims] for cache in caches])
+
+    def frames_of(places: FloatArray) -> FloatArray:
+        """(T, frames, 4, 4): what becomes tracks."""
+        return np.concatenate([places[:, i, None] @ frames for i, (frames, _) in enumerate(placed)], axis=1)
+
+    return _with_between(at, frames_of, codes, reach, within)
+
+
+def _with_between(
+    at: Callable[[FloatArray], FloatArray],
+    frames_of: Callable[[FloatArray], FloatArray],
+    times: FloatArray,
+    reach: FloatArray,
+    within: float,
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Times, those given and so many between that lines of translations and scales, and slerp of rotations, are near.
+
+    What is there at all of them comes with it, and whether too many would be needed.
+
+    :param at: (T, ...) what is there at times (T,)
+    :param frames_of: (T, n, 4, 4) matrices of it, which the lines are of
+    :param reach: (n,) distances of points from a frame's origin
+    :param within: distance that they may be off
+    """
+    start, end = times[:-1], times[1:]
+    every, values = [times], [at(times)]
+    first, last = values[0][:-1], values[0][1:]
+    size = max(values[0].size // max(len(times), 1), 1)
+    asked, rough = 0, False
+    for halving in range(_HALVINGS + 1):
+        asked += (len(_CHECKED) + 1) * len(start) * size
+        if not len(start) or asked > _MOST_BETWEEN:
+            rough = asked > _MOST_BETWEEN
+            break
+        bent = np.zeros(len(start), bool)
+        for share in _CHECKED:
+            # without shear, which no line has
+            now = compose(*decompose(frames_of(at(start + share * (end - start))))[:3])
+            off = np.abs(now - _line(frames_of(first), frames_of(last), share))
+            bent |= ~(off[..., :3, :3].sum(-1).max(-1) * reach + off[..., :3, 3].max(-1) <= within).all(-1)
+        rough = halving == _HALVINGS and bool(bent.any())
+        if rough or not bent.any():
+            break
+        start, end, first, last = start[bent], end[bent], first[bent], last[bent]
+        middle = (start + end) / 2
+        every, values = [*every, middle], [*values, at(middle)]
+        first, last = np.concatenate([first, values[-1]]), np.concatenate([values[-1], last])
+        start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
+    together = np.concatenate(every)
+    order = np.argsort(together, kind="stable")
+    return together[order], np.concatenate(values)[order], rough
+
+
+def _line(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
+    """(..., 4, 4) between matrices, as animations have it."""
+    a, b = decompose(first), decompose(last)
+    turned = slerp(a.rotation, b.rotation, np.full((*a.rotation.shape[:-1], 1), share))
+    moved, scaled = (one + share * (other - one) for one, other in ((a.translation, b.translation), (a.scale, b.scale)))
+    return compose(moved, turned, scaled)
+
+
+def _placed(prim: Usd.Prim) -> tuple[FloatArray, float]:
+    """(k, 4, 4) frames of a prim that tracks will have, itself or root joints, and how far points are from them."""
+    if prim.IsA(UsdGeom.Mesh):
+        points = floats(UsdGeom.Mesh(prim).GetPointsAttr().Get(Usd.TimeCode.EarliestTime()), 3)
+        return np.eye(4)[None], float(np.abs(points[np.isfinite(points)]).max(initial=0.0))
+    skeleton = UsdSkel.Skeleton(prim)
+    binds = matrices(skeleton.GetBindTransformsAttr().Get())
+    rests = matrices(skeleton.GetRestTransformsAttr().Get())
+    joints = [str(joint) for joint in skeleton.GetJointsAttr().Get() or ()]
+    roots = [i for i, joint in enumerate(joints) if "/" not in joint and i < len(rests)]
+    frames = rests[roots] if roots and np.isfinite(rests).all() else np.eye(4)[None]
+    return frames, _around(binds)
+
+
+def _around(binds: FloatArray) -> float:
+    """How far from a joint points may be, by (j, 4, 4) bind transforms: twice what all joints span."""
+    places = binds[:, :3, 3]
+    return 2.0 * float(np.ptp(places, axis=0).max()) if len(places) and np.isfinite(places).all() else 0.0
 
 
 def _xform_codes(prim: Usd.Prim) -> list[float]:
@@ -110,8 +210,12 @@ def with_motion(
     times = np.unique(np.concatenate([np.asarray(one.times, float) for one in together if one.times is not None]))
     taken = [one.name for one in parts.animations]
     name = handles([*taken, "motion"], "Animation")[-1] if played is None else played.name
-    whole, lost = with_exact_scales(parts.skeleton, replace(_merged(parts.skeleton, together, times), name=name))
+    within = _TOLERANCE / parts.meters_per_unit
+    merged, rough = _merged(parts.skeleton, together, times, within)
+    whole, lost = with_exact_scales(parts.skeleton, replace(merged, name=name))
     named += [lost] if lost else []
+    if rough or moving.rough:
+        named.append("transforms over time turn more between their samples than is kept: there they are lines")
     others = tuple(one for one in parts.animations if one is not played)
     return replace(parts, animations=(*others, whole), played=name), named
 
@@ -165,7 +269,11 @@ def _with_rigid(
         parts = replace(parts, meshes=tuple(changed), skeleton=grown)
     if not tracks:
         return parts, None
-    trs = decompose(np.stack([*tracks.values()], axis=1))
+    every = np.stack([*tracks.values()], axis=1)
+    trs = decompose(every)
+    if trs.sheared.any():
+        lost = float(np.abs(compose(*trs[:3]) - every).max())
+        named.append(f"transforms over time shear what they move, which joints can't: lost up to {lost:.2g}")
     return parts, Animation(
         name="motion",
         times=moving.codes / moving.rate,
@@ -216,41 +324,60 @@ def _with_samples(
     return parts, Animation(name="motion", times=codes / moving.rate, shapes=shapes_used, shape_weights=weights)
 
 
-def _merged(skeleton: Skeleton, animations: Sequence[Animation], times: FloatArray) -> Animation:
-    """Animations that play together as one at `times`; where two move a joint, the motion of the later is around it."""
-    result = Animation(name="motion", times=times if len(times) > 1 else None)
-    moved: dict[str, FloatArray] = {}
-    weights: dict[str, FloatArray] = {}
-    for one in animations:
-        sampled = one if one.times is None else at_times(skeleton, one, times)
-        if one.times is None:
-            repeated = np.zeros(len(times), np.int64)
-            sampled = replace(
-                one,
-                times=times,
-                **{
-                    field: value[repeated]
-                    for field in ("translations", "rotations", "scales", "coefficients", "shape_weights")
-                    if (value := getattr(one, field)) is not None
-                },
-            )
-        if sampled.joints:
-            rest = dict(zip(skeleton.joints, np.asarray(skeleton.rest_transforms, np.float64), strict=True))
-            local_of = np.moveaxis(local_transforms(skeleton, sampled), 1, 0)
-            for joint, local in zip(sampled.joints, local_of, strict=True):
-                around = local @ np.linalg.inv(rest[joint])
-                moved[joint] = around @ moved[joint] if joint in moved else local
-        if sampled.shape_weights is not None:
-            weights |= dict(zip(sampled.shapes, np.asarray(sampled.shape_weights, np.float32).T, strict=True))
-    if moved:
-        trs = decompose(np.stack([*moved.values()], axis=1))
+def _merged(
+    skeleton: Skeleton, animations: Sequence[Animation], times: FloatArray, within: float
+) -> tuple[Animation, bool]:
+    """Animations that play together as one; where two move a joint, the motion of the later is around it.
+
+    And whether that turns more between samples than is kept.
+
+    :param times: of its samples; more come between where two motions of a joint make no line
+    :param within: as of `_with_between`
+    """
+    rest = dict(zip(skeleton.joints, np.asarray(skeleton.rest_transforms, np.float64), strict=True))
+    counts = Counter(joint for one in animations for joint in one.joints)
+    joints, twice = [*counts], [joint for joint, count in counts.items() if count > 1]
+
+    def locals_at(at: FloatArray) -> FloatArray:
+        """(T, j, 4, 4) of `joints`."""
+        moved: dict[str, FloatArray] = {}
+        for one in animations:
+            if one.joints:
+                local_of = np.moveaxis(local_transforms(skeleton, _sampled(skeleton, one, at)), 1, 0)
+                for joint, local in zip(one.joints, local_of, strict=True):
+                    around = local @ np.linalg.inv(rest[joint])
+                    moved[joint] = around @ moved[joint] if joint in moved else local
+        return np.stack([moved[joint] for joint in joints], axis=1)
+
+    result, rough = Animation(name="motion", times=times if len(times) > 1 else None), False
+    if joints:
+        chosen = [joints.index(joint) for joint in twice]
+        reach = np.full(len(twice), _around(skeleton.bind_transforms))
+        times, local, rough = _with_between(locals_at, lambda local: local[:, chosen], times, reach, within)
+        trs = decompose(local)
         result = replace(
             result,
-            joints=tuple(moved),
+            times=times if len(times) > 1 else None,
+            joints=tuple(joints),
             translations=trs.translation.astype(np.float32),
             rotations=trs.rotation.astype(np.float32),
             scales=trs.scale.astype(np.float32),
         )
+    weights: dict[str, FloatArray] = {}
+    for one in animations:
+        if one.shape_weights is not None:
+            values = np.asarray(_sampled(skeleton, one, times).shape_weights, np.float32)
+            weights |= dict(zip(one.shapes, values.T, strict=True))
     if weights:
         result = replace(result, shapes=tuple(weights), shape_weights=np.stack([*weights.values()], axis=1))
-    return result
+    return result, rough
+
+
+def _sampled(skeleton: Skeleton, animation: Animation, times: FloatArray) -> Animation:
+    """An animation at `times`; a pose is the same at all of them."""
+    if animation.times is not None:
+        return at_times(skeleton, animation, times)
+    repeated = np.zeros(len(times), np.int64)
+    fields = ("translations", "rotations", "scales", "coefficients", "shape_weights")
+    held = {field: value[repeated] for field in fields if (value := getattr(animation, field)) is not None}
+    return replace(animation, times=times, **held)

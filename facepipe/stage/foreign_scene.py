@@ -12,11 +12,13 @@ from pxr import Sdf, Usd, UsdGeom, UsdLux, UsdShade, UsdSkel
 
 from facepipe.core import tokens
 from facepipe.core.errors import InputError
+from facepipe.core.images import damage_of
 from facepipe.core.names import unknown
 from facepipe.parts import Material
 from facepipe.stage.composition import check_arrays
 from facepipe.stage.files import open_stage
 from facepipe.stage.foreign_motion import moving_of
+from facepipe.stage.layer_files import name_of
 from facepipe.stage.materials import USD_NAMES, Images, read_material
 from facepipe.stage.materialx import read_materialx, unread_inputs
 from facepipe.stage.prims import authored_skel_properties, check_kinds, distinct_names, prims_below
@@ -64,7 +66,8 @@ class Scene:
                 continue
             for attribute in prim.GetAuthoredAttributes():
                 samples = attribute.GetNumTimeSamples()
-                if samples and attribute.Get() is None:
+                # one sample alone counts at all times, whatever is authored without time
+                if samples == 1 or (samples and attribute.Get() is None):
                     attribute.Set(attribute.Get(Usd.TimeCode.EarliestTime()))
                 name = attribute.GetName()
                 # transforms and points are motion, of which `foreign_motion` says what became
@@ -309,6 +312,7 @@ def bound_materials(scene: Scene, meshes: list[Usd.Prim]) -> tuple[dict[str, str
 
 def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material | None:
     """One material; a texture that can't be had is left out of it."""
+    known = {*images}
     while True:
         try:
             material = read_material(prim, name, images) or read_materialx(prim, name, images)
@@ -316,7 +320,13 @@ def _read(scene: Scene, prim: Usd.Prim, name: str, images: Images) -> Material |
             inputs = material.textured.values() if material else ()
             if refusal := next((used.texture.refusal for used in inputs if used.texture.refusal), None):
                 raise refusal
-            break
+            new = {path: data for path, data in images.items() if data and path not in known}
+            damaged = {path: damage for path, data in new.items() if (damage := damage_of(data))}
+            if not damaged:
+                break
+            for path, damage in damaged.items():
+                scene.warn(f"{name_of(path)} {damage}")
+                images[path] = None
         except InputError as error:
             attribute = scene.stage.GetAttributeAtPath(Sdf.Path(error.where))
             if scene.strict or not attribute or not attribute.HasAuthoredValue():

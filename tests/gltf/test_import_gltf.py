@@ -296,7 +296,7 @@ def test_a_mesh_that_two_nodes_play_differently_has_shapes_of_its_own_for_each(t
     assert animation.shapes == ("smile", "frown", "smile_2")
     np.testing.assert_array_equal(animation.shape_weights[-1], [1.0, 0.25, 0.5])
     assert imported.warnings == (
-        "face.glb -> nodes[1]: plays 1 shapes otherwise than an earlier node: smile is smile_2",
+        "face.glb -> nodes[1]: shows 1 shapes otherwise than an earlier node: smile is smile_2",
     )
 
 
@@ -926,3 +926,69 @@ def test_the_least_of_a_normalised_integer_is_minus_one(tmp_path: Path) -> None:
     builder.add("nodes", {"mesh": 0})
     points = read(tmp_path, builder).parts.meshes[0].points
     np.testing.assert_allclose(points[:, 0] / points[2, 0], [-1.0, -1.0, 1.0])
+
+
+def two_nodes(builder: Builder, *weights: list[float] | None) -> Builder:
+    """A triangle with two shapes, shown by a node for each of `weights`, the node's default weights."""
+    builder.root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": builder.array(TRIANGLE)}] * 2
+    builder.root["meshes"][0]["extras"] = {"targetNames": ["smile", "frown"]}
+    for number, own in enumerate(weights):
+        if number:
+            builder.add("nodes", {"mesh": 0})
+        if own is not None:
+            builder.root["nodes"][number]["weights"] = own
+    builder.root["scenes"] = [{"nodes": list(range(len(weights)))}]
+    return builder
+
+
+def playing(builder: Builder, target: dict[str, Any], keys: list[float]) -> Builder:
+    times = builder.array(np.array([0.0, 1.0]))
+    samplers = [{"input": times, "output": builder.array(np.array(keys))}]
+    builder.add("animations", {"channels": [{"sampler": 0, "target": target}], "samplers": samplers, "name": "talk"})
+    return builder
+
+
+def test_a_clip_leaves_default_weights_where_it_moves_nothing(tmp_path: Path) -> None:
+    """As viewers do: channels replace the weights that they move alone."""
+    pointer = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/nodes/0/weights/1"}}}
+    builder = playing(two_nodes(triangle(), [0.75, 0.5]), pointer, [0.0, 1.0])
+    talk, default = read(tmp_path, builder).parts.animations
+    assert talk.shape_weights is not None
+    assert default.shape_weights is not None
+    columns = dict(zip(talk.shapes, talk.shape_weights.T.tolist(), strict=True))
+    assert columns == {"frown": [0.0, 1.0], "smile": [0.75, 0.75]}
+    assert dict(zip(default.shapes, default.shape_weights[0].tolist(), strict=True)) == {"smile": 0.75, "frown": 0.5}
+
+
+def test_nodes_that_show_a_mesh_in_other_default_weights_have_shapes_of_their_own(tmp_path: Path) -> None:
+    parts = read(tmp_path, two_nodes(triangle(), [0.75, 0.5], [0.25, 0.5], None)).parts
+    assert [[shape.name for shape in mesh.blendshapes] for mesh in parts.meshes] == [
+        ["smile", "frown"], ["smile_2", "frown"], ["smile_3", "frown_2"],
+    ]  # fmt: skip
+    (pose,) = parts.animations
+    assert pose.shape_weights is not None
+    weights = dict(zip(pose.shapes, pose.shape_weights[0].tolist(), strict=True))
+    assert weights == {"smile": 0.75, "frown": 0.5, "smile_2": 0.25}
+
+
+def test_a_pointer_to_the_weights_of_a_mesh_plays_the_nodes_without_their_own(tmp_path: Path) -> None:
+    pointer = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/meshes/0/weights"}}}
+    builder = playing(two_nodes(triangle(), None, None, [0.0, 0.5]), pointer, [0.0, 0.0, 1.0, 0.25])
+    imported = read(tmp_path, builder)
+    first, second, third = imported.parts.meshes
+    assert [shape.name for shape in first.blendshapes] == [shape.name for shape in second.blendshapes]
+    assert [shape.name for shape in third.blendshapes] == ["smile_2", "frown_2"]
+    talk = imported.parts.animations[0]
+    assert talk.shape_weights is not None
+    columns = dict(zip(talk.shapes, talk.shape_weights.T.tolist(), strict=True))
+    assert columns == {"smile": [0.0, 1.0], "frown": [0.0, 0.25], "frown_2": [0.5, 0.5]}
+
+
+def test_a_mesh_that_follows_the_shapes_of_another_is_named(tmp_path: Path) -> None:
+    builder = playing(two_nodes(triangle(), None), {"node": 0, "path": "weights"}, [0.0, 0.0, 1.0, 0.0])
+    teeth = dict(builder.root["meshes"][0]) | {"name": "teeth"}
+    builder.add("meshes", teeth)
+    builder.root["scenes"][0]["nodes"].append(builder.add("nodes", {"mesh": 1}))
+    assert read(tmp_path, builder).warnings == (
+        "face.glb -> nodes[1]: no channel plays its shapes (smile): they follow those of their names",
+    )

@@ -135,6 +135,9 @@ def test_webp_and_avif_become_png(kind: str, extension: str, mode: str, required
 BAD = {
     "no image": (b"GIF89a.....", "unknown type"),
     "half a WebP": (encoded("WEBP")[:40], "damaged"),
+    "half a PNG": (encoded("PNG")[:-20], "is cut short"),
+    "a PNG with other pixels than it says": (encoded("PNG").replace(b"IDAT", b"IDAT\0", 1), "checksum is wrong"),
+    "half a JPEG": (encoded("JPEG")[:-20], "is cut short"),
     "KTX2": (b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(80), "KTX2 image, expected PNG"),
     "a wrong AVIF": (b"\0\0\0\x20ftypavif" + bytes(40), ""),
 }

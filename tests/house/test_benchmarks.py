@@ -208,3 +208,13 @@ def test_rebuild_benchmark_fits_nearer_than_its_peers(tmp_path: Path) -> None:
         assert one["before_bytes"] <= one["peak_bytes"]
         assert side in ("facepipe", "facepipe, all threads", "facepipe, whole head") or one["mean_mm"] > ours["mean_mm"]
     assert ("trimesh" in result["skipped"]) == (not any(side.startswith("nricp") for side in person["best"]))
+
+
+@pytest.mark.slow
+def test_files_of_others_are_read_as_what_they_mean(tmp_path: Path) -> None:
+    out = tmp_path / "out.json"
+    printed = run("--seed", "1", "--inputs", "62", "--json", out, benchmark="files_of_others.py")
+    verdicts = json.loads(out.read_text(encoding="utf-8"))
+    assert {verdict["outcome"] for verdict in verdicts} == {"right", "named"}
+    assert len({verdict["kind"] for verdict in verdicts}) == 31
+    assert "seed 1: " in printed

@@ -100,6 +100,17 @@ def test_tiles_are_named(tmp_path: Path) -> None:
         read(path, strict=True)  # type: ignore[arg-type]
 
 
+def test_a_damaged_texture_costs_the_texture_alone(tmp_path: Path) -> None:
+    path = stage_with(tmp_path, textured)
+    (tmp_path / "skin.png").write_bytes(PNG[:-6])
+    imported = read(path)
+    warned(imported, "skin.png is cut short")
+    warned(imported, "left out")
+    assert [material.textured for material in imported.parts.materials] == [{}]
+    with pytest.raises(InputError, match=r"skin\.png"):
+        read(path, strict=True)  # type: ignore[arg-type]
+
+
 def surface(stage: Usd.Stage, material: UsdShade.Material, kind: str, **inputs: object) -> UsdShade.Shader:
     node = shader(stage, material, "Surface", kind)
     material.CreateSurfaceOutput("mtlx").ConnectToSource(node.CreateOutput("out", Names.Token))

@@ -14,7 +14,8 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel
 
 from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts
-from facepipe.stage import Face
+from facepipe.rig.animation import at_times, sample_transforms, sample_weights
+from facepipe.stage import Face, foreign_motion
 
 RATE = 24.0
 
@@ -72,6 +73,85 @@ def test_the_root_of_a_played_face_that_travels(tmp_path: Path) -> None:
     for seconds, expected in zip(clip.times, played(path, clip.times), strict=True):
         got = np.concatenate([*shown(imported.parts, float(seconds)).values()])
         np.testing.assert_allclose(got, expected, atol=2e-5)
+
+
+def between(parts: FaceParts, seconds: float) -> dict[str, np.ndarray]:
+    """Points of each mesh of the face as it plays, at any time."""
+    clip = next(one for one in parts.animations if one.name == parts.played)
+    there = at_times(parts.skeleton, clip, np.array([seconds]))
+    face, local = Face.from_parts(parts), sample_transforms(parts.skeleton, there)
+    return face.split(face.evaluate(sample_weights(there), joint_transforms=local))
+
+
+@pytest.mark.parametrize("turn", [200.0, 360.0, -720.0])
+def test_whole_turns_between_two_samples(turn: float, tmp_path: Path) -> None:
+    """USD is linear in the angle: a turntable ends where it began, and is not still."""
+    stage = foreign_stage(rich_face())
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, "/Rich/Teeth", "rotate", {0: 0.0, 48: turn})
+    path = written(stage, tmp_path / "face.usda")
+    parts = read(path).parts
+    reach = float(np.abs(truth(path, 0, "Teeth")).max())
+    for code in (0, 7.3, 24, 31, 48):
+        expected = truth(path, code, "Teeth")
+        np.testing.assert_allclose(between(parts, code / RATE)["Teeth"], expected, atol=2e-3 * reach)
+
+
+def test_a_root_that_turns_while_its_skeleton_plays(tmp_path: Path) -> None:
+    """Between samples too, where a turn times a turn is no line."""
+    stage = foreign_stage(replace(clipped_face(), name="Rich"))
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, "/Rich", "rotate", {0: 0.0, 12: 300.0})
+    path = written(stage, tmp_path / "face.usda")
+    parts = read(path).parts
+    times = np.array([0.0, 0.11, 0.27, 0.5])
+    for seconds, expected in zip(times, played(path, times), strict=True):
+        got = np.concatenate([*between(parts, float(seconds)).values()])
+        np.testing.assert_allclose(got, expected, atol=2e-3 * float(np.abs(expected).max()))
+
+
+def test_more_turns_than_are_kept_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foreign_motion, "_MOST_BETWEEN", 300)
+    stage = foreign_stage(rich_face())
+    moved(stage, "/Rich/Teeth", "rotate", {0: 0.0, 48: 360.0})
+    warned(read(written(stage, tmp_path / "face.usda")), "turn more between their samples than is kept")
+
+
+def test_a_skeleton_without_joints_may_move(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
+    for attribute in (skeleton.GetJointsAttr(), skeleton.GetBindTransformsAttr(), skeleton.GetRestTransformsAttr()):
+        attribute.Clear()
+    head = stage.GetPrimAtPath("/Rich/Head")
+    for one in head.GetAuthoredProperties():
+        if "skel:joint" in one.GetName():
+            head.RemoveProperty(one.GetName())
+    moved(stage, "/Rich", "translate", {0: Gf.Vec3d(0, 0, 0), 6: Gf.Vec3d(1, 0.5, -2)})
+    parts = read(written(stage, tmp_path / "face.usda")).parts
+    assert any(joint.endswith("Rich") for joint in parts.skeleton.joints)
+
+
+def test_shear_over_time_is_named(tmp_path: Path) -> None:
+    """USD mixes matrices number by number: half way between two turns lies no turn."""
+    stage = foreign_stage(rich_face())
+    op = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich/Teeth")).AddTransformOp(opSuffix="moves")
+    op.Set(Gf.Matrix4d(1.0), 0)
+    op.Set(Gf.Matrix4d(1.0).SetRotate(Gf.Rotation(Gf.Vec3d(0, 1, 0), 100.0)), 10)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Rich")).AddTranslateOp().Set(Gf.Vec3d(0, 0, 1), 5)
+    scaled = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich")).AddScaleOp()
+    scaled.Set(Gf.Vec3f(1, 2, 1), 0)
+    scaled.Set(Gf.Vec3f(1, 1, 2), 10)
+    warned(read(written(stage, tmp_path / "face.usda")), "transforms over time shear what they move")
+
+
+def test_a_value_at_one_time_is_there_at_all_times(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath("/Rich/Teeth")).GetPointsAttr()
+    attribute.Set((np.array(attribute.Get()) + 1).astype(np.float32), 7)
+    path = written(stage, tmp_path / "face.usda")
+    (teeth,) = (mesh for mesh in read(path).parts.meshes if mesh.name == "Teeth")
+    place = np.asarray(teeth.transform)
+    np.testing.assert_allclose(teeth.points @ place[:3, :3].T + place[:3, 3], truth(path, 0, "Teeth"), atol=1e-5)
 
 
 def test_points_over_time_are_shapes_and_a_clip(tmp_path: Path) -> None:

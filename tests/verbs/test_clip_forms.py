@@ -485,3 +485,50 @@ def test_head_and_eyes_of_another_face_turn_as_they_did(suffix: str, up: str, tm
     found = read_performance(clip)
     columns = dict(zip(found.names, found.values.T, strict=True))
     np.testing.assert_allclose(np.stack([columns[name] for name in TURNS], axis=1), turns, atol=2e-5)
+
+
+def test_first_frames_without_a_face_keep_their_time(tmp_path: Path) -> None:
+    """Else the clip would begin late against its sound."""
+    values = captured()
+    path = live(tmp_path, values, codes(60))
+    lines = path.read_text().split("\n")
+    for number in (1, 2, 3, 4, 20):
+        cells = lines[number].split(",")
+        lines[number] = ",".join([cells[0], "0", *cells[2:]])
+    path.write_text("\n".join(lines))
+    read = read_performance(path)
+    assert (len(read.values), read.filled) == (FRAMES, 5)
+    np.testing.assert_allclose(read.values[4], values[4], atol=1e-6)
+    np.testing.assert_allclose(read.values[:4], np.tile(values[4], (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(read.values[19, :52], (values[18, :52] + values[20, :52]) / 2, atol=1e-6)
+
+
+def test_a_rate_shows_where_frames_are_missing_at_the_end_of_a_second(tmp_path: Path) -> None:
+    kept = [i for i in range(150) if i not in (57, 58, 59)]
+    values = captured(150)[kept]
+    read = read_performance(live(tmp_path, values, [live_link.timecode(i, 30) for i in kept]))
+    assert (read.fps, len(read.values), read.filled) == (30, 150, 3)
+
+
+@pytest.mark.parametrize(("most", "said"), [(0.9, False), (2.3, True)])
+def test_turns_that_no_tracker_follows_are_named(most: float, said: bool, tmp_path: Path) -> None:
+    """Few degrees may be radians: which they are taken for is said."""
+    values = np.column_stack([np.linspace(0, 1, FRAMES), np.linspace(0, most, FRAMES), np.linspace(0, 1.6, FRAMES)])
+    path = rows(tmp_path / "take.csv", ["jawOpen", "HeadYaw", "HeadRoll"], [[] for _ in values], values)
+    assert any("taken as radians" in line for line in read_performance(path).warnings) == said
+    assert not read_performance(path, angles="rad").warnings
+
+
+def test_what_frames_hold_beside_weights_is_named(tmp_path: Path) -> None:
+    frames = [{"time": i / 30, "blendShapes": {"jawOpen": 0.1 * i}, "lookAtPoint": [0, 0, 1]} for i in range(5)]
+    assert read_performance(document(tmp_path / "take.json", frames)).warnings == (
+        "lookAtPoint of its frames: left out",
+    )
+
+
+def test_columns_that_are_no_weights_say_nothing_of_their_unit(tmp_path: Path) -> None:
+    values = np.column_stack([captured()[:, :2], np.full(FRAMES, 25.0)])
+    path = rows(tmp_path / "take.csv", [*SHAPES[:2], "fps"], [[] for _ in values], values)
+    read = read_performance(path)
+    np.testing.assert_allclose(read.values, values, atol=1e-6)
+    assert read.read_as.endswith("60 fps taken, as it holds no times (--fps)")

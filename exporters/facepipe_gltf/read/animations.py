@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from facepipe.core.arrays import FloatArray
-from facepipe.core.names import handles
+from facepipe.core.names import first_names, handles
 from facepipe.parts import Animation
 from facepipe.rig.animation import ON_FRAME, TICK, between, whole_frames, with_exact_scales
 from facepipe.rig.trs import compose, decompose, slerp
@@ -190,6 +190,28 @@ def _times(document: Document, value: Value, channels: Sequence[Channel], fps: f
     return times
 
 
+def _read_channel(document: Document, value: Value, node: int, path: str, width: int) -> Channel:
+    """The channel of a node's property, by the sampler at `value` of `width` numbers a key.
+
+    :raises InputError: times that don't ascend, or keys that don't fit them
+    """
+    mode = value.get_or("interpolation", "LINEAR").text()
+    if mode not in ("STEP", "LINEAR", "CUBICSPLINE"):
+        raise value.error(f"interpolation {ascii(mode)[:40]}, expected STEP, LINEAR or CUBICSPLINE")
+    times = accessors.floats(document, value.require("input"), "SCALAR")[:, 0].astype(np.float64)
+    if np.any(np.diff(times) <= 0.0):
+        raise value.require("input").error("key times that don't ascend")
+    output = value.require("output")
+    read = accessors.floats(document, output, _TYPES.get(path, "SCALAR")).astype(np.float64)
+    rows = 3 if mode == "CUBICSPLINE" else 1
+    if read.size != len(times) * width * rows:
+        raise output.error(f"{read.size} numbers for {len(times)} keys, expected {len(times) * width * rows}")
+    # a cubic key is three rows: in-tangent, value, out-tangent
+    keys = read.reshape(len(times), rows, width)
+    tangents = (keys[:, 0], keys[:, 2]) if rows == 3 else None
+    return Channel(node, path, value, mode, times, keys[:, rows // 2], tangents)
+
+
 def _channels(
     document: Document, value: Value, joints: Joints, shapes: Mapping[int, Sequence[Role]], *, quiet: bool = False
 ) -> list[Channel]:
@@ -198,37 +220,24 @@ def _channels(
     left_out = 0
     for channel in value.require("channels").items():
         found = animated_property(document, channel.require("target"))
-        index, path, weight = (-1, "", None) if found is None else found
-        moves_joint = path in _TYPES and index in joints.of_node
-        moves_shape = path == "weights" and index in shapes and (weight is None or weight < len(shapes[index]))
-        if not moves_joint and not moves_shape:
-            left_out += 1
-            continue
-        # glTF 2.0 forbids two channels of one target: which one wins would depend on the reader
-        if (index, path, weight) in channels:
-            raise channel.error(f"a second channel for {path} of nodes[{index}]")
-        reference = channel.require("sampler")
-        number = reference.integer()
-        if number >= len(samplers):
-            raise reference.error(f"{number}, but there are {len(samplers)} samplers")
-        own = 1 if weight is not None else len(shapes[index]) if path == "weights" else 0
-        width = own or int(_TYPES[path][-1])
-        sampler = samplers[number]
-        mode = sampler.get_or("interpolation", "LINEAR").text()
-        if mode not in ("STEP", "LINEAR", "CUBICSPLINE"):
-            raise sampler.error(f"interpolation {ascii(mode)[:40]}, expected STEP, LINEAR or CUBICSPLINE")
-        times = accessors.floats(document, sampler.require("input"), "SCALAR")[:, 0].astype(np.float64)
-        if np.any(np.diff(times) <= 0.0):
-            raise sampler.require("input").error("key times that don't ascend")
-        output = sampler.require("output")
-        read = accessors.floats(document, output, _TYPES.get(path, "SCALAR")).astype(np.float64)
-        rows = 3 if mode == "CUBICSPLINE" else 1
-        if read.size != len(times) * width * rows:
-            raise output.error(f"{read.size} numbers for {len(times)} keys, expected {len(times) * width * rows}")
-        # a cubic key is three rows: in-tangent, value, out-tangent
-        keys = read.reshape(len(times), rows, width)
-        tangents = (keys[:, 0], keys[:, 2]) if rows == 3 else None
-        channels[index, path, weight] = Channel(index, path, sampler, mode, times, keys[:, rows // 2], tangents, weight)
+        nodes, path, weight = ((-1,), "", None) if found is None else found
+        for index in nodes:
+            moves_joint = path in _TYPES and index in joints.of_node
+            moves_shape = path == "weights" and index in shapes and (weight is None or weight < len(shapes[index]))
+            if not moves_joint and not moves_shape:
+                left_out += 1
+                continue
+            # glTF 2.0 forbids two channels of one target: which one wins would depend on the reader
+            if (index, path, weight) in channels:
+                raise channel.error(f"a second channel for {path} of nodes[{index}]")
+            reference = channel.require("sampler")
+            number = reference.integer()
+            if number >= len(samplers):
+                raise reference.error(f"{number}, but there are {len(samplers)} samplers")
+            own = 1 if weight is not None else len(shapes[index]) if path == "weights" else 0
+            width = own or int(_TYPES[path][-1])
+            read = _read_channel(document, samplers[number], index, path, width)
+            channels[index, path, weight] = replace(read, weight=weight)
     if left_out and not quiet:
         document.warn(value, f"{left_out} channels move neither a joint nor a shape: left out")
     return list(channels.values())
@@ -250,7 +259,7 @@ def _animation(
     # before sampling: a few keys far apart ask for more frames than memory holds
     document.budget.spend(8 * len(times) * width, value.error)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
-    shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes)
+    shape_names, shape_weights = _shape_motion(document, value, times, weights, nodes, shapes)
     label = given_name(value)
     animation = Animation(
         name=name,
@@ -309,17 +318,26 @@ def _shape_motion(
     value: Value,
     times: FloatArray,
     channels: list[Channel],
+    nodes: Nodes,
     shapes: Mapping[int, Sequence[Role]],
 ) -> tuple[tuple[str, ...], FloatArray | None]:
-    """Shape names and weights (t, s); of meshes that move one shape differently the first."""
+    """Shape names and weights (t, s); of meshes that move one shape differently the first.
+
+    Shapes that no channel moves stay at the default weights of their nodes, as viewers show them.
+    """
     by_shape: dict[str, FloatArray] = {}
     for of_node in _by_node(channels, times, shapes).values():
         for shape, weights in of_node.items():
             if shape in by_shape and np.abs(by_shape[shape] - weights).max() > _ALIKE:
                 document.warn(value, f"the meshes move the shape {shape} differently: the first is kept")
             by_shape.setdefault(shape, weights)
+    for still in default_weights(document, nodes, shapes).values():
+        for shape, weight in still.items():
+            if weight and shape not in by_shape:
+                by_shape[shape] = np.full(len(times), weight)
     if not by_shape:
         return (), None
+    document.budget.spend(8 * len(times) * len(by_shape), value.error)
     return tuple(by_shape), np.stack(list(by_shape.values()), axis=1).astype(np.float32)
 
 
@@ -341,12 +359,14 @@ def _by_node(
 def nodes_apart(
     document: Document, nodes: Nodes, joints: Joints, shapes: Mapping[int, Sequence[Role]]
 ) -> dict[int, tuple[str, ...]]:
-    """Shapes of nodes that an animation plays otherwise than those of the same name of an earlier node.
+    """Shapes of nodes that an animation plays, or default weights show, otherwise than those of an earlier node.
 
     A node that shows the mesh of another and that no channel moves stands still; one with a mesh of its own follows the
-    shapes of its names, as teeth do the jaw.
+    shapes of its names, as teeth do the jaw, and a warning says so. Default weights count where nodes share a mesh.
     """
     apart: dict[int, dict[str, None]] = {}
+    meshes = {node: nodes.values[node].require("mesh").integer() for node in shapes}
+    following: dict[int, dict[str, None]] = {}
     for value in document.entries("animations"):
         channels = [one for one in _channels(document, value, joints, shapes, quiet=True) if one.path == "weights"]
         if not channels:
@@ -354,41 +374,62 @@ def nodes_apart(
         times = np.unique(np.concatenate([channel.times for channel in channels]))
         document.budget.spend(8 * len(times) * sum(channel.keys.shape[1] for channel in channels), value.error)
         played = _by_node(channels, times, shapes)
-        meshes = {node: nodes.values[node].require("mesh").integer() for node in shapes}
         first: dict[str, FloatArray] = {}
+        moved = {shape for of_node in played.values() for shape, weights in of_node.items() if weights.any()}
         for node in shapes:
             still = any(meshes[node] == meshes[other] for other in played if other != node)
+            if node not in played and not still:
+                own = [role.shape for role in shapes[node] if role.shape in moved]
+                following.setdefault(node, {}).update(dict.fromkeys(own))
             for role in shapes[node]:
                 weights = played.get(node, {}).get(role.shape)
                 weights = np.zeros(len(times)) if weights is None and still else weights
                 if weights is not None and np.abs(first.setdefault(role.shape, weights) - weights).max() > _ALIKE:
                     apart.setdefault(node, {})[role.shape] = None
+    for node, names in following.items():
+        if names:
+            what = f"no channel plays its shapes ({first_names([*names], 4)}): they follow those of their names"
+            document.warn(nodes.values[node], what)
+    shown: dict[tuple[int, str], float] = {}
+    for node, still_of in default_weights(document, nodes, shapes).items():
+        for shape, weight in still_of.items():
+            if abs(shown.setdefault((meshes[node], shape), weight) - weight) > _ALIKE:
+                apart.setdefault(node, {})[shape] = None
     return {node: tuple(names) for node, names in apart.items()}
+
+
+def default_weights(
+    document: Document, nodes: Nodes, shapes: Mapping[int, Sequence[Role]]
+) -> dict[int, dict[str, float]]:
+    """The weights of the shapes of each node where nothing plays: 0 where neither it nor its mesh has some.
+
+    A node's weights win over those of its mesh (glTF 2.0 section 3.7.2.2).
+    """
+    found: dict[int, dict[str, float]] = {}
+    for node, own in shapes.items():
+        value = nodes.values[node]
+        given = value.get("weights") or document.entry("meshes", value.require("mesh")).get("weights")
+        numbers = (0.0,) * len(own) if given is None or len(given.items()) != len(own) else given.numbers()
+        of_node = found.setdefault(node, {})
+        for role, weight in zip(own, numbers, strict=True):
+            of_node[role.shape] = of_node.get(role.shape, 0.0) + role.weight * weight
+    return found
 
 
 def _default_pose(
     document: Document, nodes: Nodes, shapes: Mapping[int, Sequence[Role]], taken: Sequence[str]
 ) -> Animation | None:
-    """The morph weights that a file shows where nothing plays, as a pose; None where all are 0.
-
-    A node's weights win over those of its mesh (glTF 2.0 section 3.7.2.2).
-    """
+    """The default morph weights of a file as a pose; None where all are 0."""
     found: dict[str, float] = {}
-    for node, own in shapes.items():
+    for node, of_node in default_weights(document, nodes, shapes).items():
         value = nodes.values[node]
         given = value.get("weights") or document.entry("meshes", value.require("mesh")).get("weights")
-        if given is None:
-            continue
-        numbers = given.numbers()
-        if len(numbers) != len(own):
-            document.warn(given, f"{len(numbers)} default weights of {len(own)} morph targets: left out")
-            continue
-        of_node: dict[str, float] = {}
-        for role, weight in zip(own, numbers, strict=True):
-            of_node[role.shape] = of_node.get(role.shape, 0.0) + role.weight * weight
-        for shape, weight in of_node.items():
-            if abs(found.setdefault(shape, weight) - weight) > _ALIKE:
-                document.warn(value, f"shows the shape {shape} otherwise than an earlier node: that is kept")
+        if given is not None and len(given.items()) != len(shapes[node]):
+            document.warn(given, f"{len(given.items())} default weights of {len(shapes[node])} targets: left out")
+        others = [shape for shape, weight in of_node.items() if abs(found.setdefault(shape, weight) - weight) > _ALIKE]
+        if others:
+            what = f"shows {first_names(others, 4)} otherwise than an earlier node of these shapes: that is kept"
+            document.warn(value, what)
     moved = {shape: weight for shape, weight in found.items() if weight}
     if not moved:
         return None

@@ -300,7 +300,7 @@ def _shapes_apart(
         ]
         changed[number] = replace(changed[number], blendshapes=tuple(shapes))
         listed = ", ".join(f"{old} is {new}" for old, new in [*called.items()][:_LISTED])
-        document.warn(nodes.values[node], f"plays {len(called)} shapes otherwise than an earlier node: {listed}")
+        document.warn(nodes.values[node], f"shows {len(called)} shapes otherwise than an earlier node: {listed}")
     return tuple(changed)
 
 

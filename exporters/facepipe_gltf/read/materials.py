@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import Literal
 
 from facepipe.core.errors import InputError
-from facepipe.core.images import decoding, open_image
+from facepipe.core.images import damage_of, decoding, open_image
 from facepipe.core.names import first_names, handles
 from facepipe.core.reading import is_file
 from facepipe.parts import Color, Material, Texture, TextureInput, UvTransform
@@ -154,6 +154,8 @@ class _Textures:
             return self._read[data]
         # by what it begins with: mimeType and the suffix may say otherwise
         kind = next((kind for signature, kind in _SIGNATURES.items() if data.startswith(signature)), None)
+        if (damage := damage_of(data)) is not None:
+            raise _NoImageError(damage)
         png = data if kind is not None else _as_png(data)
         named = uri_name(uri.text()) if uri is not None else ""
         stem = PurePosixPath(named).stem or given_name(value) or ""

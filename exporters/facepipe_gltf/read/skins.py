@@ -25,9 +25,9 @@ _POINTER = re.compile(r"/(nodes|meshes)/(\d{1,9})/(translation|rotation|scale|we
 
 
 class Animated(NamedTuple):
-    """A property of a node that a channel moves."""
+    """A property that a channel moves, of one node or of all that show a mesh."""
 
-    node: int
+    nodes: tuple[int, ...]
     path: str  # translation, rotation, scale, weights
     weight: int | None = None  # of its morph weights this one alone
 
@@ -35,26 +35,25 @@ class Animated(NamedTuple):
 def animated_property(document: Document, target: Value) -> Animated | None:
     """What a channel's target names, by KHR_animation_pointer too; None for another thing.
 
-    A pointer to the weights of a mesh means the first node that shows it.
+    A pointer to the weights of a mesh means the nodes that show it and have none of their own, which would win.
 
     :raises InputError: no such node
     """
     path, node = target.require("path").text(), target.get("node")
     pointer = target.extension("KHR_animation_pointer")
     if path != "pointer" or pointer is None:
-        return None if node is None else Animated(document.index("nodes", node), path)
+        return None if node is None else Animated((document.index("nodes", node),), path)
     match = _POINTER.fullmatch(pointer.require("pointer").text())
     if match is None or (match[4] is not None and match[3] != "weights"):
         return None
     number, weight = int(match[2]), None if match[4] is None else int(match[4])
     if match[1] == "meshes":
-        shown = [one.get("mesh") for one in document.entries("nodes")]
-        number = next((i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number), -1)
-    if match[1] == "meshes" and (number < 0 or match[3] != "weights"):
-        return None
+        shown = [one.get("mesh") if one.get("weights") is None else None for one in document.entries("nodes")]
+        of_mesh = tuple(i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number)
+        return Animated(of_mesh, match[3], weight) if of_mesh and match[3] == "weights" else None
     if number >= len(document.entries("nodes")):
         raise pointer.error(f"nodes[{number}], but there are {len(document.entries('nodes'))}")
-    return Animated(number, match[3], weight)
+    return Animated((number,), match[3], weight)
 
 
 @dataclass(frozen=True)
@@ -191,7 +190,7 @@ def _rigid_nodes(document: Document, nodes: Nodes, joints: set[int]) -> list[int
         for channel in animation.get_or("channels", []).items():
             found = animated_property(document, channel.require("target"))
             if found is not None and found.path != "weights":
-                moved.add(found.node)
+                moved.update(found.nodes)
     carries = [
         node in joints or (value.get("mesh") is not None and value.get("skin") is None)
         for node, value in enumerate(nodes.values)
@@ -209,29 +208,13 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
     :raises InputError: joints out of range or listed twice, inverse binds that are missing, not affine or singular
     """
     values = document.entries("skins")
-    listed = []
-    for value in values:
-        joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
-        if not joints:
-            raise value.error("no joints, expected at least one")
-        node, times = Counter(joints).most_common(1)[0]
-        if times > 1:
-            raise value.error(f"lists nodes[{node}] {times} times, expected once")
-        listed.append(joints)
+    listed = [_listed(document, value) for value in values]
     # UsdSkelTopology wants parents before their children, glTF lists joints in any order
     skinned = [node for skin in listed for node in skin]
     rigid = _rigid_nodes(document, nodes, {*skinned})
     order = _parent_first(nodes, [*skinned, *rigid, *more])
     of_node = {node: joint for joint, node in enumerate(order)}
-    # parent joint of every joint, -1 for roots, and the matrices of the nodes between
-    parents: list[int] = []
-    above = np.tile(identity(), (len(order), 1, 1))
-    for joint, node in enumerate(order):
-        node = nodes.parents[node]
-        while node >= 0 and node not in of_node:
-            above[joint] = nodes.locals[node] @ above[joint]
-            node = nodes.parents[node]
-        parents.append(of_node.get(node, -1))
+    parents, above = _above(nodes, order, of_node)
     binds: dict[int, FloatArray] = {}
     twins: list[tuple[int, FloatArray]] = []
     skins = []
@@ -272,6 +255,30 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
     skeleton = skeleton.called([leaf if own is None else own for own, leaf in leaves])
     numbered = [replace(one, slots=np.where(one.slots < 0, len(order) - 1 - one.slots, one.slots)) for one in skins]
     return Joints(skeleton, of_node, above, tuple(numbered))
+
+
+def _listed(document: Document, value: Value) -> list[int]:
+    """The joint nodes of a skin."""
+    joints = [document.index("nodes", joint) for joint in value.require("joints").items()]
+    if not joints:
+        raise value.error("no joints, expected at least one")
+    node, times = Counter(joints).most_common(1)[0]
+    if times > 1:
+        raise value.error(f"lists nodes[{node}] {times} times, expected once")
+    return joints
+
+
+def _above(nodes: Nodes, order: list[int], of_node: dict[int, int]) -> tuple[list[int], FloatArray]:
+    """The parent joint of every joint, -1 for roots, and (j, 4, 4) the product of the nodes between."""
+    parents: list[int] = []
+    above = np.tile(identity(), (len(order), 1, 1))
+    for joint, node in enumerate(order):
+        node = nodes.parents[node]
+        while node >= 0 and node not in of_node:
+            above[joint] = nodes.locals[node] @ above[joint]
+            node = nodes.parents[node]
+        parents.append(of_node.get(node, -1))
+    return parents, above
 
 
 def _parent_first(nodes: Nodes, joints: list[int]) -> list[int]:

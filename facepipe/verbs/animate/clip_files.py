@@ -92,12 +92,6 @@ def _read_table(path: Path, fps: float | None) -> Take:
     table = _Table(path, header, lines[1:])
     keys = [re.sub(r"[^a-z0-9]", "", name.casefold()) for name in header]
     live_link = _COUNT in keys
-    if live_link:
-        place = keys.index(_COUNT)
-        seen = [(line, cells) for line, cells in table.lines if len(cells) <= place or cells[place] != "0"]
-        if not seen:
-            raise InputError(path, "a face in none of its frames, expected some")
-        table = table._replace(lines=seen)
     codes = [i for i, name in enumerate(keys) if name == "timecode"]
     times = [i for i, name in enumerate(keys) if _TIME.fullmatch(name)]
     numbers = [i for i, name in enumerate(keys) if name in _NUMBER]
@@ -111,6 +105,9 @@ def _read_table(path: Path, fps: float | None) -> Take:
     names = [header[i] for i in columns]
     take = Take(form=_form(names, live_link=live_link), where=where, names=names, values=_numbers(table, columns))
     if live_link:
+        # the frames stay, without values: a clip whose first ones have no face would begin late, against its sound
+        count = keys.index(_COUNT)
+        take.values[[len(cells) > count and cells[count] == "0" for _, cells in table.lines]] = np.nan
         missing = sorted(ARKIT_SHAPES - {name for name in ARKIT_SHAPES if shape_key(name) in map(shape_key, names)})
         if missing:
             take.notes.append(f"without {first_names(missing, 4)}")

@@ -27,6 +27,7 @@ import numpy as np
 
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
+from facepipe.core.names import first_names
 from facepipe.core.reading import check_values, read_bytes, read_json
 from facepipe.rig.visemes import AZURE_BLENDSHAPES, AZURE_VISEMES, OCULUS_VISEMES
 from facepipe.verbs.animate.performance import (
@@ -112,24 +113,21 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     tracked: list[dict[str, float] | None] = []
     tracker = False
     more = 0
+    unread: dict[str, None] = {}
     skipped = (*_WEIGHTS, *_MATRICES, *_TIMES, "timecode", "frame", "index", "facelandmarks")
     for trail, own, frame in zip(where, keyed, frames, strict=True):
         held = _first(own, _WEIGHTS)
         matrices = _first(own, _MATRICES)
         tracker = tracker or "faceblendshapes" in own or matrices is not None
         if isinstance(held, list):
-            faces = [
-                _keyed(one)["categories"] for one in held if isinstance(one, Mapping) and "categories" in _keyed(one)
-            ]
-            faces = faces or [one for one in held if isinstance(one, list)]
-            more = max(more, len(faces) - 1)
-            listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in (faces[0] if faces else held) or []]
-            held = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}
+            held, others = _of_categories(held)
+            more = max(more, others)
             if tracker and not held:  # no face in the picture
                 tracked.append(None)
                 continue
         beside = {name: value for name, value in frame.items() if _plain(name) not in skipped}
         if held is not None:
+            unread.update(dict.fromkeys(name for name in beside if not angle_of(name)))
             beside = {name: value for name, value in beside.items() if angle_of(name)}
             if not isinstance(held, Mapping):
                 raise InputError(trail, "weights of another form, expected names with numbers")
@@ -152,6 +150,8 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         raise InputError(path, f"{len(frames)} frames of {len(names)} names, expected at most {MOST_VALUES} values")
     rows = np.array([[math.nan] * len(names) if one is None else [one[name] for name in names] for one in tracked])
     take = Take(form="frames", where=where, names=names, values=rows)
+    if unread:
+        take.warnings.append(f"{first_names([str(name)[:40] for name in unread], 4)} of its frames: left out")
     if tracker:
         take.form, take.rate, take.radians = "MediaPipe face landmarker", None, True
         if more:
@@ -167,6 +167,18 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         times = [_number(f"{one} -> {clock}", own.get(clock), LATEST) for one, own in zip(where, keyed, strict=True)]
         take.seconds = clock_seconds(str(path), clock, np.array(times), take.notes)
     return take
+
+
+def _of_categories(held: list[Any]) -> tuple[dict[str, Any], int]:
+    """Weights by name of a list of categories, or of the first of several faces, and how many faces more there are."""
+    keyed = [_keyed(one) for one in held]
+    faces = [one["categories"] for one in keyed if "categories" in one] or [
+        one for one in held if isinstance(one, list)
+    ]
+    listed = (faces[0] if faces else held) or []
+    named = [_keyed(one) for one in listed] if isinstance(listed, list) else []
+    weights = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in named}
+    return weights, len(faces) - 1
 
 
 def _turn(where: str, matrix: object) -> dict[str, float]:

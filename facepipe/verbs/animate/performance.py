@@ -18,7 +18,7 @@ import numpy as np
 from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import first_names
-from facepipe.rig.conventions import shape_key, spelling
+from facepipe.rig.conventions import meaning, shape_key, spelling
 
 FPS = 60.0  # of a file that does not say
 RATES = (1.0, 1000.0)  # frames per second that a file may have
@@ -35,6 +35,7 @@ _ON_FRAME = 0.01  # frames that a time may be off
 _TICK = 1e-3  # seconds that a clock of whole milliseconds may be off: some cut the rest off
 _NO_TURN = math.pi  # no head turns farther, recordings wrap there; 1 % for rounding
 _NO_EYE_TURN = 1.3  # radians, 75 degrees: eyes reach 55
+_FAR_TURN = 1.2  # radians of yaw or pitch, 69 degrees: trackers lose faces there; a phone on its side rolls by 1.6
 _PERCENT = (10.0, 150.0)  # largest weight of a clip in percent
 _EXAGGERATED = 2.0  # weights beyond are of another unit, or of a caricature
 _DAY = 24 * 3600
@@ -154,26 +155,8 @@ def performance_of(path: Path, take: Take, fps: float | None, angles: str) -> Pe
         take.warnings.append(f"frames are up to {off:.2g} of a frame off whole ones: interpolated")
     else:
         frames = np.rint(frames / step) * step
-    turns = [i for i, name in enumerate(take.names) if angle_of(name)]
-    # before interpolation: half way between 179 and -179 degrees is 180, not 0
-    for i in turns:
-        seen = np.isfinite(values[:, i])
-        values[seen, i] = np.unwrap(values[seen, i])
-    tracked = np.isfinite(values)
-    lost = sum(not row for row in tracked.any(axis=1))
-    kept = tracked.any(axis=0)
-    if not kept.any():
-        raise InputError(where, "a face in none of its frames, expected some")
-    if not kept.all():
-        empty = [name for name, some in zip(take.names, kept, strict=True) if not some]
-        take.warnings.append(f"no values of {first_names(empty, 4)}: left out")
-    at = np.arange(count) * step
-    columns = [np.interp(at, frames[tracked[:, i]], values[tracked[:, i], i]) for i in np.flatnonzero(kept)]
+    lost, names, columns = _filled(where, take, frames, values, np.arange(count) * step)
     fps = rate / step
-    partly = int((~tracked[:, kept]).any(axis=1).sum()) - lost
-    if partly:
-        take.notes.append(f"{partly} frames with values that were not tracked, filled")
-    names = tuple(name for name, some in zip(take.names, kept, strict=True) if some)
     turning = sum(1 for name in names if angle_of(name))
     held = f"{len(names) - turning} weights" + (f" and {turning} turns" if turning else "")
     return Performance(
@@ -187,6 +170,33 @@ def performance_of(path: Path, take: Take, fps: float | None, angles: str) -> Pe
     )
 
 
+def _filled(
+    where: str, take: Take, frames: FloatArray, values: FloatArray, at: FloatArray
+) -> tuple[int, tuple[str, ...], list[FloatArray]]:
+    """How many rows hold nothing, the names with values, and each of these at the frames `at`, straight between rows.
+
+    :param values: (k, names) of the rows at `frames`, NaN where not tracked; turns are unwrapped in place
+    :raises InputError: no values at all
+    """
+    # before interpolation: half way between 179 and -179 degrees is 180, not 0
+    for i in (i for i, name in enumerate(take.names) if angle_of(name)):
+        seen = np.isfinite(values[:, i])
+        values[seen, i] = np.unwrap(values[seen, i])
+    tracked = np.isfinite(values)
+    lost = sum(not row for row in tracked.any(axis=1))
+    kept = tracked.any(axis=0)
+    if not kept.any():
+        raise InputError(where, "a face in none of its frames, expected some")
+    if not kept.all():
+        empty = [name for name, some in zip(take.names, kept, strict=True) if not some]
+        take.warnings.append(f"no values of {first_names(empty, 4)}: left out")
+    partly = int((~tracked[:, kept]).any(axis=1).sum()) - lost
+    if partly:
+        take.notes.append(f"{partly} frames with values that were not tracked, filled")
+    columns = [np.interp(at, frames[tracked[:, i]], values[tracked[:, i], i]) for i in np.flatnonzero(kept)]
+    return lost, tuple(name for name, some in zip(take.names, kept, strict=True) if some), columns
+
+
 def _in_usual_units(where: str, take: Take, angles: str) -> None:
     """Make weights fractions and angles radians.
 
@@ -195,6 +205,7 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     turns = np.array([bool(angle_of(name)) for name in take.names])
     peaks = np.nanmax(np.abs(take.values), axis=0, initial=0.0, where=np.isfinite(take.values))
     if turns.any() and not take.radians:
+        nods = np.array([(angle_of(name) or "").endswith(("Yaw", "Pitch")) for name in take.names])
         eyes = np.array([(angle_of(name) or "").find("Eye") > 0 for name in take.names])
         most, eye = float(peaks[turns].max()), float(peaks[eyes].max(initial=0.0))
         degrees = angles == "deg" or (angles == "auto" and (most > 1.01 * _NO_TURN or eye > _NO_EYE_TURN))
@@ -204,7 +215,13 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
             take.notes.append(f"turns in degrees{found}")
         elif most > 1.01 * _NO_TURN:
             take.warnings.append(f"turns up to {most:g} radians, {most / (2 * math.pi):.1f} times round: --angles deg?")
-    weights = np.abs(take.values[:, ~turns])
+        elif angles == "auto" and (far := float(peaks[nods].max(initial=0.0))) > _FAR_TURN:
+            what = f"turns up to {far:g}, taken as radians, which are {math.degrees(far):.0f} degrees"
+            take.warnings.append(f"{what}: --angles deg or rad says which")
+    # by names of faces, where there are: a column of rates or shares beside says nothing of their unit
+    known = np.array([meaning(name) is not None for name in take.names])
+    shown = ~turns & known if (~turns & known).any() else ~turns
+    weights = np.abs(take.values[:, shown])
     weights = weights[np.isfinite(weights) & (weights > 0)]
     most = float(weights.max(initial=0.0))
     # by shares: one bad value of a tracker must not make all others a hundredth
@@ -212,8 +229,8 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     if _PERCENT[0] < most <= _PERCENT[1] and beyond > 0.2:
         take.values[:, ~turns] /= 100
         take.notes.append(f"weights in percent (up to {most:g})")
-    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[~turns] > 0).sum() > 3):
-        name = take.names[int(np.flatnonzero(~turns)[np.argmax(peaks[~turns])])]
+    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[shown] > 0).sum() > 3):
+        name = take.names[int(np.flatnonzero(shown)[np.argmax(peaks[shown])])]
         raise InputError(where, f"{name[:60]} up to {most:g}, expected weights from 0 to 1, or percent")
     elif most > _EXAGGERATED:
         take.warnings.append(f"weights up to {most:g}, taken as they are: 1 is the whole shape")
@@ -221,6 +238,9 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
 
 def _frames(take: Take, fps: float | None) -> tuple[FloatArray, float]:
     """(k,) when the rows of a take are, in frames of a rate, and that rate."""
+    if take.seconds is None and not take.rate and not fps:
+        held = "no times" if take.frames is None else "numbers of frames alone"
+        take.notes.append(f"{FPS:g} fps taken, as it holds {held} (--fps)")
     if take.frames is not None:
         return take.frames, take.rate or fps or FPS
     if take.seconds is None:
@@ -328,11 +348,14 @@ def read_timecodes(take: Take, codes: Sequence[str], fps: float | None) -> None:
 
 
 def _shown_rate(seconds: FloatArray, last: FloatArray) -> float | None:
-    """The one usual rate at which frames go on in steps of one length where a second ends; None for none or several."""
+    """The usual rate at which frames go on in steps of one length where a second ends; None for none.
+
+    Frames that are missing there make it seem lower, so the highest counts.
+    """
     step = middle(np.diff(last)[np.diff(seconds) == 0])
     ends = np.flatnonzero(np.diff(seconds) == 1)
-    left = np.unique(np.rint(last[ends] - last[ends + 1] + step))
-    return float(left[0]) if len(left) == 1 and left[0] in _USUAL_RATES else None
+    left = float(np.rint(last[ends] - last[ends + 1] + step).max(initial=0.0))
+    return left if left in _USUAL_RATES and left > last.max() else None
 
 
 def middle(steps: FloatArray) -> float:
