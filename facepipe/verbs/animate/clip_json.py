@@ -120,13 +120,8 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         matrices = _first(own, _MATRICES)
         tracker = tracker or "faceblendshapes" in own or matrices is not None
         if isinstance(held, list):
-            faces = [
-                _keyed(one)["categories"] for one in held if isinstance(one, Mapping) and "categories" in _keyed(one)
-            ]
-            faces = faces or [one for one in held if isinstance(one, list)]
-            more = max(more, len(faces) - 1)
-            listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in (faces[0] if faces else held) or []]
-            held = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}
+            held, count = _first_face(held)
+            more = max(more, count - 1)
             if tracker and not held:  # no face in the picture
                 tracked.append(None)
                 continue
@@ -172,6 +167,14 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
         times = [_number(f"{one} -> {clock}", own.get(clock), LATEST) for one, own in zip(where, keyed, strict=True)]
         take.seconds = clock_seconds(str(path), clock, np.array(times), take.notes)
     return take
+
+
+def _first_face(held: list[Any]) -> tuple[dict[str, Any], int]:
+    """Weights of the first of the faces that a frame lists, and how many it lists; a list of weights is one face."""
+    faces = [_keyed(one)["categories"] for one in held if isinstance(one, Mapping) and "categories" in _keyed(one)]
+    faces = faces or [one for one in held if isinstance(one, list)]
+    listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in (faces[0] if faces else held) or []]
+    return {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}, len(faces)
 
 
 def _turn(where: str, matrix: object) -> dict[str, float]:
