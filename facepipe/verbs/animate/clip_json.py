@@ -172,7 +172,7 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
 def _first_face(held: list[Any]) -> tuple[dict[str, Any], int]:
     """Weights of the first of the faces that a frame lists, and how many it lists; a list of weights is one face."""
     faces = [_keyed(one)["categories"] for one in held if isinstance(one, Mapping) and "categories" in _keyed(one)]
-    faces = faces or [one for one in held if isinstance(one, list)]
+    faces = [one for one in faces or held if isinstance(one, list)]
     listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in (faces[0] if faces else held) or []]
     return {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}, len(faces)
 
