@@ -151,6 +151,7 @@ def _line(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
     return compose(moved, turned, scaled)
 
 
+@reads_prim
 def _placed(prim: Usd.Prim) -> tuple[FloatArray, float]:
     """(k, 4, 4) frames of a prim that tracks will have, itself or root joints, and how far points are from them."""
     if prim.IsA(UsdGeom.Mesh):
@@ -269,14 +270,19 @@ def _with_rigid(
         parts = replace(parts, meshes=tuple(changed), skeleton=grown)
     if not tracks:
         return parts, None
+    return parts, _animation_of(tracks, moving.codes / moving.rate, named)
+
+
+def _animation_of(tracks: Mapping[str, FloatArray], times: FloatArray, named: list[str]) -> Animation:
+    """(T, 4, 4) transforms of joints as an animation; shear is lost, and named."""
     every = np.stack([*tracks.values()], axis=1)
     trs = decompose(every)
     if trs.sheared.any():
         lost = float(np.abs(compose(*trs[:3]) - every).max())
         named.append(f"transforms over time shear what they move, which joints can't: lost up to {lost:.2g}")
-    return parts, Animation(
+    return Animation(
         name="motion",
-        times=moving.codes / moving.rate,
+        times=times,
         joints=tuple(tracks),
         translations=trs.translation.astype(np.float32),
         rotations=trs.rotation.astype(np.float32),

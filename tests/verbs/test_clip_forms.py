@@ -532,3 +532,9 @@ def test_columns_that_are_no_weights_say_nothing_of_their_unit(tmp_path: Path) -
     read = read_performance(path)
     np.testing.assert_allclose(read.values, values, atol=1e-6)
     assert read.read_as.endswith("60 fps taken, as it holds no times (--fps)")
+
+
+@pytest.mark.parametrize("categories", [7, "jawOpen", None, {"jawOpen": 1}])
+def test_categories_that_are_no_list_are_refused(categories: object, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected"):
+        read_performance(document(tmp_path / "take.json", [{"faceBlendshapes": [{"categories": categories}]}]))

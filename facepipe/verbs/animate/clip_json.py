@@ -116,12 +116,11 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     unread: dict[str, None] = {}
     skipped = (*_WEIGHTS, *_MATRICES, *_TIMES, "timecode", "frame", "index", "facelandmarks")
     for trail, own, frame in zip(where, keyed, frames, strict=True):
-        held = _first(own, _WEIGHTS)
-        matrices = _first(own, _MATRICES)
+        held, matrices = _first(own, _WEIGHTS), _first(own, _MATRICES)
         tracker = tracker or "faceblendshapes" in own or matrices is not None
         if isinstance(held, list):
-            held, others = _of_categories(held)
-            more = max(more, others)
+            held, count = _first_face(held)
+            more = max(more, count - 1)
             if tracker and not held:  # no face in the picture
                 tracked.append(None)
                 continue
@@ -169,16 +168,12 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     return take
 
 
-def _of_categories(held: list[Any]) -> tuple[dict[str, Any], int]:
-    """Weights by name of a list of categories, or of the first of several faces, and how many faces more there are."""
-    keyed = [_keyed(one) for one in held]
-    faces = [one["categories"] for one in keyed if "categories" in one] or [
-        one for one in held if isinstance(one, list)
-    ]
-    listed = (faces[0] if faces else held) or []
-    named = [_keyed(one) for one in listed] if isinstance(listed, list) else []
-    weights = {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in named}
-    return weights, len(faces) - 1
+def _first_face(held: list[Any]) -> tuple[dict[str, Any], int]:
+    """Weights of the first of the faces that a frame lists, and how many it lists; a list of weights is one face."""
+    faces = [_keyed(one)["categories"] for one in held if isinstance(one, Mapping) and "categories" in _keyed(one)]
+    faces = [one for one in faces or held if isinstance(one, list)]
+    listed = [_keyed(one) if isinstance(one, Mapping) else {} for one in (faces[0] if faces else held) or []]
+    return {str(_first(one, ("categoryname", "name"))): _first(one, ("score", "value")) for one in listed}, len(faces)
 
 
 def _turn(where: str, matrix: object) -> dict[str, float]:

@@ -183,8 +183,8 @@ def _filled(
         seen = np.isfinite(values[:, i])
         values[seen, i] = np.unwrap(values[seen, i])
     tracked = np.isfinite(values)
-    lost = sum(not row for row in tracked.any(axis=1))
-    kept = tracked.any(axis=0)
+    lost = int((~np.atleast_1d(tracked.any(axis=1))).sum())
+    kept = np.atleast_1d(tracked.any(axis=0))
     if not kept.any():
         raise InputError(where, "a face in none of its frames, expected some")
     if not kept.all():
