@@ -386,8 +386,14 @@ BAD: dict[str, tuple[Callable[[Path, np.ndarray], Path], str]] = {
         ),
         "no weights, expected names",
     ),
+    "a rate that is no number": (lambda f, v: no_rate(stage(f, v)), "a time that is not finite"),
     "a stage without clip": (lambda f, _: stage_without(f), "no animation, expected a clip"),
 }
+
+
+def no_rate(path: Path) -> Path:
+    path.write_text(path.read_text().replace("timeCodesPerSecond = 30", "timeCodesPerSecond = nan"))
+    return path
 
 
 def stage_without(folder: Path) -> Path:
@@ -398,7 +404,7 @@ def stage_without(folder: Path) -> Path:
 @pytest.mark.parametrize("name", BAD)
 def test_what_is_of_no_known_form_or_unit_is_refused(name: str, tmp_path: Path) -> None:
     write, expected = BAD[name]
-    with pytest.raises(InputError, match="expected") as refused:
+    with pytest.raises(InputError) as refused:
         read_performance(write(tmp_path, captured()))
     assert expected in str(refused.value)
 

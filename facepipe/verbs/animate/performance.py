@@ -237,7 +237,10 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
 
 
 def _frames(take: Take, fps: float | None) -> tuple[FloatArray, float]:
-    """(k,) when the rows of a take are, in frames of a rate, and that rate."""
+    """(k,) when the rows of a take are, in frames of a rate, and that rate.
+
+    :raises InputError: a time that is not finite
+    """
     if take.seconds is None and not take.rate and not fps:
         held = "no times" if take.frames is None else "numbers of frames alone"
         take.notes.append(f"{FPS:g} fps taken, as it holds {held} (--fps)")
@@ -245,6 +248,8 @@ def _frames(take: Take, fps: float | None) -> tuple[FloatArray, float]:
         return take.frames, take.rate or fps or FPS
     if take.seconds is None:
         return np.arange(len(take.values), dtype=np.float64), fps or take.rate or FPS
+    if not np.isfinite(take.seconds).all():
+        raise InputError(take.where[int(np.argmin(np.isfinite(take.seconds)))], "a time that is not finite")
     # from the first: clocks of captures start anywhere
     seconds = take.seconds - take.seconds[0]
     rounded = np.abs(seconds * 1e3 - np.rint(seconds * 1e3)).max() < 1e-6
