@@ -386,8 +386,47 @@ BAD: dict[str, tuple[Callable[[Path, np.ndarray], Path], str]] = {
         ),
         "no weights, expected names",
     ),
+    "decimal commas between commas": (
+        lambda f, _: written(f / "a.csv", "Time,jawOpen\n0,033,0,25\n0,066,0,50\n"),
+        "line 2: 4 cells, expected 2, as the header has",
+    ),
+    "decimal commas of one column": (
+        lambda f, _: written(f / "a.csv", "jawOpen\n0,25\n0,5\n"),
+        "line 2: 2 cells, expected 1, as the header has",
+    ),
+    "fractions and frames": (
+        lambda f, _: written(f / "a.csv", "Timecode,jawOpen\n00:00:00.000,0\n00:00:01:15,1\n"),
+        "line 3: timecode '00:00:01:15', expected a fraction",
+    ),
+    "milliseconds of keys": (
+        lambda f, _: written(f / "a.csv", "time,jawOpen\n0,0\n1000,1\n2000,0\n"),
+        "'time' in steps of 1000, expected seconds",
+    ),
+    "half a surrogate pair in lines": (
+        lambda f, _: written(f / "a.jsonl", '{"weights": {"\\ud800": 0.1}}\n'),
+        "text with half a surrogate pair, expected Unicode",
+    ),
+    "cues that last for hours": (
+        lambda f, _: document(
+            f / "a.json", {"visemes": ["aa"] * 1000, "vtimes": [0] * 1000, "vdurations": [8e6] * 1000}
+        ),
+        "cues of 8e+06 s together, expected at most",
+    ),
+    "long keys of many names": (
+        lambda f, _: document(f / "a.json", {"dt": [0, 8e6, 1], "vs": {f"s{i}": [0, 1, 0] for i in range(200)}}),
+        "frames of 200 names, expected at most",
+    ),
+    "more names than a table": (
+        lambda f, _: document(f / "a.json", [{f"s{i}": 0.5 for i in range(5000)}]),
+        "5000 names, expected at most 4096",
+    ),
     "a stage without clip": (lambda f, _: stage_without(f), "no animation, expected a clip"),
 }
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
 
 
 def stage_without(folder: Path) -> Path:
@@ -538,3 +577,38 @@ def test_columns_that_are_no_weights_say_nothing_of_their_unit(tmp_path: Path) -
 def test_categories_that_are_no_list_are_refused(categories: object, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected"):
         read_performance(document(tmp_path / "take.json", [{"faceBlendshapes": [{"categories": categories}]}]))
+
+
+@pytest.mark.parametrize("fps", [15, 30, 240])
+def test_timecodes_count_frames_of_the_rate_that_is_said(fps: int, tmp_path: Path) -> None:
+    """In the file or by an option, which comes first; frames beyond 130 are no milliseconds then."""
+    values = np.linspace(0, 1, 2 * fps)
+    frames = [{"timecode": live_link.timecode(i, fps), "jawOpen": value} for i, value in enumerate(values.tolist())]
+    for content, option in (({"fps": fps, "frames": frames}, None), ({"fps": 60, "frames": frames}, float(fps))):
+        read = read_performance(document(tmp_path / "take.json", content), option)
+        assert (read.fps, read.filled, read.warnings) == (fps, 0, ())
+        np.testing.assert_allclose(read.values[:, 0], values, atol=1e-12)
+
+
+def test_seconds_that_are_called_so_may_be_far_apart(tmp_path: Path) -> None:
+    read = read_performance(written(tmp_path / "take.csv", "seconds,jawOpen\n0,0\n3,1\n6,0\n"))
+    assert (read.seconds.tolist(), read.values[:, 0].tolist()) == ([0, 3, 6], [0, 1, 0])
+
+
+def test_a_key_track_without_values_is_left_out(tmp_path: Path) -> None:
+    content = {"dt": [0, 30, 500], "vs": {"jawOpen": [0, None, 1], "mouthLeft": [None] * 3}}
+    read = read_performance(document(tmp_path / "take.json", content))
+    assert (read.names, read.warnings) == (("jawOpen",), ("no values of mouthLeft: left out",))
+    np.testing.assert_allclose(read.values[:, 0], read.seconds / 0.53, atol=0.04)
+
+
+def test_turns_beside_the_shapes_of_media_pipe_may_be_degrees(tmp_path: Path) -> None:
+    """Those of its matrices are radians, whatever their size."""
+    frames = [{"faceBlendshapes": {"jawOpen": 0.1}, "HeadYaw": yaw} for yaw in (10.0, 20.0)]
+    read = read_performance(document(tmp_path / "take.json", frames))
+    np.testing.assert_allclose(np.degrees(read.values[:, 1]), [10, 20])
+
+
+def test_known_shapes_at_rest_say_nothing_of_a_unit(tmp_path: Path) -> None:
+    read = read_performance(written(tmp_path / "take.csv", "jawOpen,dimple\n0,50\n0,100\n"))
+    assert read.values[:, 1].tolist() == [0.5, 1.0]
