@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import live_link
@@ -18,6 +19,7 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation
 from facepipe.performing import perform
+from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.visemes import AZURE_VISEMES, OCULUS_VISEMES
 from facepipe.stage import save_parts
 from facepipe.verbs.animate import Animate, read_performance
@@ -526,6 +528,27 @@ def test_head_and_eyes_of_another_face_turn_as_they_did(suffix: str, up: str, tm
     np.testing.assert_allclose(np.stack([columns[name] for name in TURNS], axis=1), turns, atol=2e-5)
 
 
+def test_joints_beside_head_and_eyes_are_named(tmp_path: Path) -> None:
+    parts = boned()
+    frames = 5
+    turning = np.tile(rest_coefficients(1), (frames, 1, 1))
+    turning[:, :, 3] = np.linspace(0, 0.5, frames)[:, None]
+    weights = np.linspace(0, 1, frames, dtype=np.float32)[:, None]
+    for joint in ("spine", "spine/Head"):
+        clip = Animation(
+            name="talk",
+            times=np.arange(frames) / 30,
+            joints=(joint,),
+            coefficients=turning,
+            shapes=("jawOpen",),
+            shape_weights=weights,
+        )
+        save_parts(replace(parts, animations=(clip,), played="talk"), tmp_path / f"{joint[-4:]}.usda")
+    found = read_performance(tmp_path / "pine.usda")
+    assert found.warnings == ("1 joints that move beside head and eyes (spine): left out",)
+    assert not read_performance(tmp_path / "Head.usda").warnings
+
+
 def test_first_frames_without_a_face_keep_their_time(tmp_path: Path) -> None:
     """Else the clip would begin late against its sound."""
     values = captured()
@@ -593,6 +616,8 @@ def test_timecodes_count_frames_of_the_rate_that_is_said(fps: int, tmp_path: Pat
 def test_seconds_that_are_called_so_may_be_far_apart(tmp_path: Path) -> None:
     read = read_performance(written(tmp_path / "take.csv", "seconds,jawOpen\n0,0\n3,1\n6,0\n"))
     assert (read.seconds.tolist(), read.values[:, 0].tolist()) == ([0, 3, 6], [0, 1, 0])
+    read = read_performance(written(tmp_path / "take.csv", "seconds,jawOpen\n0,0\n2.5,1\n"))
+    assert (read.seconds.tolist(), read.values[:, 0].tolist(), read.warnings) == ([0, 2.5], [0, 1], ())
 
 
 def test_a_key_track_without_values_is_left_out(tmp_path: Path) -> None:
@@ -607,6 +632,9 @@ def test_turns_beside_the_shapes_of_media_pipe_may_be_degrees(tmp_path: Path) ->
     frames = [{"faceBlendshapes": {"jawOpen": 0.1}, "HeadYaw": yaw} for yaw in (10.0, 20.0)]
     read = read_performance(document(tmp_path / "take.json", frames))
     np.testing.assert_allclose(np.degrees(read.values[:, 1]), [10, 20])
+    assert "30 fps taken" in read.read_as
+    said = read_performance(document(tmp_path / "take.json", {"fps": 25, "frames": frames}))
+    assert (said.fps, "30 fps" in said.read_as) == (25, False)
 
 
 def test_known_shapes_at_rest_say_nothing_of_a_unit(tmp_path: Path) -> None:

@@ -159,18 +159,14 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     if unread:
         take.warnings.append(f"{first_names([str(name)[:40] for name in unread], 4)} of its frames: left out")
     if tracker:
-        take.form, take.rate, take.radians = (
-            "MediaPipe face landmarker",
-            None,
-            any(_first(own, _MATRICES) for own in keyed),
-        )
+        take.form, take.radians = "MediaPipe face landmarker", any(_first(own, _MATRICES) for own in keyed)
         if more:
             take.warnings.append(f"up to {more + 1} faces in a frame: the first is taken")
     if "timecode" in keyed[0]:
         read_timecodes(take, [str(one.get("timecode")) for one in keyed], fps)
         return take
     clock = next((name for name in _TIMES if name in keyed[0]), None)
-    if clock is None and tracker:
+    if clock is None and tracker and not fps:
         take.rate = 30.0
         take.notes.append("30 fps taken, as cameras have: its frames hold no times (--fps)")
     elif clock is not None:

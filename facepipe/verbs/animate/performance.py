@@ -266,12 +266,12 @@ def rate_of(seconds: FloatArray, tick: float = 0.0) -> float:
     if step <= 0:
         return FPS
     counted = float(np.rint(np.diff(seconds) / step).sum())
-    mean = float(np.clip(counted / seconds[-1], *RATES)) if seconds[-1] > 0 and counted else FPS
+    mean = min(counted / float(seconds[-1]), RATES[1]) if seconds[-1] > 0 and counted else FPS
     for rate in (*sorted(_USUAL_RATES, key=lambda usual: abs(usual - mean)), mean):
         frames = seconds * rate
         if np.abs(frames - np.rint(frames)).max() < _ON_FRAME + 1.01 * tick * rate and abs(rate - mean) < 0.1 * mean:
             return rate
-    rate = float(np.clip(1.0 / step, *RATES))
+    rate = min(1.0 / step, RATES[1])
     return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
 
 
