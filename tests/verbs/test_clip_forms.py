@@ -396,6 +396,10 @@ BAD: dict[str, tuple[Callable[[Path, np.ndarray], Path], str]] = {
         lambda f, _: written(f / "a.csv", "jawOpen\n0,25\n0,5\n"),
         "line 2: 2 cells, expected 1, as the header has",
     ),
+    "a line after that of Excel": (
+        lambda f, _: written(f / "a.csv", "sep=;\nTime;jawOpen\n0,0;0,5\n0,1;x\n"),
+        "line 4: jawOpen 'x', expected a number",
+    ),
     "fractions and frames": (
         lambda f, _: written(f / "a.csv", "Timecode,jawOpen\n00:00:00.000,0\n00:00:01:15,1\n"),
         "line 3: timecode '00:00:01:15', expected a fraction",
