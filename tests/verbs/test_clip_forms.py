@@ -644,3 +644,11 @@ def test_turns_beside_the_shapes_of_media_pipe_may_be_degrees(tmp_path: Path) ->
 def test_known_shapes_at_rest_say_nothing_of_a_unit(tmp_path: Path) -> None:
     read = read_performance(written(tmp_path / "take.csv", "jawOpen,dimple\n0,50\n0,100\n"))
     assert read.values[:, 1].tolist() == [0.5, 1.0]
+
+
+def test_sliders_of_a_face_may_go_beyond_their_maximum(tmp_path: Path) -> None:
+    values = captured()[:, :5] + 1.5
+    path = rows(tmp_path / "take.csv", [f"measure{name}" for name in "ABCDE"], [[] for _ in values], values)
+    read = read_performance(path)
+    np.testing.assert_allclose(read.values, values, atol=1e-6)
+    assert read.warnings == (f"weights up to {values.max():g}, taken as they are: 1 is the whole shape",)

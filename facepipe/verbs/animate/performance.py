@@ -232,7 +232,8 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     if _PERCENT[0] < most <= _PERCENT[1] and beyond > 0.2:
         take.values[:, ~turns] /= 100
         take.notes.append(f"weights in percent (up to {most:g})")
-    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[shown] > 0).sum() > 3):
+    # sliders of a face's own are in no unit that others have: 3 may be three times their maximum
+    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and known.sum() > 3):
         name = take.names[int(np.flatnonzero(shown)[np.argmax(peaks[shown])])]
         raise InputError(where, f"{name[:60]} up to {most:g}, expected weights from 0 to 1, or percent")
     elif most > _EXAGGERATED:
