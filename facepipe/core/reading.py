@@ -193,8 +193,8 @@ def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
         raise InputError(path, f"is not UTF-8 (byte {error.start}), expected CSV saved as UTF-8") from None
     first = text.lstrip().partition("\n")[0]
     delimiter = max(",;\t|", key=first.count)
-    if first.startswith("sep=") and len(first.rstrip()) == len("sep=;"):
-        delimiter, text = first[4], text.lstrip().partition("\n")[2]
+    if first.startswith("sep=") and len(first.rstrip("\r ")) == len("sep=;"):
+        delimiter = first[4]
     elif delimiter not in first and " " in first.strip():
         delimiter = " "
     try:
@@ -207,7 +207,7 @@ def read_csv(path: Path, most: int) -> tuple[str, list[tuple[int, list[str]]]]:
                 what = f"more than {_MOST_COLUMNS} columns" if len(cells) > _MOST_COLUMNS else f"over {_MOST_ROWS} rows"
                 raise InputError(f"{path} -> line {reader.line_num}", what)
             row = [cell.strip() for cell in cells]
-            if any(row):
+            if any(row) and (rows or row != ["sep=", ""]):
                 rows.append((reader.line_num, row))
     except csv.Error as error:
         raise InputError(path, f"is not CSV ({str(error)[:120]})") from None

@@ -249,20 +249,30 @@ def match_shapes(
     matched: dict[str, tuple[str, ...]] = {name: (name,) for name in incoming if name in {*shapes}}
     taken = set(matched)
     served = {name: {number for number, group in enumerate(groups) if name in group} for name in incoming}
+    homes: dict[str, set[int]] = {}
+    for number, group in enumerate(groups):
+        for shape in group:
+            homes.setdefault(shape, set()).add(number)
     called = _own(incoming)
+    place = {name: number for number, name in enumerate(incoming)}
     ways = [(read, [_closest(read, group) for group in groups]) for read in (*_READS, _meant)]
     # form by form over all names, not name by name: a loose match never takes the shape that a later name spells
     for parts in ((), *_PARTS):
         for read, indices in ways:
             keys = {name: _split(read(text), parts) for name, text in called.items()}
+            by_first: dict[str, list[str]] = {}
+            for name, own in keys.items():
+                by_first.setdefault(own[0] if own else "", []).append(name)
             for number, index in enumerate(indices):
                 no_mesh = number == len(groups) - 1
-                for name in incoming:
+                # of all names on each mesh: thousands on hundreds of meshes took half a minute
+                near = (name for key in index.keys() & by_first.keys() for name in by_first[key])
+                for name in sorted(near, key=place.__getitem__):
                     # a slider that means the same as a shape would move it twice
                     if served[name] if no_mesh else served[name] & {number, len(groups) - 1}:
                         continue
                     meant = tuple(index[key] for key in keys[name] if key in index)
-                    elsewhere = any(shape in groups[other] for other in served[name] for shape in meant)
+                    elsewhere = any(not served[name].isdisjoint(homes[shape]) for shape in meant)
                     if meant and len(meant) == len(keys[name]) and not elsewhere and not taken.intersection(meant):
                         matched[name] = (*matched.get(name, ()), *meant)
                         taken.update(meant)

@@ -11,6 +11,8 @@ import pytest
 from command_line import done
 from facepipe_gltf import read as gltf
 from facepipe_gltf import vrm
+from facepipe_gltf.vrm.options import fault
+from facepipe_gltf.vrm_format import section
 from faces import tiny_face
 from gltf_builder import glb
 from node import validate, vrm_facts
@@ -253,6 +255,25 @@ def test_an_extension_that_is_none_costs_the_avatar_alone(change: Any, tmp_path:
     assert len(imported.parts.meshes) == 4
     assert "meta" not in imported.parts.vrm.get("VRMC_vrm", {})  # type: ignore[operator]
     assert imported.warnings or change is None
+
+
+def test_expressions_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    groups = [{"name": "smug"}] * 3 + [{"name": "happy"}]
+
+    def change(root: Any) -> None:
+        root["extensions"]["VRM"]["blendShapeMaster"]["blendShapeGroups"] = groups
+
+    (tmp_path / "in.vrm").write_bytes(changed(former_avatar(0)[0], change))
+    custom = section(read(tmp_path / "in.vrm").parts.vrm, "VRMC_vrm", "expressions", "custom")
+    assert [*custom] == ["smug", "smug_2", "smug_3", "happy_2"]
+
+
+@pytest.mark.parametrize("levels", range(950, 1000, 3))
+def test_terms_nested_as_deep_as_python_reads_are_no_traceback(levels: int) -> None:
+    deep: list[Any] = []
+    for _ in range(levels):
+        deep = [deep]
+    assert str(fault("name", deep)).endswith("expected a text")
 
 
 def test_names_that_change_are_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -310,3 +310,12 @@ def test_joints_are_found_by_path_source_name_or_last_part() -> None:
         found("mixamorig:Jw")
     with pytest.raises(InputError, match="2 joints called 'tip', expected a path: root/eye_L/tip, root/tip"):
         find_joint("tip", joints, ("root", "a", "b", "c", "d"), "--bone")
+
+
+def test_many_names_find_their_shapes_on_many_meshes() -> None:
+    """Names without any are not tried on each mesh: these would take minutes."""
+    meshes = [[f"m{i}.jawOpen", f"m{i}.eyeBlink_L"] for i in range(300)]
+    others = [f"curve {i}" for i in range(2000)]
+    shapes = [shape for mesh in meshes for shape in mesh]
+    matched = match_shapes([*others, "JawOpen", "eyeBlinkLeft"], shapes, meshes)
+    assert matched == {"JawOpen": tuple(shapes[::2]), "eyeBlinkLeft": tuple(shapes[1::2])}

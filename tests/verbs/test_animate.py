@@ -503,3 +503,13 @@ def test_a_long_clip_in_our_glb_comes_back_exactly(head: Path, tmp_path: Path) -
     assert before.times is not None
     np.testing.assert_allclose(after.times, before.times, atol=1e-9)
     assert np.array_equal(after.shape_weights, before.shape_weights)
+
+
+def test_of_many_names_without_target_the_first_are_likened(tmp_path: Path) -> None:
+    save_parts(tiny_face(), tmp_path / "face.usda")
+    names = ["jawOpen", *(f"mouthSmileLef{i}" for i in range(300))]
+    (tmp_path / "take.csv").write_text(",".join(names) + "\n" + ",".join(["0.5"] * len(names)) + "\n")
+    report = perform(Animate(face=tmp_path / "face.usda", clip=tmp_path / "take.csv"), tmp_path / "out.usda").report
+    reasons = [*report.no_target.values()]
+    assert (reasons[99], reasons[100]) == ("no such shape, did you mean 'mouthSmileLeft'?", "no such shape")
+    assert len(reasons) == 300

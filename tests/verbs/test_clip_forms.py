@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import live_link
@@ -18,6 +19,7 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation
 from facepipe.performing import perform
+from facepipe.rig.bone_coefficients import rest_coefficients
 from facepipe.rig.visemes import AZURE_VISEMES, OCULUS_VISEMES
 from facepipe.stage import save_parts
 from facepipe.verbs.animate import Animate, read_performance
@@ -387,12 +389,55 @@ BAD: dict[str, tuple[Callable[[Path, np.ndarray], Path], str]] = {
         "no weights, expected names",
     ),
     "a rate that is no number": (lambda f, v: no_rate(stage(f, v)), "a time that is not finite"),
+    "decimal commas between commas": (
+        lambda f, _: written(f / "a.csv", "Time,jawOpen\n0,033,0,25\n0,066,0,50\n"),
+        "line 2: 4 cells, expected 2, as the header has",
+    ),
+    "decimal commas of one column": (
+        lambda f, _: written(f / "a.csv", "jawOpen\n0,25\n0,5\n"),
+        "line 2: 2 cells, expected 1, as the header has",
+    ),
+    "a line after that of Excel": (
+        lambda f, _: written(f / "a.csv", "sep=;\nTime;jawOpen\n0,0;0,5\n0,1;x\n"),
+        "line 4: jawOpen 'x', expected a number",
+    ),
+    "fractions and frames": (
+        lambda f, _: written(f / "a.csv", "Timecode,jawOpen\n00:00:00.000,0\n00:00:01:15,1\n"),
+        "line 3: timecode '00:00:01:15', expected a fraction",
+    ),
+    "milliseconds of keys": (
+        lambda f, _: written(f / "a.csv", "time,jawOpen\n0,0\n1000,1\n2000,0\n"),
+        "'time' in steps of 1000, expected seconds",
+    ),
+    "half a surrogate pair in lines": (
+        lambda f, _: written(f / "a.jsonl", '{"weights": {"\\ud800": 0.1}}\n'),
+        "text with half a surrogate pair, expected Unicode",
+    ),
+    "cues that last for hours": (
+        lambda f, _: document(
+            f / "a.json", {"visemes": ["aa"] * 1000, "vtimes": [0] * 1000, "vdurations": [8e6] * 1000}
+        ),
+        "cues of 8e+06 s together, expected at most",
+    ),
+    "long keys of many names": (
+        lambda f, _: document(f / "a.json", {"dt": [0, 8e6, 1], "vs": {f"s{i}": [0, 1, 0] for i in range(200)}}),
+        "frames of 200 names, expected at most",
+    ),
+    "more names than a table": (
+        lambda f, _: document(f / "a.json", [{f"s{i}": 0.5 for i in range(5000)}]),
+        "5000 names, expected at most 4096",
+    ),
     "a stage without clip": (lambda f, _: stage_without(f), "no animation, expected a clip"),
 }
 
 
 def no_rate(path: Path) -> Path:
     path.write_text(path.read_text().replace("timeCodesPerSecond = 30", "timeCodesPerSecond = nan"))
+    return path
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text)
     return path
 
 
@@ -493,6 +538,27 @@ def test_head_and_eyes_of_another_face_turn_as_they_did(suffix: str, up: str, tm
     np.testing.assert_allclose(np.stack([columns[name] for name in TURNS], axis=1), turns, atol=2e-5)
 
 
+def test_joints_beside_head_and_eyes_are_named(tmp_path: Path) -> None:
+    parts = boned()
+    frames = 5
+    turning = np.tile(rest_coefficients(1), (frames, 1, 1))
+    turning[:, :, 3] = np.linspace(0, 0.5, frames)[:, None]
+    weights = np.linspace(0, 1, frames, dtype=np.float32)[:, None]
+    for joint in ("spine", "spine/Head"):
+        clip = Animation(
+            name="talk",
+            times=np.arange(frames) / 30,
+            joints=(joint,),
+            coefficients=turning,
+            shapes=("jawOpen",),
+            shape_weights=weights,
+        )
+        save_parts(replace(parts, animations=(clip,), played="talk"), tmp_path / f"{joint[-4:]}.usda")
+    found = read_performance(tmp_path / "pine.usda")
+    assert found.warnings == ("1 joints that move beside head and eyes (spine): left out",)
+    assert not read_performance(tmp_path / "Head.usda").warnings
+
+
 def test_first_frames_without_a_face_keep_their_time(tmp_path: Path) -> None:
     """Else the clip would begin late against its sound."""
     values = captured()
@@ -544,3 +610,51 @@ def test_columns_that_are_no_weights_say_nothing_of_their_unit(tmp_path: Path) -
 def test_categories_that_are_no_list_are_refused(categories: object, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected"):
         read_performance(document(tmp_path / "take.json", [{"faceBlendshapes": [{"categories": categories}]}]))
+
+
+@pytest.mark.parametrize("fps", [15, 30, 240])
+def test_timecodes_count_frames_of_the_rate_that_is_said(fps: int, tmp_path: Path) -> None:
+    """In the file or by an option, which comes first; frames beyond 130 are no milliseconds then."""
+    values = np.linspace(0, 1, 2 * fps)
+    frames = [{"timecode": live_link.timecode(i, fps), "jawOpen": value} for i, value in enumerate(values.tolist())]
+    for content, option in (({"fps": fps, "frames": frames}, None), ({"fps": 60, "frames": frames}, float(fps))):
+        read = read_performance(document(tmp_path / "take.json", content), option)
+        assert (read.fps, read.filled, read.warnings) == (fps, 0, ())
+        np.testing.assert_allclose(read.values[:, 0], values, atol=1e-12)
+
+
+def test_seconds_that_are_called_so_may_be_far_apart(tmp_path: Path) -> None:
+    read = read_performance(written(tmp_path / "take.csv", "seconds,jawOpen\n0,0\n3,1\n6,0\n"))
+    assert (read.seconds.tolist(), read.values[:, 0].tolist()) == ([0, 3, 6], [0, 1, 0])
+    read = read_performance(written(tmp_path / "take.csv", "seconds,jawOpen\n0,0\n2.5,1\n"))
+    assert (read.seconds.tolist(), read.values[:, 0].tolist(), read.warnings) == ([0, 2.5], [0, 1], ())
+
+
+def test_a_key_track_without_values_is_left_out(tmp_path: Path) -> None:
+    content = {"dt": [0, 30, 500], "vs": {"jawOpen": [0, None, 1], "mouthLeft": [None] * 3}}
+    read = read_performance(document(tmp_path / "take.json", content))
+    assert (read.names, read.warnings) == (("jawOpen",), ("no values of mouthLeft: left out",))
+    np.testing.assert_allclose(read.values[:, 0], read.seconds / 0.53, atol=0.04)
+
+
+def test_turns_beside_the_shapes_of_media_pipe_may_be_degrees(tmp_path: Path) -> None:
+    """Those of its matrices are radians, whatever their size."""
+    frames = [{"faceBlendshapes": {"jawOpen": 0.1}, "HeadYaw": yaw} for yaw in (10.0, 20.0)]
+    read = read_performance(document(tmp_path / "take.json", frames))
+    np.testing.assert_allclose(np.degrees(read.values[:, 1]), [10, 20])
+    assert "30 fps taken" in read.read_as
+    said = read_performance(document(tmp_path / "take.json", {"fps": 25, "frames": frames}))
+    assert (said.fps, "30 fps" in said.read_as) == (25, False)
+
+
+def test_known_shapes_at_rest_say_nothing_of_a_unit(tmp_path: Path) -> None:
+    read = read_performance(written(tmp_path / "take.csv", "jawOpen,dimple\n0,50\n0,100\n"))
+    assert read.values[:, 1].tolist() == [0.5, 1.0]
+
+
+def test_sliders_of_a_face_may_go_beyond_their_maximum(tmp_path: Path) -> None:
+    values = captured()[:, :5] + 1.5
+    path = rows(tmp_path / "take.csv", [f"measure{name}" for name in "ABCDE"], [[] for _ in values], values)
+    read = read_performance(path)
+    np.testing.assert_allclose(read.values, values, atol=1e-6)
+    assert read.warnings == (f"weights up to {values.max():g}, taken as they are: 1 is the whole shape",)

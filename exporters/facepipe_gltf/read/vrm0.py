@@ -216,6 +216,7 @@ class _Migration:
     def expressions(self, master: Value) -> Json:
         preset: Json = {}
         custom: Json = {}
+        twice: dict[str, int] = {}  # name -> how often it was tried: of many of one name each would try them all
         materials: dict[Any, list[int]] = {}
         for number, value in enumerate(self.document.entries("materials")):
             name = value.get_or("name", None).data
@@ -227,9 +228,10 @@ class _Migration:
             if known is not None and known not in preset:
                 preset[known] = expression
                 continue
-            called = name if isinstance(name, str) and name else "expression"
+            called = wanted = name if isinstance(name, str) and name else "expression"
             while called in custom or called in PRESETS:
-                called += "_"
+                twice[wanted] = twice.get(wanted, 1) + 1
+                called = f"{wanted}_{twice[wanted]}"
             custom[called] = expression
         return {"preset": preset, "custom": custom}
 

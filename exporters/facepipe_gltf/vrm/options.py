@@ -142,7 +142,12 @@ def _faults(meta: Json) -> list[tuple[str, str]]:
 def fault(field: str, value: Any) -> str | None:
     """A message on a field of meta that VRM doesn't have or takes otherwise; None where it is right."""
     what = _expected(field, value)
-    return None if what is None else f"{json.dumps(value)[:60]}, expected {what}"
+    if what is None:
+        return None
+    try:
+        return f"{json.dumps(value)[:60]}, expected {what}"
+    except RecursionError:  # a reader nests as deep as Python lets it, and a writer less deep
+        return f"JSON nested too deeply, expected {what}"
 
 
 def _expected(field: str, value: Any) -> str | None:

@@ -90,6 +90,9 @@ def _read_table(path: Path, fps: float | None) -> Take:
         found = "a column without name" if number is None else f"'{number[:40]}'"
         raise InputError(f"{path} -> line {lines[0][0]}", f"{found}, expected a header of names")
     table = _Table(path, header, lines[1:])
+    longer = next((one for one in table.lines if any(one[1][len(header) :])), None)
+    if longer is not None:  # a decimal comma between commas would move every value after it
+        raise InputError(table.where(longer[0]), f"{len(longer[1])} cells, expected {len(header)}, as the header has")
     keys = [re.sub(r"[^a-z0-9]", "", name.casefold()) for name in header]
     live_link = _COUNT in keys
     codes = [i for i, name in enumerate(keys) if name == "timecode"]

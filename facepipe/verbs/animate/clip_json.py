@@ -39,6 +39,7 @@ from facepipe.verbs.animate.performance import (
     RATES,
     Take,
     angle_of,
+    check_count,
     clock_seconds,
     read_timecodes,
     turn_angles,
@@ -79,7 +80,7 @@ def read_clip_json(path: Path, most: int, fps: float | None) -> Take:
                 found = f"{len(row)} weights" if isinstance(row, list) else "no list"
                 raise InputError(f"{path} -> frame {number}", f"{found}, expected {len(names)} weights")
         frames: Any = [{"weights": dict(zip(map(str, names), row, strict=True))} for row in rows]
-        take = _frames_take(path, frames, fps)
+        take = _frames_take(path, frames, fps or rate)
         take.form = "Audio2Face" if "facsnames" in top else "matrix of weights"
         take.rate = rate
         return take
@@ -89,8 +90,9 @@ def read_clip_json(path: Path, most: int, fps: float | None) -> Take:
     keyed = [_keyed(frame) for frame in frames]
     if any("visemeid" in frame for frame in keyed) or "frameindex" in keyed[0]:
         return _azure(path, keyed)
-    take = _frames_take(path, frames, fps)
-    take.rate = rate if rate is not None or take.rate is None else take.rate
+    take = _frames_take(path, frames, fps or rate)
+    if take.frames is None and rate is not None:  # timecodes are counted at a rate already
+        take.rate = rate
     return take
 
 
@@ -101,7 +103,12 @@ def _content(path: Path, most: int) -> object:
     data = read_bytes(path, most)
     check_values(path, data)
     try:
-        return [json.loads(line) for line in data.decode("utf-8-sig").splitlines() if line.strip()]
+        content = [json.loads(line) for line in data.decode("utf-8-sig").splitlines() if line.strip()]
+        if b"\\u" in data:  # an escape can be half a surrogate pair
+            json.dumps(content, ensure_ascii=False).encode()
+        return content
+    except UnicodeEncodeError:
+        raise InputError(path, "text with half a surrogate pair, expected Unicode") from None
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"is not JSON lines ({str(error)[:120]})") from None
 
@@ -152,14 +159,14 @@ def _frames_take(path: Path, frames: list[Any], fps: float | None) -> Take:
     if unread:
         take.warnings.append(f"{first_names([str(name)[:40] for name in unread], 4)} of its frames: left out")
     if tracker:
-        take.form, take.rate, take.radians = "MediaPipe face landmarker", None, True
+        take.form, take.radians = "MediaPipe face landmarker", any(_first(own, _MATRICES) for own in keyed)
         if more:
             take.warnings.append(f"up to {more + 1} faces in a frame: the first is taken")
     if "timecode" in keyed[0]:
         read_timecodes(take, [str(one.get("timecode")) for one in keyed], fps)
         return take
     clock = next((name for name in _TIMES if name in keyed[0]), None)
-    if clock is None and tracker:
+    if clock is None and tracker and not fps:
         take.rate = 30.0
         take.notes.append("30 fps taken, as cameras have: its frames hold no times (--fps)")
     elif clock is not None:
@@ -217,9 +224,11 @@ def _talking_head(path: Path, top: Mapping[str, Any]) -> Take:
     take = Take(form="TalkingHead", where=where, names=names, values=values, seconds=times)
     if len(times) > 2 and np.ptp(steps[1:]) > 1.0:  # keys apart, not frames: each stays where it is
         grid = np.arange(times[0], times[-1] + 0.5 / FPS, 1 / FPS)
-        take.values = np.stack(
-            [np.interp(grid, times[np.isfinite(column)], column[np.isfinite(column)]) for column in values.T], axis=1
-        )
+        check_count(str(path), len(grid), len(names))
+        take.values = np.full((len(grid), len(names)), math.nan)
+        for i in np.flatnonzero(np.isfinite(values).any(axis=0)):
+            seen = np.isfinite(values[:, i])
+            take.values[:, i] = np.interp(grid, times[seen], values[seen, i])
         take.where, take.seconds = [str(path)] * len(grid), grid
         take.notes.append(f"{len(times)} keys")
     return take
@@ -316,6 +325,10 @@ def _spoken(
     Each weight rises and falls in straight lines, centred on where its viseme begins and ends, of `_VISEME_FADE` or the
     length of the cue: so that neighbours cross at a half, and the mouth does not jump.
     """
+    if sum(ends) - sum(starts) > MOST_VALUES / FPS:
+        raise InputError(
+            path, f"cues of {sum(ends) - sum(starts):g} s together, expected at most {MOST_VALUES / FPS:g}"
+        )
     low = min(0.0, min(starts))
     times = np.arange(low, max(ends) + _VISEME_FADE + 0.5 / FPS, 1 / FPS)
     weights = {name: np.zeros(len(times)) for name in OCULUS_VISEMES}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ def _take(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> Take
     columns: dict[str, FloatArray] = {}
     if clip.shape_weights is not None:
         columns = dict(zip(clip.shapes, np.asarray(clip.shape_weights, dtype=np.float64).T, strict=True))
-    turned, rest = _turns(path, clip, skeleton, up_axis)
+    turned, rest, lost = _turns(path, clip, skeleton, up_axis)
     columns |= turned
     if not columns:
         raise InputError(path, f"the clip '{clip.name}' has no weights and moves no head or eye, expected some")
@@ -98,20 +99,25 @@ def _take(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> Take
     )
     if rest:
         take.notes.append(rest)
+    if lost:
+        take.warnings.append(f"{len(lost)} joints that move beside head and eyes ({first_names(lost, 4)}): left out")
     return take
 
 
-def _turns(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> tuple[dict[str, FloatArray], str]:
-    """Angles of head and eyes against rest, and a word where the clip has no skeleton to say what rest is.
+def _turns(
+    path: Path, clip: Animation, skeleton: Skeleton, up_axis: str
+) -> tuple[dict[str, FloatArray], str, Sequence[str]]:
+    """Angles of head and eyes against rest, a word where the clip has no skeleton to say what rest is, and the names of
+    other joints that move.
 
     The head's are those of the whole neck: one that turns by three joints looks where it looked.
     """
     if not clip.joints:
-        return {}, ""
+        return {}, "", ()
     note = ""
     if {*clip.joints} - {*skeleton.joints}:
         if clip.rotations is None or clip.translations is None:
-            return {}, ""
+            return {}, "", [joint.rpartition("/")[2] for joint in clip.joints]
         first = np.tile(np.eye(4), (len(clip.joints), 1, 1))
         first[:, :3, :3] = rotation_matrices(np.asarray(clip.rotations)[0])
         first[:, :3, 3] = np.asarray(clip.translations)[0]
@@ -121,6 +127,7 @@ def _turns(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> tup
     used = [skeleton.joints.index(joint) for joint in clip.joints]
     local[:, used] = local_transforms(skeleton, clip)
     turned: dict[str, FloatArray] = {}
+    kept: set[int] = set()
     for part in PARTS:
         joint = joint_of(str(path), skeleton, part, None)
         if joint is None:
@@ -130,6 +137,7 @@ def _turns(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> tup
             if not any(word in shape_key(skeleton.names[above]) for word in _CARRIES_HEAD):
                 break
             chain.insert(0, above)
+        kept.update(chain)
         stands, above = np.asarray(skeleton.transform, dtype=np.float64), int(skeleton.parents[chain[0]])
         over: list[int] = []
         while above >= 0:
@@ -147,4 +155,7 @@ def _turns(path: Path, clip: Animation, skeleton: Skeleton, up_axis: str) -> tup
         angles = turn_angles(world)
         if np.abs(angles).max() > _STILL:
             turned |= {f"{part}{angle}": angles[:, i] for i, angle in enumerate(("Yaw", "Pitch", "Roll"))}
-    return turned, note if turned else ""
+    still = np.asarray(skeleton.rest_transforms, dtype=np.float64)[used]
+    off = np.abs(local[:, used] - still).max(axis=(0, 2, 3)) > _STILL * max(1.0, float(np.abs(still).max()))
+    lost = [skeleton.names[one] for one, moves in zip(used, off, strict=True) if moves and one not in kept]
+    return turned, note if turned else "", lost

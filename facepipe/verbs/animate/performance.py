@@ -25,6 +25,7 @@ RATES = (1.0, 1000.0)  # frames per second that a file may have
 LARGEST = 1e12  # number that a file may hold
 LATEST = 1e19  # time that it may hold: nanoseconds since 1970 are 1.8e18
 MOST_FRAMES = 1 << 19  # 2.4 hours at 60 fps
+MOST_NAMES = 4096  # as many as a table has columns
 MOST_VALUES = 1 << 26  # 128 names for as long
 PARTS = ("Head", "LeftEye", "RightEye")
 ANGLES: Mapping[str, str] = {  # key -> name
@@ -42,6 +43,7 @@ _DAY = 24 * 3600
 _CODE = re.compile(r"(\d{1,2})([:;])(\d{1,2})[:;](\d{1,2})([:;.,])(\d{1,6})(?:\.(\d*))?")
 _CLOCK_UNITS = {"ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "milliseconds": 1e-3, "us": 1e-6, "microseconds": 1e-6}
 _CLOCK_UNITS |= {"ns": 1e-9, "nanoseconds": 1e-9, "ticks": 1e-7}  # ticks as .NET has them
+_CLOCK_UNITS |= {"seconds": 1.0, "secs": 1.0, "sec": 1.0}  # last: milliseconds end so too
 
 
 @dataclass(kw_only=True)
@@ -108,7 +110,7 @@ class Performance:
         if fps == self.fps:
             return self
         count = int(self.seconds[-1] * fps + _ON_FRAME) + 1
-        _check_count(self.where, count, len(self.names))
+        check_count(self.where, count, len(self.names))
         return replace(self, fps=fps, values=_interpolated(np.arange(count) / fps, self.seconds, self.values))
 
 
@@ -134,6 +136,7 @@ def performance_of(path: Path, take: Take, fps: float | None, angles: str) -> Pe
     where = str(path)
     if not len(take.values):
         raise InputError(where, "no frames, expected some")
+    check_count(where, len(take.values), len(take.names))
     twice = next((name for name, times in Counter(take.names).items() if times > 1), None)
     if twice is not None:
         raise InputError(where, f"'{twice[:60]}' twice, expected each name once")
@@ -149,7 +152,7 @@ def performance_of(path: Path, take: Take, fps: float | None, angles: str) -> Pe
     # the median: a gap of many frames would lengthen the mean
     step = max(1.0, float(np.rint(middle(np.diff(frames)))))
     count = int(frames[-1] / step + 0.5) + 1
-    _check_count(where, count, len(take.names))
+    check_count(where, count, len(take.names))
     off = np.abs(frames / step - np.rint(frames / step)).max() * step
     if off > take.slack:
         take.warnings.append(f"frames are up to {off:.2g} of a frame off whole ones: interpolated")
@@ -219,7 +222,7 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
             what = f"turns up to {far:g}, taken as radians, which are {math.degrees(far):.0f} degrees"
             take.warnings.append(f"{what}: --angles deg or rad says which")
     # by names of faces, where there are: a column of rates or shares beside says nothing of their unit
-    known = np.array([meaning(name) is not None for name in take.names])
+    known = np.array([meaning(name) is not None for name in take.names]) & (peaks > 0)
     shown = ~turns & known if (~turns & known).any() else ~turns
     weights = np.abs(take.values[:, shown])
     weights = weights[np.isfinite(weights) & (weights > 0)]
@@ -229,7 +232,8 @@ def _in_usual_units(where: str, take: Take, angles: str) -> None:
     if _PERCENT[0] < most <= _PERCENT[1] and beyond > 0.2:
         take.values[:, ~turns] /= 100
         take.notes.append(f"weights in percent (up to {most:g})")
-    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and (peaks[shown] > 0).sum() > 3):
+    # sliders of a face's own are in no unit that others have: 3 may be three times their maximum
+    elif most > _PERCENT[0] or (most > _EXAGGERATED and beyond > 0.5 and known.sum() > 3):
         name = take.names[int(np.flatnonzero(shown)[np.argmax(peaks[shown])])]
         raise InputError(where, f"{name[:60]} up to {most:g}, expected weights from 0 to 1, or percent")
     elif most > _EXAGGERATED:
@@ -268,12 +272,12 @@ def rate_of(seconds: FloatArray, tick: float = 0.0) -> float:
     if step <= 0:
         return FPS
     counted = float(np.rint(np.diff(seconds) / step).sum())
-    mean = float(np.clip(counted / seconds[-1], *RATES)) if seconds[-1] > 0 and counted else FPS
+    mean = min(counted / float(seconds[-1]), RATES[1]) if seconds[-1] > 0 and counted else FPS
     for rate in (*sorted(_USUAL_RATES, key=lambda usual: abs(usual - mean)), mean):
         frames = seconds * rate
         if np.abs(frames - np.rint(frames)).max() < _ON_FRAME + 1.01 * tick * rate and abs(rate - mean) < 0.1 * mean:
             return rate
-    rate = float(np.clip(1.0 / step, *RATES))
+    rate = min(1.0 / step, RATES[1])
     return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
 
 
@@ -290,7 +294,7 @@ def clock_seconds(where: str, name: str, values: FloatArray, take_notes: list[st
     for unit, scale, low, high in (
         ("", 1.0, 0.0, 2.0),
         ("milliseconds", 1e-3, 2.0, 500.0),
-        ("microseconds", 1e-6, 1e3, 5e5),
+        ("microseconds", 1e-6, 4e3, 5e5),  # less is a millisecond clock of keys that are seconds apart
         ("nanoseconds", 1e-9, 1e6, 5e8),
     ):
         if low <= step <= high:
@@ -324,9 +328,14 @@ def read_timecodes(take: Take, codes: Sequence[str], fps: float | None) -> None:
     seconds = seconds + _DAY * np.concatenate([[0], np.cumsum(np.diff(seconds) < -_DAY / 2)])
     highest = int(last.max())
     if any(one[2] for one in parsed):
+        whole = next((i for i, one in enumerate(parsed) if not one[2]), None)
+        if whole is not None:
+            raise InputError(take.where[whole], f"timecode '{codes[whole][:40]}', expected a fraction, as others have")
         take.seconds = seconds + last
         return
-    if 130 <= highest < 1000:  # no camera has as many frames a second as a clip of half a second has milliseconds
+    if 130 <= highest < 1000 and highest >= (
+        fps or 0
+    ):  # no camera has as many frames a second as a clip of half a second has milliseconds
         take.seconds = np.asarray(seconds + np.floor(last) / 1000)
         take.notes.append("timecodes end in milliseconds")
         return
@@ -368,7 +377,10 @@ def middle(steps: FloatArray) -> float:
     return float(np.sort(steps)[(len(steps) - 1) // 2]) if len(steps) else 1.0
 
 
-def _check_count(where: str, count: int, names: int) -> None:
+def check_count(where: str, count: int, names: int) -> None:
+    """:raises InputError: more frames, names or values than a clip may have"""
+    if names > MOST_NAMES:
+        raise InputError(where, f"{names} names, expected at most {MOST_NAMES}")
     if count > MOST_FRAMES:
         raise InputError(where, f"{count} frames with those that are missing, expected at most {MOST_FRAMES}")
     if count * names > MOST_VALUES:
