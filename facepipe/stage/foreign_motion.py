@@ -31,6 +31,7 @@ _HALVINGS = 9  # of the time between two samples at most
 _MOST_BETWEEN = 1 << 22  # numbers of transforms that are looked at between samples
 _CHECKED = (0.3, 0.62)  # shares of a span where it is looked at: whole turns don't end at both
 _SAME = 1e-6  # of the size: transforms nearer are one
+_FLAT = 1e-18  # determinant of a transform that can't be inverted
 
 
 class Moving(NamedTuple):
@@ -201,6 +202,7 @@ def with_motion(
     :param skeleton: of the parts' skeleton
     """
     named: list[str] = []
+    parts = _with_place(parts, moving, skeleton, named)
     parts, rigid = _with_rigid(parts, moving, meshes, skeleton, named)
     parts, shown = _with_samples(parts, moving, meshes, named)
     tracks = [one for one in (rigid, shown) if one is not None]
@@ -221,13 +223,32 @@ def with_motion(
     return replace(parts, animations=(*others, whole), played=name), named
 
 
+def _with_place(parts: FaceParts, moving: Moving, skeleton: Usd.Prim | None, named: list[str]) -> FaceParts:
+    """The face with its skeleton where it is largest, if it is flat at rest, as what grows from nothing.
+
+    :raises InputError: it is flat at all times
+    """
+    place = np.asarray(parts.skeleton.transform, dtype=np.float64)
+    if not moving.worlds or abs(np.linalg.det(place)) >= _FLAT:
+        return parts
+    path = "" if skeleton is None else str(skeleton.GetPath())
+    worlds = moving.worlds.get(path, place[None])
+    sizes = np.abs(np.linalg.det(worlds))
+    if sizes.max() < _FLAT:
+        raise InputError(path, "its transform is flat at all times, expected one with an inverse")
+    largest = int(np.argmax(sizes))
+    named.append(f"<{path}>: its transform is flat at rest: that of time {moving.codes[largest]:g} is taken")
+    return replace(parts, skeleton=replace(parts.skeleton, transform=worlds[largest]))
+
+
 def _with_rigid(
     parts: FaceParts, moving: Moving, meshes: Sequence[Usd.Prim], skeleton: Usd.Prim | None, named: list[str]
 ) -> tuple[FaceParts, Animation | None]:
     """The face with joints for unskinned meshes that move, and the motion of these and of the skeleton's roots."""
+    if not moving.worlds:
+        return parts, None
     old = parts.skeleton
-    place = np.asarray(old.transform, dtype=np.float64)
-    to_skeleton = np.linalg.inv(place)
+    to_skeleton = np.linalg.inv(np.asarray(old.transform, dtype=np.float64))
     tracks: dict[str, FloatArray] = {}
     own = moving.worlds.get("" if skeleton is None else str(skeleton.GetPath()))
     if own is not None and len(old.joints) and _changes(own):
@@ -236,7 +257,7 @@ def _with_rigid(
             if parent < 0:
                 tracks[joint] = drift @ rest
         named.append(f"<{moving.owners[str(skeleton.GetPath())]}>: its motion over time is that of the root joints")  # type: ignore[union-attr]
-    joints: dict[str, tuple[str, FloatArray]] = {}  # owner -> joint, its world at rest in skeleton space
+    joints: dict[str, tuple[str, FloatArray, FloatArray]] = {}  # owner -> joint, its rest and bind in skeleton space
     changed: list[Mesh] = []
     for mesh, prim in zip(parts.meshes, meshes, strict=True):
         key = str(prim.GetPath())
@@ -244,28 +265,30 @@ def _with_rigid(
         if mesh.skin is not None or worlds is None or not _changes(worlds):
             changed.append(mesh)
             continue
-        owner = moving.owners[key]
+        rest = to_skeleton @ np.asarray(mesh.transform, dtype=np.float64)
+        flat = abs(np.linalg.det(rest)) < _FLAT
+        # what is flat at rest, as what grows from nothing, has no inverse to place others by: a joint alone, bound by 1
+        owner = key if flat else moving.owners[key]
         if owner not in joints:
-            base = handles([*old.joints, *(name for name, _ in joints.values()), owner.rpartition("/")[2]], "joint")[-1]
-            bind = to_skeleton @ np.asarray(mesh.transform, dtype=np.float64)
-            joints[owner] = base, bind
+            base = handles([*old.joints, *(one[0] for one in joints.values()), owner.rpartition("/")[2]], "joint")[-1]
+            joints[owner] = base, rest, np.eye(4) if flat else rest
             tracks[base] = to_skeleton @ worlds
         number, count = len(old.joints) + [*joints].index(owner), len(mesh.points)
         skin = Skin(
             joint_indices=np.full((count, 1), number, np.int32),
             joint_weights=np.ones((count, 1), np.float32),
-            geom_bind_transform=to_skeleton @ np.asarray(mesh.transform, dtype=np.float64),
+            geom_bind_transform=np.eye(4) if flat else rest,
         )
         changed.append(replace(mesh, skin=skin))
     if joints:
         named.append(f"{', '.join(f'<{owner}>' for owner in joints)}: what moves over time hangs on joints of its own")
-        binds = np.stack([bind for _, bind in joints.values()])
+        names, rests, binds = zip(*joints.values(), strict=True)
         grown = replace(
             old,
-            joints=(*old.joints, *(name for name, _ in joints.values())),
-            joint_names=(*old.joint_names, *(name for name, _ in joints.values())) if old.joint_names else (),
+            joints=(*old.joints, *names),
+            joint_names=(*old.joint_names, *names) if old.joint_names else (),
             bind_transforms=np.concatenate([old.bind_transforms, binds]),
-            rest_transforms=np.concatenate([old.rest_transforms, binds]),
+            rest_transforms=np.concatenate([old.rest_transforms, rests]),
         )
         parts = replace(parts, meshes=tuple(changed), skeleton=grown)
     if not tracks:
@@ -351,8 +374,7 @@ def _merged(
             if one.joints:
                 local_of = np.moveaxis(local_transforms(skeleton, _sampled(skeleton, one, at)), 1, 0)
                 for joint, local in zip(one.joints, local_of, strict=True):
-                    around = local @ np.linalg.inv(rest[joint])
-                    moved[joint] = around @ moved[joint] if joint in moved else local
+                    moved[joint] = local @ np.linalg.inv(rest[joint]) @ moved[joint] if joint in moved else local
         return np.stack([moved[joint] for joint in joints], axis=1)
 
     result, rough = Animation(name="motion", times=times if len(times) > 1 else None), False

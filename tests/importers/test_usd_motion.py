@@ -12,7 +12,7 @@ from foreign_stages import foreign_stage, read, rich_face, warned, written
 from oracle import played
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts
 from facepipe.rig.animation import at_times, sample_transforms, sample_weights
 from facepipe.stage import Face, foreign_motion
@@ -24,7 +24,8 @@ def moved(stage: Usd.Stage, path: str, op: str, samples: dict[float, object]) ->
     """A transform over time on a prim, above what it has."""
     xform = UsdGeom.Xformable(stage.GetPrimAtPath(path))
     before = xform.GetOrderedXformOps()
-    made = xform.AddTranslateOp(opSuffix="moves") if op == "translate" else xform.AddRotateYOp(opSuffix="moves")
+    ops = {"translate": xform.AddTranslateOp, "rotate": xform.AddRotateYOp, "scale": xform.AddScaleOp}
+    made = ops[op](opSuffix="moves")
     for code, value in samples.items():
         made.Set(value, code)
     xform.SetXformOpOrder([made, *before])
@@ -115,6 +116,30 @@ def test_more_turns_than_are_kept_are_named(tmp_path: Path, monkeypatch: pytest.
     stage = foreign_stage(rich_face())
     moved(stage, "/Rich/Teeth", "rotate", {0: 0.0, 48: 360.0})
     warned(read(written(stage, tmp_path / "face.usda")), "turn more between their samples than is kept")
+
+
+@pytest.mark.parametrize("path", ["/Rich", "/Rich/Teeth"])
+def test_what_grows_from_nothing(path: str, tmp_path: Path) -> None:
+    """At rest it is flat, and has no inverse."""
+    stage = foreign_stage(replace(clipped_face(), name="Rich"))
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, path, "scale", {0: Gf.Vec3f(0), 6: Gf.Vec3f(1, 0, 0.5), 12: Gf.Vec3f(1)})
+    file = written(stage, tmp_path / "face.usda")
+    parts = read(file).parts
+    times = np.array([0.0, 0.11, 0.25, 0.5])
+    for seconds, expected in zip(times, played(file, times), strict=True):
+        got = np.concatenate([*between(parts, float(seconds)).values()])
+        np.testing.assert_allclose(got, expected, atol=1e-3)
+
+
+def test_a_skeleton_that_stays_flat_is_refused(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Rich")).AddScaleOp(opSuffix="flat").Set(Gf.Vec3f(1, 1, 0))
+    with pytest.raises(TopologyError, match="Skeleton: singular or non-finite matrix"):
+        read(written(stage, tmp_path / "face.usda"))
+    moved(stage, "/Rich", "translate", {0: Gf.Vec3d(0, 0, 0), 6: Gf.Vec3d(1, 0.5, -2)})
+    with pytest.raises(InputError, match="flat at all times"):
+        read(written(stage, tmp_path / "moving.usda"))
 
 
 def test_a_skeleton_without_joints_may_move(tmp_path: Path) -> None:
