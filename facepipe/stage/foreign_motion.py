@@ -20,7 +20,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, Skeleton, Skin
-from facepipe.rig.animation import at_times, local_transforms, with_exact_scales
+from facepipe.rig.animation import at_times, between, local_transforms, with_exact_scales
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe.stage.values import floats, matrices, matrix, reads_prim
 
@@ -189,8 +189,12 @@ def _points(prim: Usd.Prim) -> tuple[FloatArray, FloatArray] | None:
     attribute, codes = UsdGeom.Mesh(prim).GetPointsAttr(), _point_codes(prim)
     if len(codes) > MOST_SHAPES:
         return None
-    read = [floats(attribute.Get(Usd.TimeCode(code)), 3) for code in codes]
-    return (np.array(codes), np.stack(read)) if len({len(one) for one in read}) == 1 else None
+    read: list[FloatArray] = []
+    for code in codes:
+        read.append(floats(attribute.Get(Usd.TimeCode(code)), 3))
+        if len(read[-1]) != len(read[0]):  # at once, as many samples may be one array in the file
+            return None
+    return np.array(codes), np.stack(read)
 
 
 def with_motion(
@@ -322,10 +326,15 @@ def _with_samples(
     parts: FaceParts, moving: Moving, meshes: Sequence[Usd.Prim], named: list[str]
 ) -> tuple[FaceParts, Animation | None]:
     """The face with a shape for every sample of points but the first, and the clip that shows them in turn."""
-    found = {i: moving.points[key] for i, prim in enumerate(meshes) if (key := str(prim.GetPath())) in moving.points}
-    found = {i: one for i, one in found.items() if one[1].shape[1] == len(parts.meshes[i].points)}
+    given = {i: moving.points[key] for i, prim in enumerate(meshes) if (key := str(prim.GetPath())) in moving.points}
+    found = {i: one for i, one in given.items() if one[1].shape[1] == len(parts.meshes[i].points)}
     codes = np.array(sorted({float(code) for own, _ in found.values() for code in own}))
-    if not found or len(codes) > MOST_SHAPES:
+    # each mesh gets shapes at the samples of all
+    if len(codes) > MOST_SHAPES or 3 * len(codes) * sum(one.shape[1] for _, one in found.values()) > _MOST_NUMBERS:
+        found = {}
+    if left_out := [parts.meshes[i].name for i in given if i not in found]:
+        named.append(f"{', '.join(left_out)}: points over time are too many together, or other than its own: left out")
+    if not found:
         return parts, None
     names = handles([*parts.shapes, *(f"sample_{number}" for number in range(len(codes)))], "shape")[
         len(parts.shapes) :
@@ -334,8 +343,8 @@ def _with_samples(
     for i, (own, points) in found.items():
         mesh = parts.meshes[i]
         shapes = []
-        for number, code in enumerate(codes):
-            at = np.stack([np.interp(code, own, one) for one in points.reshape(len(own), -1).T]).reshape(-1, 3)
+        for number, (left, right, share) in enumerate(zip(*between(own, codes), strict=True)):
+            at = points[left] + share * (points[right] - points[left])
             offsets = (at - mesh.points).astype(np.float32)
             moved = np.flatnonzero(np.abs(offsets).max(axis=1) > 0)
             if len(moved):

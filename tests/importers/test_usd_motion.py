@@ -210,6 +210,17 @@ def test_more_points_over_time_than_shapes_are_named(tmp_path: Path) -> None:
     warned(read(written(stage, tmp_path / "face.usdc")), "points change over time: one value is kept")
 
 
+def test_samples_of_several_meshes_that_are_too_many_together_are_named(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    for number, name in enumerate(("Head", "Teeth")):
+        attribute = UsdGeom.Mesh(stage.GetPrimAtPath(f"/Rich/{name}")).GetPointsAttr()
+        base = np.array(attribute.Get())
+        for code in range(300):
+            attribute.Set((base + code).astype(np.float32), 300 * number + code)
+    imported = read(written(stage, tmp_path / "face.usdc"))
+    warned(imported, "Head, Teeth: points over time are too many together")
+
+
 def test_more_than_memory_is_refused(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     xform = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich"))
