@@ -48,8 +48,8 @@ def animated_property(document: Document, target: Value) -> Animated | None:
         return None
     number, weight = int(match[2]), None if match[4] is None else int(match[4])
     if match[1] == "meshes":
-        shown = [one.get("mesh") if one.get("weights") is None else None for one in document.entries("nodes")]
-        of_mesh = tuple(i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number)
+        of_mesh = document.unweighted.get(number, ())
+        document.budget.spend(8 * len(of_mesh), pointer.error)  # of each channel: nodes times channels would be endless
         return Animated(of_mesh, match[3], weight) if of_mesh and match[3] == "weights" else None
     if number >= len(document.entries("nodes")):
         raise pointer.error(f"nodes[{number}], but there are {len(document.entries('nodes'))}")
