@@ -28,7 +28,7 @@ MOST_SHAPES = 512  # samples of points that become shapes
 _MOST_NUMBERS = 1 << 26  # of transforms and points over time together
 _TOLERANCE = 5e-5  # metres that lines between samples of transforms may be off
 _HALVINGS = 9  # of the time between two samples at most
-_MOST_BETWEEN = 1 << 22  # numbers of transforms that are looked at between samples
+_MOST_BETWEEN = 1 << 23  # numbers of transforms that are looked at between samples
 _CHECKED = (0.3, 0.62)  # shares of a span where it is looked at: whole turns don't end at both
 _SAME = 1e-6  # of the size: transforms nearer are one
 _FLAT = 1e-18  # determinant of a transform that can't be inverted
@@ -54,7 +54,7 @@ def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.P
     codes = np.array(sorted({code for prim in turning for code in _xform_codes(prim)}))
     shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdSkel.Skeleton)] if len(codes) else []
     sampled = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and _point_codes(prim)]
-    size = 16 * len(codes) * len(shown)
+    size = 16 * len(codes) * sum(map(_tracks, shown))
     for prim in sampled:
         value = UsdGeom.Mesh(prim).GetPointsAttr().Get(Usd.TimeCode.EarliestTime())
         size += 3 * len(_point_codes(prim)) * len(value or ())
@@ -118,7 +118,7 @@ def _with_between(
     start, end = times[:-1], times[1:]
     every, values = [times], [at(times)]
     first, last = values[0][:-1], values[0][1:]
-    size = max(values[0].size // max(len(times), 1), 1)
+    size = max(values[0].size // max(len(times), 1), 16 * len(reach), 1)
     asked, rough = 0, False
     for halving in range(_HALVINGS + 1):
         asked += (len(_CHECKED) + 1) * len(start) * size
@@ -150,6 +150,13 @@ def _line(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
     turned = slerp(a.rotation, b.rotation, np.full((*a.rotation.shape[:-1], 1), share))
     moved, scaled = (one + share * (other - one) for one, other in ((a.translation, b.translation), (a.scale, b.scale)))
     return compose(moved, turned, scaled)
+
+
+@reads_prim
+def _tracks(prim: Usd.Prim) -> int:
+    """How many tracks the motion of a prim becomes: of a Skeleton one for each root joint."""
+    joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() if prim.IsA(UsdSkel.Skeleton) else None
+    return max(sum("/" not in str(joint) for joint in joints or ()), 1)
 
 
 @reads_prim

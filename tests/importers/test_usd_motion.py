@@ -233,6 +233,25 @@ def test_more_than_memory_is_refused(tmp_path: Path) -> None:
         read(written(stage, tmp_path / "face.usdc"))
 
 
+def test_every_root_joint_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each gets a track of its own, with samples between those of the transform above."""
+    stage = foreign_stage(rich_face())
+    skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
+    joints = [*skeleton.GetJointsAttr().Get(), *(f"more{number}" for number in range(60))]
+    skeleton.GetJointsAttr().Set(joints)
+    for attribute in (skeleton.GetBindTransformsAttr(), skeleton.GetRestTransformsAttr()):
+        attribute.Set([*attribute.Get(), *[Gf.Matrix4d(1.0)] * 60])
+    moved(stage, "/Rich", "rotate", {float(code): 100.0 * code for code in range(10)})
+    path = written(stage, tmp_path / "face.usda")
+    monkeypatch.setattr(foreign_motion, "_MOST_BETWEEN", 40_000)
+    imported = read(path)
+    warned(imported, "turn more between their samples than is kept")
+    assert len(np.asarray(imported.parts.animations[-1].times)) < 40
+    monkeypatch.setattr(foreign_motion, "_MOST_NUMBERS", 16 * 10 * 60)
+    with pytest.raises(InputError, match="numbers of transforms"):
+        read(path)
+
+
 def test_joints_with_dots(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
