@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -65,7 +64,7 @@ def with_baked_uvs(parts: FaceParts) -> FaceParts:
     return replace(parts, meshes=tuple(_with_sets(mesh, known, target) for mesh in parts.meshes), materials=materials)
 
 
-def _with_sets(mesh: Mesh, known: Mapping[str, Material], target: Mapping[tuple[str, UvTransform], str]) -> Mesh:
+def _with_sets(mesh: Mesh, known: dict[str, Material], target: dict[tuple[str, UvTransform], str]) -> Mesh:
     """A mesh with the UV sets that its own materials read.
 
     :param known: materials by name

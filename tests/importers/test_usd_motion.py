@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,6 +131,17 @@ def test_what_grows_from_nothing(path: str, tmp_path: Path) -> None:
     for seconds, expected in zip(times, played(file, times), strict=True):
         got = np.concatenate([*between(parts, float(seconds)).values()])
         np.testing.assert_allclose(got, expected, atol=1e-3)
+
+
+def test_scales_beyond_half_precision(tmp_path: Path) -> None:
+    """They are read without a word of numpy's; who authors them is told that USD can't hold them."""
+    stage = foreign_stage(rich_face())
+    moved(stage, "/Rich/Teeth", "scale", {0: Gf.Vec3f(1), 6: Gf.Vec3f(1e5)})
+    path = written(stage, tmp_path / "face.usda")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (clip,) = read(path).parts.animations
+    assert np.asarray(clip.scales).max() > 65520
 
 
 def test_a_skeleton_that_stays_flat_is_refused(tmp_path: Path) -> None:
