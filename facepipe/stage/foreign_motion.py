@@ -268,7 +268,7 @@ def _with_rigid(
             if parent < 0:
                 tracks[joint] = drift @ rest
         named.append(f"<{moving.owners[str(skeleton.GetPath())]}>: its motion over time is that of the root joints")  # type: ignore[union-attr]
-    joints: dict[str, tuple[str, FloatArray, FloatArray]] = {}  # owner -> joint, its rest and bind in skeleton space
+    joints: dict[str, tuple[int, FloatArray, FloatArray, FloatArray]] = {}  # owner -> joint, its rest, bind and track
     changed: list[Mesh] = []
     for mesh, prim in zip(parts.meshes, meshes, strict=True):
         key = str(prim.GetPath())
@@ -280,20 +280,20 @@ def _with_rigid(
         flat = abs(np.linalg.det(rest)) < _FLAT
         # what is flat at rest, as what grows from nothing, has no inverse to place others by: a joint alone, bound by 1
         owner = key if flat else moving.owners[key]
-        if owner not in joints:
-            base = handles([*old.joints, *(one[0] for one in joints.values()), owner.rpartition("/")[2]], "joint")[-1]
-            joints[owner] = base, rest, np.eye(4) if flat else rest
-            tracks[base] = to_skeleton @ worlds
-        number, count = len(old.joints) + [*joints].index(owner), len(mesh.points)
+        bind = np.eye(4) if flat else rest
+        number = joints.setdefault(owner, (len(old.joints) + len(joints), rest, bind, to_skeleton @ worlds))[0]
+        count = len(mesh.points)
         skin = Skin(
             joint_indices=np.full((count, 1), number, np.int32),
             joint_weights=np.ones((count, 1), np.float32),
-            geom_bind_transform=np.eye(4) if flat else rest,
+            geom_bind_transform=bind,
         )
         changed.append(replace(mesh, skin=skin))
     if joints:
         named.append(f"{', '.join(f'<{owner}>' for owner in joints)}: what moves over time hangs on joints of its own")
-        names, rests, binds = zip(*joints.values(), strict=True)
+        names = handles([*old.joints, *(owner.rpartition("/")[2] for owner in joints)], "joint")[len(old.joints) :]
+        _, rests, binds, own_tracks = zip(*joints.values(), strict=True)
+        tracks |= zip(names, own_tracks, strict=True)
         grown = replace(
             old,
             joints=(*old.joints, *names),
