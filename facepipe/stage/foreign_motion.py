@@ -215,6 +215,10 @@ def with_motion(
     named: list[str] = []
     parts = _with_place(parts, moving, skeleton, named)
     parts, rigid = _with_rigid(parts, moving, meshes, skeleton, named)
+    # joints place what is skinned, and exporters take the inverse of its own transform
+    flat = {mesh.name for mesh in parts.meshes if mesh.skin and abs(np.linalg.det(mesh.transform)) < _FLAT}
+    held = (replace(mesh, transform=np.eye(4)) if mesh.name in flat else mesh for mesh in parts.meshes)
+    parts = replace(parts, meshes=tuple(held)) if flat else parts
     parts, shown = _with_samples(parts, moving, meshes, named)
     tracks = [one for one in (rigid, shown) if one is not None]
     if not tracks:
