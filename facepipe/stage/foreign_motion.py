@@ -357,7 +357,7 @@ def _with_samples(
         for number, (left, right, share) in enumerate(zip(*between(own, codes), strict=True)):
             at = points[left] + share * (points[right] - points[left])
             offsets = (at - mesh.points).astype(np.float32)
-            moved = np.flatnonzero(np.abs(offsets).max(axis=1) > 0)
+            moved = np.flatnonzero((offsets != 0).any(axis=1))  # NaN too, which is refused later
             if len(moved):
                 own_points = moved.astype(np.int32)
                 shapes.append(Blendshape(name=names[number], point_indices=own_points, offsets=offsets[moved]))

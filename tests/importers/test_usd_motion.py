@@ -234,6 +234,19 @@ def test_samples_of_several_meshes_that_are_too_many_together_are_named(tmp_path
     warned(imported, "Head, Teeth: points over time are too many together")
 
 
+def test_samples_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath("/Rich/Teeth")).GetPointsAttr()
+    base = np.array(attribute.Get())
+    for code, first in enumerate((0.0, np.nan)):
+        base = base.copy()
+        base[0] = first
+        attribute.Set(base, code)
+    parts = read(written(stage, tmp_path / "face.usdc")).parts
+    with pytest.raises(InputError, match="offsets: NaN or infinity, expected finite numbers"):
+        Face.from_parts(parts)
+
+
 def test_more_than_memory_is_refused(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     xform = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich"))
