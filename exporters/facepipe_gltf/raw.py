@@ -99,7 +99,7 @@ class RawDocument:
                 packed = [one.get("indices"), *as_object(one.get("attributes")).values()]
                 try:
                     plain = unpacked(self._document, primitive).members()
-                    own: list[int | InputError] = [plain["indices"], *plain["attributes"].values()]
+                    own: list[int | InputError] = [plain.get("indices", -1), *plain["attributes"].values()]
                 except InputError as error:
                     own = [error] * len(packed)
                 pairs = zip(packed, own, strict=True)

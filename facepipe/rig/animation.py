@@ -101,8 +101,9 @@ def with_exact_scales(skeleton: Skeleton, animation: Animation) -> tuple[Animati
     :raises InputError: as `local_transforms`
     """
     scales = animation.scales
-    if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
-        return animation, ""
+    with np.errstate(over="ignore"):  # what is too large for half precision is infinity there
+        if scales is None or np.array_equal(scales.astype(np.float16).astype(np.float32), scales):
+            return animation, ""
     rest = np.asarray(skeleton.rest_transforms)[places(skeleton, animation)]
     if np.abs(np.linalg.det(rest[:, :3, :3])).min() < _FLAT:
         return animation, "scales are kept in half precision: joints are flat at rest"

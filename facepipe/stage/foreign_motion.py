@@ -20,7 +20,7 @@ from facepipe.core.arrays import FloatArray
 from facepipe.core.errors import InputError
 from facepipe.core.names import handles
 from facepipe.parts import Animation, Blendshape, FaceParts, Mesh, Skeleton, Skin
-from facepipe.rig.animation import at_times, local_transforms, with_exact_scales
+from facepipe.rig.animation import at_times, between, local_transforms, with_exact_scales
 from facepipe.rig.trs import compose, decompose, slerp
 from facepipe.stage.values import floats, matrices, matrix, reads_prim
 
@@ -28,9 +28,10 @@ MOST_SHAPES = 512  # samples of points that become shapes
 _MOST_NUMBERS = 1 << 26  # of transforms and points over time together
 _TOLERANCE = 5e-5  # metres that lines between samples of transforms may be off
 _HALVINGS = 9  # of the time between two samples at most
-_MOST_BETWEEN = 1 << 22  # numbers of transforms that are looked at between samples
+_MOST_BETWEEN = 1 << 23  # numbers of transforms that are looked at between samples
 _CHECKED = (0.3, 0.62)  # shares of a span where it is looked at: whole turns don't end at both
 _SAME = 1e-6  # of the size: transforms nearer are one
+_FLAT = 1e-18  # determinant of a transform that can't be inverted
 
 
 class Moving(NamedTuple):
@@ -53,7 +54,7 @@ def moving_of(stage: Usd.Stage, prims: Sequence[Usd.Prim], above: Sequence[Usd.P
     codes = np.array(sorted({code for prim in turning for code in _xform_codes(prim)}))
     shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) or prim.IsA(UsdSkel.Skeleton)] if len(codes) else []
     sampled = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and _point_codes(prim)]
-    size = 16 * len(codes) * len(shown)
+    size = 16 * len(codes) * sum(map(_tracks, shown))
     for prim in sampled:
         value = UsdGeom.Mesh(prim).GetPointsAttr().Get(Usd.TimeCode.EarliestTime())
         size += 3 * len(_point_codes(prim)) * len(value or ())
@@ -117,7 +118,7 @@ def _with_between(
     start, end = times[:-1], times[1:]
     every, values = [times], [at(times)]
     first, last = values[0][:-1], values[0][1:]
-    size = max(values[0].size // max(len(times), 1), 1)
+    size = max(values[0].size // max(len(times), 1), 16 * len(reach), 1)
     asked, rough = 0, False
     for halving in range(_HALVINGS + 1):
         asked += (len(_CHECKED) + 1) * len(start) * size
@@ -149,6 +150,13 @@ def _line(first: FloatArray, last: FloatArray, share: float) -> FloatArray:
     turned = slerp(a.rotation, b.rotation, np.full((*a.rotation.shape[:-1], 1), share))
     moved, scaled = (one + share * (other - one) for one, other in ((a.translation, b.translation), (a.scale, b.scale)))
     return compose(moved, turned, scaled)
+
+
+@reads_prim
+def _tracks(prim: Usd.Prim) -> int:
+    """How many tracks the motion of a prim becomes: of a Skeleton one for each root joint."""
+    joints = UsdSkel.Skeleton(prim).GetJointsAttr().Get() if prim.IsA(UsdSkel.Skeleton) else None
+    return max(sum("/" not in str(joint) for joint in joints or ()), 1)
 
 
 @reads_prim
@@ -188,8 +196,12 @@ def _points(prim: Usd.Prim) -> tuple[FloatArray, FloatArray] | None:
     attribute, codes = UsdGeom.Mesh(prim).GetPointsAttr(), _point_codes(prim)
     if len(codes) > MOST_SHAPES:
         return None
-    read = [floats(attribute.Get(Usd.TimeCode(code)), 3) for code in codes]
-    return (np.array(codes), np.stack(read)) if len({len(one) for one in read}) == 1 else None
+    read: list[FloatArray] = []
+    for code in codes:
+        read.append(floats(attribute.Get(Usd.TimeCode(code)), 3))
+        if len(read[-1]) != len(read[0]):  # at once, as many samples may be one array in the file
+            return None
+    return np.array(codes), np.stack(read)
 
 
 def with_motion(
@@ -201,7 +213,12 @@ def with_motion(
     :param skeleton: of the parts' skeleton
     """
     named: list[str] = []
+    parts = _with_place(parts, moving, skeleton, named)
     parts, rigid = _with_rigid(parts, moving, meshes, skeleton, named)
+    # joints place what is skinned, and exporters take the inverse of its own transform
+    flat = {mesh.name for mesh in parts.meshes if mesh.skin and abs(np.linalg.det(mesh.transform)) < _FLAT}
+    held = (replace(mesh, transform=np.eye(4)) if mesh.name in flat else mesh for mesh in parts.meshes)
+    parts = replace(parts, meshes=tuple(held)) if flat else parts
     parts, shown = _with_samples(parts, moving, meshes, named)
     tracks = [one for one in (rigid, shown) if one is not None]
     if not tracks:
@@ -221,13 +238,32 @@ def with_motion(
     return replace(parts, animations=(*others, whole), played=name), named
 
 
+def _with_place(parts: FaceParts, moving: Moving, skeleton: Usd.Prim | None, named: list[str]) -> FaceParts:
+    """The face with its skeleton where it is largest, if it is flat at rest, as what grows from nothing.
+
+    :raises InputError: it is flat at all times
+    """
+    place = np.asarray(parts.skeleton.transform, dtype=np.float64)
+    if not moving.worlds or abs(np.linalg.det(place)) >= _FLAT:
+        return parts
+    path = "" if skeleton is None else str(skeleton.GetPath())
+    worlds = moving.worlds.get(path, place[None])
+    sizes = np.abs(np.linalg.det(worlds))
+    if sizes.max() < _FLAT:
+        raise InputError(path, "its transform is flat at all times, expected one with an inverse")
+    largest = int(np.argmax(sizes))
+    named.append(f"<{path}>: its transform is flat at rest: that of time {moving.codes[largest]:g} is taken")
+    return replace(parts, skeleton=replace(parts.skeleton, transform=worlds[largest]))
+
+
 def _with_rigid(
     parts: FaceParts, moving: Moving, meshes: Sequence[Usd.Prim], skeleton: Usd.Prim | None, named: list[str]
 ) -> tuple[FaceParts, Animation | None]:
     """The face with joints for unskinned meshes that move, and the motion of these and of the skeleton's roots."""
+    if not moving.worlds:
+        return parts, None
     old = parts.skeleton
-    place = np.asarray(old.transform, dtype=np.float64)
-    to_skeleton = np.linalg.inv(place)
+    to_skeleton = np.linalg.inv(np.asarray(old.transform, dtype=np.float64))
     tracks: dict[str, FloatArray] = {}
     own = moving.worlds.get("" if skeleton is None else str(skeleton.GetPath()))
     if own is not None and len(old.joints) and _changes(own):
@@ -236,7 +272,7 @@ def _with_rigid(
             if parent < 0:
                 tracks[joint] = drift @ rest
         named.append(f"<{moving.owners[str(skeleton.GetPath())]}>: its motion over time is that of the root joints")  # type: ignore[union-attr]
-    joints: dict[str, tuple[str, FloatArray]] = {}  # owner -> joint, its world at rest in skeleton space
+    joints: dict[str, tuple[int, FloatArray, FloatArray, FloatArray]] = {}  # owner -> joint, its rest, bind and track
     changed: list[Mesh] = []
     for mesh, prim in zip(parts.meshes, meshes, strict=True):
         key = str(prim.GetPath())
@@ -244,28 +280,30 @@ def _with_rigid(
         if mesh.skin is not None or worlds is None or not _changes(worlds):
             changed.append(mesh)
             continue
-        owner = moving.owners[key]
-        if owner not in joints:
-            base = handles([*old.joints, *(name for name, _ in joints.values()), owner.rpartition("/")[2]], "joint")[-1]
-            bind = to_skeleton @ np.asarray(mesh.transform, dtype=np.float64)
-            joints[owner] = base, bind
-            tracks[base] = to_skeleton @ worlds
-        number, count = len(old.joints) + [*joints].index(owner), len(mesh.points)
+        rest = to_skeleton @ np.asarray(mesh.transform, dtype=np.float64)
+        flat = abs(np.linalg.det(rest)) < _FLAT
+        # what is flat at rest, as what grows from nothing, has no inverse to place others by: a joint alone, bound by 1
+        owner = key if flat else moving.owners[key]
+        bind = np.eye(4) if flat else rest
+        number = joints.setdefault(owner, (len(old.joints) + len(joints), rest, bind, to_skeleton @ worlds))[0]
+        count = len(mesh.points)
         skin = Skin(
             joint_indices=np.full((count, 1), number, np.int32),
             joint_weights=np.ones((count, 1), np.float32),
-            geom_bind_transform=to_skeleton @ np.asarray(mesh.transform, dtype=np.float64),
+            geom_bind_transform=bind,
         )
         changed.append(replace(mesh, skin=skin))
     if joints:
         named.append(f"{', '.join(f'<{owner}>' for owner in joints)}: what moves over time hangs on joints of its own")
-        binds = np.stack([bind for _, bind in joints.values()])
+        names = handles([*old.joints, *(owner.rpartition("/")[2] for owner in joints)], "joint")[len(old.joints) :]
+        _, rests, binds, own_tracks = zip(*joints.values(), strict=True)
+        tracks |= zip(names, own_tracks, strict=True)
         grown = replace(
             old,
-            joints=(*old.joints, *(name for name, _ in joints.values())),
-            joint_names=(*old.joint_names, *(name for name, _ in joints.values())) if old.joint_names else (),
+            joints=(*old.joints, *names),
+            joint_names=(*old.joint_names, *names) if old.joint_names else (),
             bind_transforms=np.concatenate([old.bind_transforms, binds]),
-            rest_transforms=np.concatenate([old.rest_transforms, binds]),
+            rest_transforms=np.concatenate([old.rest_transforms, rests]),
         )
         parts = replace(parts, meshes=tuple(changed), skeleton=grown)
     if not tracks:
@@ -299,10 +337,15 @@ def _with_samples(
     parts: FaceParts, moving: Moving, meshes: Sequence[Usd.Prim], named: list[str]
 ) -> tuple[FaceParts, Animation | None]:
     """The face with a shape for every sample of points but the first, and the clip that shows them in turn."""
-    found = {i: moving.points[key] for i, prim in enumerate(meshes) if (key := str(prim.GetPath())) in moving.points}
-    found = {i: one for i, one in found.items() if one[1].shape[1] == len(parts.meshes[i].points)}
+    given = {i: moving.points[key] for i, prim in enumerate(meshes) if (key := str(prim.GetPath())) in moving.points}
+    found = {i: one for i, one in given.items() if one[1].shape[1] == len(parts.meshes[i].points)}
     codes = np.array(sorted({float(code) for own, _ in found.values() for code in own}))
-    if not found or len(codes) > MOST_SHAPES:
+    # each mesh gets shapes at the samples of all
+    if len(codes) > MOST_SHAPES or 3 * len(codes) * sum(one.shape[1] for _, one in found.values()) > _MOST_NUMBERS:
+        found = {}
+    if left_out := [parts.meshes[i].name for i in given if i not in found]:
+        named.append(f"{', '.join(left_out)}: points over time are too many together, or other than its own: left out")
+    if not found:
         return parts, None
     names = handles([*parts.shapes, *(f"sample_{number}" for number in range(len(codes)))], "shape")[
         len(parts.shapes) :
@@ -311,10 +354,10 @@ def _with_samples(
     for i, (own, points) in found.items():
         mesh = parts.meshes[i]
         shapes = []
-        for number, code in enumerate(codes):
-            at = np.stack([np.interp(code, own, one) for one in points.reshape(len(own), -1).T]).reshape(-1, 3)
+        for number, (left, right, share) in enumerate(zip(*between(own, codes), strict=True)):
+            at = points[left] + share * (points[right] - points[left])
             offsets = (at - mesh.points).astype(np.float32)
-            moved = np.flatnonzero(np.abs(offsets).max(axis=1) > 0)
+            moved = np.flatnonzero((offsets != 0).any(axis=1))  # NaN too, which is refused later
             if len(moved):
                 own_points = moved.astype(np.int32)
                 shapes.append(Blendshape(name=names[number], point_indices=own_points, offsets=offsets[moved]))
@@ -351,8 +394,7 @@ def _merged(
             if one.joints:
                 local_of = np.moveaxis(local_transforms(skeleton, _sampled(skeleton, one, at)), 1, 0)
                 for joint, local in zip(one.joints, local_of, strict=True):
-                    around = local @ np.linalg.inv(rest[joint])
-                    moved[joint] = around @ moved[joint] if joint in moved else local
+                    moved[joint] = local @ np.linalg.inv(rest[joint]) @ moved[joint] if joint in moved else local
         return np.stack([moved[joint] for joint in joints], axis=1)
 
     result, rough = Animation(name="motion", times=times if len(times) > 1 else None), False

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from facepipe.core.errors import InputError
 from facepipe.parts import FaceParts, Material, Mesh, TextureInput, UvSet, UvTransform
 
 IDENTITY: UvTransform = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+_MOST_MOVED = 64  # UV sets that one mesh gets: each is as large as the mesh, and a transform is a few bytes
 
 
 def composed(outer: UvTransform, inner: UvTransform) -> UvTransform:
@@ -32,20 +34,20 @@ def with_baked_uvs(parts: FaceParts) -> FaceParts:
 
     Where all textures that read a UV set move it in one way, the set's values become the moved ones; else each other
     way gets a set of its own, called after the first: ``st_1``.
+
+    :raises InputError: a mesh that would get far more sets than any has
     """
-    ways: dict[str, list[UvTransform]] = {}
+    ways: dict[str, dict[UvTransform, None]] = {}
     for material in parts.materials:
         for used in material.textured.values():
-            ways.setdefault(used.uv_set, [])
-            if used.uv_transform not in ways[used.uv_set]:
-                ways[used.uv_set].append(used.uv_transform)
-    if all(own == [IDENTITY] for own in ways.values()):
+            ways.setdefault(used.uv_set, {})[used.uv_transform] = None
+    if all([*own] == [IDENTITY] for own in ways.values()):
         return parts
     taken = {uvs.name for mesh in parts.meshes for uvs in mesh.uv_sets} | {*ways}
     target: dict[tuple[str, UvTransform], str] = {}
     for name, own in ways.items():
+        number = 0
         for way in own:
-            number = 0
             called = name
             while way != IDENTITY and len(own) > 1 and called in taken:
                 number += 1
@@ -56,22 +58,24 @@ def with_baked_uvs(parts: FaceParts) -> FaceParts:
     def moved(used: TextureInput) -> TextureInput:
         return replace(used, uv_set=target[used.uv_set, used.uv_transform], uv_transform=IDENTITY)
 
-    changes = {name: {key: moved(used) for key, used in one.textured.items()} for name, one in _by_name(parts).items()}
+    known = {material.name: material for material in parts.materials}
+    changes = {name: {key: moved(used) for key, used in one.textured.items()} for name, one in known.items()}
     materials = tuple(replace(one, **changes[one.name]) for one in parts.materials)  # type: ignore[arg-type]
-    return replace(parts, meshes=tuple(_with_sets(mesh, parts, target) for mesh in parts.meshes), materials=materials)
+    return replace(parts, meshes=tuple(_with_sets(mesh, known, target) for mesh in parts.meshes), materials=materials)
 
 
-def _by_name(parts: FaceParts) -> dict[str, Material]:
-    return {material.name: material for material in parts.materials}
+def _with_sets(mesh: Mesh, known: dict[str, Material], target: dict[tuple[str, UvTransform], str]) -> Mesh:
+    """A mesh with the UV sets that its own materials read.
 
-
-def _with_sets(mesh: Mesh, parts: FaceParts, target: dict[tuple[str, UvTransform], str]) -> Mesh:
-    """A mesh with the UV sets that its own materials read."""
-    known = _by_name(parts)
+    :param known: materials by name
+    """
     bound = dict.fromkeys([mesh.material, *(one.material for one in mesh.material_faces)])
     used = [one for name in bound if name in known for one in known[name].textured.values()]
     sets = list(mesh.uv_sets)
-    for source, way in dict.fromkeys((one.uv_set, one.uv_transform) for one in used if one.uv_transform != IDENTITY):
+    moving = dict.fromkeys((one.uv_set, one.uv_transform) for one in used if one.uv_transform != IDENTITY)
+    if len(moving) > _MOST_MOVED:
+        raise InputError(mesh.name, f"{len(moving)} transforms of textures, expected at most {_MOST_MOVED}")
+    for source, way in moving:
         given = next((uvs for uvs in mesh.uv_sets if uvs.name == source), None)
         if given is None:
             continue

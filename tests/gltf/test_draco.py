@@ -154,6 +154,9 @@ def test_what_is_there_uncompressed_too_is_read_so(tmp_path: Path) -> None:
     primitive["extensions"] = {DRACO: {"bufferView": builder.view(b"no Draco"), "attributes": numbers}}
     builder.root["extensionsUsed"] = [DRACO]
     assert_same(imported(builder, tmp_path).parts, imported(plain(), tmp_path).parts, EXACT)
+    del primitive["indices"]
+    (tmp_path / "face.glb").write_bytes(builder.glb())
+    assert not any("Draco" in one.message for one in validate(tmp_path / "face.glb", khronos=False))
     builder.root["extensionsRequired"] = [DRACO]
     assert "can't be decoded: Not a Draco file" in refusal(builder.glb(), tmp_path)
 

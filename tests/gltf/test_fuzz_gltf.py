@@ -321,6 +321,17 @@ def crossed_key_times() -> Builder:
     return builder
 
 
+def pointers_to_a_mesh_of_many_nodes() -> Builder:
+    """Every channel means all nodes that show the mesh."""
+    builder = triangle()
+    builder.root["nodes"] *= 8_000
+    builder.root["scenes"] = [{"nodes": [0]}]
+    target = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": "/meshes/0/weights"}}}
+    one = {"samplers": [{"input": 0, "output": 0}], "channels": [{"sampler": 0, "target": target}]}
+    builder.root["animations"] = [one] * 1100
+    return builder
+
+
 @pytest.mark.parametrize(
     ("make", "word"),
     [
@@ -330,8 +341,17 @@ def crossed_key_times() -> Builder:
         (overlapping_accessors, "far more data"),
         (chain_of_joints, "far more data"),
         (crossed_key_times, "far more data"),
+        (pointers_to_a_mesh_of_many_nodes, "far more data"),
     ],
-    ids=["zeros", "more zeros", "repeated primitives", "overlapping accessors", "chain of joints", "crossed key times"],
+    ids=[
+        "zeros",
+        "more zeros",
+        "repeated primitives",
+        "overlapping accessors",
+        "chain of joints",
+        "crossed key times",
+        "pointers",
+    ],
 )
 def test_small_files_cannot_ask_for_much(make: Callable[[], Builder], word: str, tmp_path: Path) -> None:
     data = make().glb()

@@ -374,6 +374,27 @@ def test_a_rigid_node_that_moves_is_a_joint_of_its_mesh(tmp_path: Path) -> None:
             np.testing.assert_allclose(np.sort(shown[name], axis=0), np.sort(expected, axis=0), atol=1e-6)
 
 
+def test_a_rigid_node_that_grows_from_nothing(tmp_path: Path) -> None:
+    """At rest it is flat, and has no inverse; what hangs on it grows with it."""
+    builder = triangle()
+    builder.root["nodes"] = [
+        {"name": "Head", "mesh": 0, "scale": [0, 0, 0], "children": [1]},
+        {"name": "Hat", "mesh": 0, "translation": [0, 0.25, 0]},
+    ]
+    builder.root["scenes"] = [{"nodes": [0]}]
+    keys = builder.array(np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]]))
+    channels = [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]
+    samplers = [{"input": builder.array(np.array([0.0, 1.0])), "output": keys}]
+    builder.add("animations", {"channels": channels, "samplers": samplers, "name": "grow"})
+    face = Face.from_parts(read(tmp_path, builder).parts)
+    for index, size in enumerate((0.0, 2.0)):
+        local, _ = face.sample("grow", index)
+        shown = face.split(face.evaluate(joint_transforms=local))
+        for name, offset in (("Head", 0.0), ("Hat", 0.25)):
+            expected = size * (TRIANGLE + np.array([0, offset, 0]))
+            np.testing.assert_allclose(np.sort(shown[name], axis=0), np.sort(expected, axis=0), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("pointers", "width"),
     [(["/nodes/0/weights"], 2), (["/nodes/0/weights/1", "/nodes/0/weights/0"], 1), (["/meshes/0/weights"], 2)],

@@ -92,6 +92,19 @@ def test_textures_that_lie_differently_read_sets_of_their_own(tmp_path: Path) ->
     np.testing.assert_allclose(uvs(parts, "st_1"), before + np.array([0.5, 0]), atol=1e-6)
 
 
+def test_a_mesh_does_not_get_a_set_for_each_of_countless_transforms(tmp_path: Path) -> None:
+    """Each would be as large as the mesh, and costs the file a few bytes."""
+    builder = with_texture(PNG)
+    (given, *_), mesh = builder.root["materials"], builder.root["meshes"][0]
+    builder.root["materials"] = []
+    for number in range(70):
+        picture = {"index": 0} | placed(offset=[number / 100, 0])
+        builder.add("materials", given | {"pbrMetallicRoughness": {"baseColorTexture": picture}})
+    mesh["primitives"] = [mesh["primitives"][0] | {"material": number} for number in range(70)]
+    with pytest.raises(InputError, match="69 transforms of textures, expected at most 64"):
+        read(tmp_path, builder)
+
+
 def test_the_set_that_a_transform_names_wins(tmp_path: Path) -> None:
     builder = with_texture(PNG, placed(texCoord=1))
     for primitive in builder.root["meshes"][0]["primitives"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from foreign_stages import foreign_stage, read, rich_face, warned, written
 from oracle import played
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from facepipe.core.errors import InputError
+from facepipe.core.errors import InputError, TopologyError
 from facepipe.parts import FaceParts
 from facepipe.rig.animation import at_times, sample_transforms, sample_weights
 from facepipe.stage import Face, foreign_motion
@@ -24,7 +25,8 @@ def moved(stage: Usd.Stage, path: str, op: str, samples: dict[float, object]) ->
     """A transform over time on a prim, above what it has."""
     xform = UsdGeom.Xformable(stage.GetPrimAtPath(path))
     before = xform.GetOrderedXformOps()
-    made = xform.AddTranslateOp(opSuffix="moves") if op == "translate" else xform.AddRotateYOp(opSuffix="moves")
+    ops = {"translate": xform.AddTranslateOp, "rotate": xform.AddRotateYOp, "scale": xform.AddScaleOp}
+    made = ops[op](opSuffix="moves")
     for code, value in samples.items():
         made.Set(value, code)
     xform.SetXformOpOrder([made, *before])
@@ -117,6 +119,42 @@ def test_more_turns_than_are_kept_are_named(tmp_path: Path, monkeypatch: pytest.
     warned(read(written(stage, tmp_path / "face.usda")), "turn more between their samples than is kept")
 
 
+@pytest.mark.parametrize("path", ["/Rich", "/Rich/Teeth"])
+def test_what_grows_from_nothing(path: str, tmp_path: Path) -> None:
+    """At rest it is flat, and has no inverse."""
+    stage = foreign_stage(replace(clipped_face(), name="Rich"))
+    stage.SetTimeCodesPerSecond(RATE)
+    moved(stage, path, "scale", {0: Gf.Vec3f(0), 6: Gf.Vec3f(1, 0, 0.5), 12: Gf.Vec3f(1)})
+    file = written(stage, tmp_path / "face.usda")
+    parts = read(file).parts
+    assert all(abs(np.linalg.det(mesh.transform)) > 1e-9 for mesh in parts.meshes)  # or no exporter would take them
+    times = np.array([0.0, 0.11, 0.25, 0.5])
+    for seconds, expected in zip(times, played(file, times), strict=True):
+        got = np.concatenate([*between(parts, float(seconds)).values()])
+        np.testing.assert_allclose(got, expected, atol=1e-3)
+
+
+def test_scales_beyond_half_precision(tmp_path: Path) -> None:
+    """They are read without a word of numpy's; who authors them is told that USD can't hold them."""
+    stage = foreign_stage(rich_face())
+    moved(stage, "/Rich/Teeth", "scale", {0: Gf.Vec3f(1), 6: Gf.Vec3f(1e5)})
+    path = written(stage, tmp_path / "face.usda")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (clip,) = read(path).parts.animations
+    assert np.asarray(clip.scales).max() > 65520
+
+
+def test_a_skeleton_that_stays_flat_is_refused(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    UsdGeom.Xformable(stage.GetPrimAtPath("/Rich")).AddScaleOp(opSuffix="flat").Set(Gf.Vec3f(1, 1, 0))
+    with pytest.raises(TopologyError, match="Skeleton: singular or non-finite matrix"):
+        read(written(stage, tmp_path / "face.usda"))
+    moved(stage, "/Rich", "translate", {0: Gf.Vec3d(0, 0, 0), 6: Gf.Vec3d(1, 0.5, -2)})
+    with pytest.raises(InputError, match="flat at all times"):
+        read(written(stage, tmp_path / "moving.usda"))
+
+
 def test_a_skeleton_without_joints_may_move(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
@@ -185,6 +223,30 @@ def test_more_points_over_time_than_shapes_are_named(tmp_path: Path) -> None:
     warned(read(written(stage, tmp_path / "face.usdc")), "points change over time: one value is kept")
 
 
+def test_samples_of_several_meshes_that_are_too_many_together_are_named(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    for number, name in enumerate(("Head", "Teeth")):
+        attribute = UsdGeom.Mesh(stage.GetPrimAtPath(f"/Rich/{name}")).GetPointsAttr()
+        base = np.array(attribute.Get())
+        for code in range(300):
+            attribute.Set((base + code).astype(np.float32), 300 * number + code)
+    imported = read(written(stage, tmp_path / "face.usdc"))
+    warned(imported, "Head, Teeth: points over time are too many together")
+
+
+def test_samples_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    stage = foreign_stage(rich_face())
+    attribute = UsdGeom.Mesh(stage.GetPrimAtPath("/Rich/Teeth")).GetPointsAttr()
+    base = np.array(attribute.Get())
+    for code, first in enumerate((0.0, np.nan)):
+        base = base.copy()
+        base[0] = first
+        attribute.Set(base, code)
+    parts = read(written(stage, tmp_path / "face.usdc")).parts
+    with pytest.raises(InputError, match="offsets: NaN or infinity, expected finite numbers"):
+        Face.from_parts(parts)
+
+
 def test_more_than_memory_is_refused(tmp_path: Path) -> None:
     stage = foreign_stage(rich_face())
     xform = UsdGeom.Xformable(stage.GetPrimAtPath("/Rich"))
@@ -195,6 +257,25 @@ def test_more_than_memory_is_refused(tmp_path: Path) -> None:
         UsdGeom.Mesh.Define(stage, f"/Rich/M{number}")
     with pytest.raises(InputError, match="numbers of transforms and points over time"):
         read(written(stage, tmp_path / "face.usdc"))
+
+
+def test_every_root_joint_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each gets a track of its own, with samples between those of the transform above."""
+    stage = foreign_stage(rich_face())
+    skeleton = UsdSkel.Skeleton(next(one for one in stage.Traverse() if one.IsA(UsdSkel.Skeleton)))
+    joints = [*skeleton.GetJointsAttr().Get(), *(f"more{number}" for number in range(60))]
+    skeleton.GetJointsAttr().Set(joints)
+    for attribute in (skeleton.GetBindTransformsAttr(), skeleton.GetRestTransformsAttr()):
+        attribute.Set([*attribute.Get(), *[Gf.Matrix4d(1.0)] * 60])
+    moved(stage, "/Rich", "rotate", {float(code): 100.0 * code for code in range(10)})
+    path = written(stage, tmp_path / "face.usda")
+    monkeypatch.setattr(foreign_motion, "_MOST_BETWEEN", 40_000)
+    imported = read(path)
+    warned(imported, "turn more between their samples than is kept")
+    assert len(np.asarray(imported.parts.animations[-1].times)) < 40
+    monkeypatch.setattr(foreign_motion, "_MOST_NUMBERS", 16 * 10 * 60)
+    with pytest.raises(InputError, match="numbers of transforms"):
+        read(path)
 
 
 def test_joints_with_dots(tmp_path: Path) -> None:

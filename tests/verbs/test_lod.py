@@ -6,15 +6,18 @@ import dataclasses
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import Capsys, done, exit_code, failed
+from faces import tiny_face, with_meshes
 from import_data import shared
 from level_faces import MILLIMETRES, OPEN, face_with_lips
 from oracle import bake
-from pxr import Usd
+from photo_files import png_of
+from pxr import Gf, Sdf, Usd, UsdShade
 from scipy.spatial import cKDTree
 from solids import ball
 
@@ -22,7 +25,7 @@ import facepipe
 from facepipe.core.errors import InputError
 from facepipe.geometry.closest_points import closest_places
 from facepipe.geometry.polygons import components, edges, point_triangles
-from facepipe.parts import FaceParts, Mesh, Skeleton
+from facepipe.parts import FaceParts, Material, Mesh, Skeleton, Texture, TextureInput
 from facepipe.stage import Face, save_parts
 from facepipe.verbs.lod.decimate import _lengthwise, cards_of
 
@@ -57,6 +60,25 @@ def test_a_level_has_the_triangles_that_were_asked_for(levels: Face) -> None:
         assert 0.9 * count <= sum(found) <= count
         assert found[0] >= 0.6 * sum(found) - 2
         assert all((mesh.face_vertex_counts == 3).all() for mesh in meshes)
+
+
+def test_levels_are_textured_as_the_face_is_where_its_material_moves_the_texture(tmp_path: Path) -> None:
+    (tmp_path / "face.png").write_bytes(png_of(np.zeros((2, 2, 3), np.uint8)))
+    picture = TextureInput(texture=Texture(name="face.png", data=b""), channels="rgb", uv_set="st")
+    parts = with_meshes(tiny_face(), material="Skin")
+    stage = Face.from_parts(replace(parts, materials=(Material(name="Skin", diffuse_color=picture),))).stage
+    read = next(prim for prim in stage.Traverse() if prim.GetName() == "diffuseColor_texture")
+    given = UsdShade.Shader(read).GetInput("st")
+    moved = UsdShade.Shader.Define(stage, read.GetPath().GetParentPath().AppendChild("Moved"))
+    moved.CreateIdAttr("UsdTransform2d")
+    moved.CreateInput("scale", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(3, 3))
+    moved.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(given.GetAttr().GetConnections()[0])
+    given.ConnectToSource(moved.ConnectableAPI(), "result")
+    stage.GetRootLayer().Export(str(tmp_path / "face.usda"))
+    facepipe.lod(tmp_path / "face.usda", out=tmp_path / "lods.usda", triangles=[40])
+    face = facepipe.open(tmp_path / "lods.usda")
+    full, level = (face.at_level(number).parts().meshes[0].uv_sets[0].values for number in (0, 1))
+    rows_of(level, full)
 
 
 def test_the_first_level_is_the_face(levels: Face) -> None:

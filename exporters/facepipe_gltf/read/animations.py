@@ -6,6 +6,7 @@ STEP and CUBICSPLINE; between these the result is linear (rotations: slerp), whi
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -135,6 +136,7 @@ def read_animations(
         channels = _channels(document, value, joints, shapes)
         if channels:
             read.append((value, channels))
+    defaults = default_weights(document, nodes, shapes)
     keys = [channel.times for _, channels in read for channel in channels]
     # whole frames of the keys of all animations, as a stage has one timeCodesPerSecond; film's where no rate fits
     every = np.concatenate(keys) if keys else np.zeros(0)
@@ -144,13 +146,13 @@ def read_animations(
     animations = []
     for name, (value, channels) in zip(names, read, strict=True):
         sampled = _times(document, value, channels, fps)
-        animation = _animation(document, value, name, channels, nodes, joints, shapes, sampled)
+        animation = _animation(document, value, name, channels, nodes, joints, shapes, sampled, defaults)
         if (times := animation.times) is not None:
             # whole frames where float32 makes no difference, unless two times would become one
             rounded = np.where(_frames_off(times, rate) < ON_FRAME, np.rint(times * rate) / rate, times)
             animation = replace(animation, times=rounded if (np.diff(rounded) > 0).all() else times)
         animations.append(animation)
-    pose = _default_pose(document, nodes, shapes, names)
+    pose = _default_pose(document, nodes, shapes, defaults, names)
     return (*animations, *([] if pose is None else [pose])), rate
 
 
@@ -252,6 +254,7 @@ def _animation(
     joints: Joints,
     shapes: Mapping[int, Sequence[Role]],
     times: FloatArray,
+    defaults: Mapping[int, Mapping[str, float]],
 ) -> Animation:
     moved = sorted({joints.of_node[channel.node] for channel in channels if channel.path in _TYPES})
     weights = [channel for channel in channels if channel.path == "weights"]
@@ -259,7 +262,7 @@ def _animation(
     # before sampling: a few keys far apart ask for more frames than memory holds
     document.budget.spend(8 * len(times) * width, value.error)
     motion = _joint_motion(document, value, times, channels, moved, nodes, joints) if moved else None
-    shape_names, shape_weights = _shape_motion(document, value, times, weights, nodes, shapes)
+    shape_names, shape_weights = _shape_motion(document, value, times, weights, shapes, defaults)
     label = given_name(value)
     animation = Animation(
         name=name,
@@ -318,8 +321,8 @@ def _shape_motion(
     value: Value,
     times: FloatArray,
     channels: list[Channel],
-    nodes: Nodes,
     shapes: Mapping[int, Sequence[Role]],
+    defaults: Mapping[int, Mapping[str, float]],
 ) -> tuple[tuple[str, ...], FloatArray | None]:
     """Shape names and weights (t, s); of meshes that move one shape differently the first.
 
@@ -331,7 +334,7 @@ def _shape_motion(
             if shape in by_shape and np.abs(by_shape[shape] - weights).max() > _ALIKE:
                 document.warn(value, f"the meshes move the shape {shape} differently: the first is kept")
             by_shape.setdefault(shape, weights)
-    for still in default_weights(document, nodes, shapes).values():
+    for still in defaults.values():
         for shape, weight in still.items():
             if weight and shape not in by_shape:
                 by_shape[shape] = np.full(len(times), weight)
@@ -376,16 +379,16 @@ def nodes_apart(
         played = _by_node(channels, times, shapes)
         first: dict[str, FloatArray] = {}
         moved = {shape for of_node in played.values() for shape, weights in of_node.items() if weights.any()}
+        players = Counter(meshes[node] for node in played)
         for node in shapes:
-            still = any(meshes[node] == meshes[other] for other in played if other != node)
+            own, still = played.get(node, {}), players[meshes[node]] > (node in played)
             if node not in played and not still:
-                own = [role.shape for role in shapes[node] if role.shape in moved]
-                following.setdefault(node, {}).update(dict.fromkeys(own))
-            for role in shapes[node]:
-                weights = played.get(node, {}).get(role.shape)
-                weights = np.zeros(len(times)) if weights is None and still else weights
-                if weights is not None and np.abs(first.setdefault(role.shape, weights) - weights).max() > _ALIKE:
-                    apart.setdefault(node, {})[role.shape] = None
+                followed = [role.shape for role in shapes[node] if role.shape in moved]
+                following.setdefault(node, {}).update(dict.fromkeys(followed))
+            zeros = dict.fromkeys([role.shape for role in shapes[node]] if still else (), np.zeros(len(times)))
+            for shape, weights in {**zeros, **own}.items():
+                if np.abs(first.setdefault(shape, weights) - weights).max() > _ALIKE:
+                    apart.setdefault(node, {})[shape] = None
     for node, names in following.items():
         if names:
             what = f"no channel plays its shapes ({first_names([*names], 4)}): they follow those of their names"
@@ -417,11 +420,15 @@ def default_weights(
 
 
 def _default_pose(
-    document: Document, nodes: Nodes, shapes: Mapping[int, Sequence[Role]], taken: Sequence[str]
+    document: Document,
+    nodes: Nodes,
+    shapes: Mapping[int, Sequence[Role]],
+    defaults: Mapping[int, Mapping[str, float]],
+    taken: Sequence[str],
 ) -> Animation | None:
     """The default morph weights of a file as a pose; None where all are 0."""
     found: dict[str, float] = {}
-    for node, of_node in default_weights(document, nodes, shapes).items():
+    for node, of_node in defaults.items():
         value = nodes.values[node]
         given = value.get("weights") or document.entry("meshes", value.require("mesh")).get("weights")
         if given is not None and len(given.items()) != len(shapes[node]):

@@ -20,6 +20,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any, NoReturn
 from urllib.parse import unquote
@@ -305,6 +306,15 @@ class Document:
     def entry(self, kind: str, reference: Value) -> Value:
         """The entry of `kind` that `reference` names."""
         return self.entries(kind)[self.index(kind, reference)]
+
+    @cached_property
+    def unweighted(self) -> dict[int, tuple[int, ...]]:
+        """Mesh -> the nodes that show it and have no morph weights of their own."""
+        found: dict[int, list[int]] = {}
+        for number, node in enumerate(self.entries("nodes")):
+            if (mesh := node.get("mesh")) is not None and node.get("weights") is None:
+                found.setdefault(mesh.integer(), []).append(number)
+        return {mesh: tuple(own) for mesh, own in found.items()}
 
     def warn(self, value: Value | str, what: str) -> None:
         """Note something that could not be brought over, once."""

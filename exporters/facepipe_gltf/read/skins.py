@@ -48,8 +48,8 @@ def animated_property(document: Document, target: Value) -> Animated | None:
         return None
     number, weight = int(match[2]), None if match[4] is None else int(match[4])
     if match[1] == "meshes":
-        shown = [one.get("mesh") if one.get("weights") is None else None for one in document.entries("nodes")]
-        of_mesh = tuple(i for i, mesh in enumerate(shown) if mesh is not None and mesh.integer() == number)
+        of_mesh = document.unweighted.get(number, ())
+        document.budget.spend(8 * len(of_mesh), pointer.error)  # of each channel: nodes times channels would be endless
         return Animated(of_mesh, match[3], weight) if of_mesh and match[3] == "weights" else None
     if number >= len(document.entries("nodes")):
         raise pointer.error(f"nodes[{number}], but there are {len(document.entries('nodes'))}")
@@ -223,12 +223,12 @@ def read_joints(document: Document, nodes: Nodes, more: tuple[int, ...] = ()) ->
         slots = np.array([of_node[node] for node in joint_nodes], np.int64)
         worlds = nodes.worlds[joint_nodes]
         skins.append(_bind(document, value, slots, inverses, worlds, binds, twins))
-    binds |= {of_node[node]: nodes.worlds[node] for node in rigid}
+    binds |= {of_node[node]: _unless_flat(nodes.worlds[node]) for node in rigid}
     rest = above @ nodes.locals[order] if order else np.zeros((0, 4, 4))
     for joint, parent in enumerate(parents):  # bound by no skin: as they rest below those that are
         if joint not in binds:
             at_rest = rest[joint] if parent < 0 else binds[parent] @ rest[joint]
-            binds[joint] = at_rest if abs(np.linalg.det(at_rest)) > 1e-30 else identity()
+            binds[joint] = _unless_flat(at_rest)
     siblings: dict[int, Names] = {}
     paths: list[str] = []
     given = [given_name(nodes.values[node]) for node in order]
@@ -364,3 +364,8 @@ def _difference(matrices: FloatArray, reference: FloatArray) -> float:
 def _snapped(matrix: FloatArray) -> FloatArray:
     """`matrix`, or the identity where it is that but for float32 noise."""
     return identity() if np.abs(matrix - identity()).max() <= 1e-5 else matrix
+
+
+def _unless_flat(matrix: FloatArray) -> FloatArray:
+    """`matrix`, or the identity where that has no inverse, as of what grows from nothing: either binds meshes."""
+    return matrix if abs(np.linalg.det(matrix)) > 1e-30 else identity()
