@@ -127,6 +127,7 @@ def _one_face() -> None:
     """The landmarks of a scan are those of the dome."""
     import scan_domes
 
+    from facepipe.geometry.coarse_surface import surface_look
     from facepipe.scanning.landmarks import find
     from facepipe.scanning.landmarks.search import face_frame
 
@@ -134,7 +135,8 @@ def _one_face() -> None:
     frame = face_frame(landmarks.points)
     assert frame is not None
     report = find.ScanLandmarksReport(found=68, presence=1.0, spread=0.0, searched=1)
-    found = find.FoundScanLandmarks(landmarks=landmarks, frame=frame, look=find._look(scan), report=report)
+    look = surface_look(scan.points, scan.triangles, scan.colors)
+    found = find.FoundScanLandmarks(landmarks=landmarks, frame=frame, look=look, report=report)
     find.FindScanLandmarks.__call__ = lambda self, scan: found
 
 
