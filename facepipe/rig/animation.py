@@ -15,7 +15,6 @@ from facepipe.core.arrays import FloatArray, IntArray
 from facepipe.core.errors import InputError
 from facepipe.parts import Animation, FaceParts, Skeleton
 from facepipe.rig.bone_coefficients import coefficient_matrices, matrix_coefficients
-from facepipe.rig.rig import build
 from facepipe.rig.trs import Trs, decompose, rotation_matrices, slerp
 
 _NO_QUATERNION = 1e-6  # a quaternion shorter than this has no direction
@@ -208,6 +207,8 @@ def linear_skinning_notes(parts: FaceParts) -> tuple[str, ...]:
         return ()
     owners = names[0] if len(names) == 1 else f"{len(names)} meshes"
     line = f"{owners}: skinned by dual quaternions, which the format lacks: skinned linearly in the file"
+    from facepipe.rig.rig import build  # with scipy, which reading and writing a stage need not
+
     rig = build(parts)
     linear = replace(rig, dual=None)
     apart, poses = 0.0, 0
