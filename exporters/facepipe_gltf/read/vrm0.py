@@ -7,7 +7,7 @@ there is (x, y, -z) in the file, and (-x, y, z) once the model has turned by hal
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -330,7 +330,10 @@ class _Migration:
 def migrated(document: Document, vrm: Value, nodes: Nodes) -> Migrated:
     """The extensions of VRM 1.0 that say what `vrm`, that of 0.x, does; what has no counterpart is named."""
     work = _Migration(document, nodes, [])
-    part: Callable[[str], Value] = lambda name: vrm.get_or(name, {})  # noqa: E731
+
+    def part(name: str) -> Value:
+        return vrm.get_or(name, {})
+
     first = part("firstPerson")
     own: Json = {
         "specVersion": VERSION,
