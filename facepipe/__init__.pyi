@@ -46,6 +46,7 @@ from facepipe.scanning.rebuild.rebuild_report import RebuildReport
 from facepipe.scanning.rebuild.refine_neutral import RefineNeutralReport
 from facepipe.scanning.rebuild.register_scans import RegisterScanReport
 from facepipe.scanning.rebuild.split_expressions import SplitShapesReport
+from facepipe.scanning.transfer.transfer import TransferReport
 from facepipe.stage.face import Face as Face
 from facepipe.stage.face import open_face as open
 from facepipe.verbs.animate.face_clip import AnimateReport
@@ -241,6 +242,58 @@ def choose_frames(
     :param count: frames to keep at most
     :param out: folder to make: the frames as PNG, report.json
     :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def conform(
+    scan: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    flatten: bool = False,
+    colors: bool = True,
+    even: float = 1.0,
+    relief: bool = True,
+    texture_size: int | None = None,
+    unit: Literal["auto", "mm", "cm", "m", "in"] = "auto",
+    prior: float = 0.03,
+    membrane: float = 6.0,
+    landmark_sigma_mm: float = 0.16,
+    reach_mm: float = 4.0,
+    weight_sigma: float = 0.05,
+    template: str | os.PathLike[str] | None = None,
+    database: str | os.PathLike[str] | None = None,
+    landmarks: str | os.PathLike[str] | None = None,
+    weights: Mapping[str, float] = {},
+    open_eyes: bool = True,
+    close_lips: bool = True,
+    picture: str | os.PathLike[str] | None = None,
+    without: Sequence[str] = (),
+) -> FitNeutralReport:
+    """Give a template the shape of a head of others: `facepipe conform`.
+
+    :param colors: give the skin's textures the scan's colours, where both have some
+    :param even: how much of the light in the scan's colours is taken out; 0: as scanned
+    :param relief: give the skin's normal maps the scan's detail, where it is finer than the mesh
+    :param texture_size: size of the skin's textures (default that of the template's) [texels]
+    :param unit: unit of the scan: auto fits the size with the rest, a unit holds it
+    :param prior: weight of the squared identity coefficients, in standard deviations, against the scan
+    :param membrane: stiffness of what the identity model can't show
+    :param landmark_sigma_mm: smaller ones hold landmarks harder against the surface [mm]
+    :param reach_mm: points further from the scan don't follow it [mm]
+    :param weight_sigma: how far the weight of a shape that the scan shows may be from the given one
+    :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param scan: head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD
+    :param database: faces of the template's topology: .fpdb (default for the built-in head its own modes)
+    :param landmarks: landmarks of the scan (default SCAN's .landmarks.json)
+    :param weights: shapes that the scan shows besides the neutral, weights above 0 up to 2
+    :param open_eyes: open eyes whose lids the landmarks show shut, where no --weights are given
+    :param close_lips: close lips whose landmarks meet: of their rims, scans show nothing
+    :param picture: draw scan, face and their distance
+    :param without: meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...
+    :param out: stage to write, or a file that an exporter writes
+    :param overwrite: put it in place of a file that is there
+    :param flatten: write a standalone file
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """
 
@@ -1131,5 +1184,33 @@ def train_photo(
     :param expressions: shape that is an expression (default those with ARKit's names)
     :param out: network to write: .onnx
     :param overwrite: put it in place of a file that is there
+    :raises FacepipeError: what can't be read, done or written; then nothing is written
+    """
+
+def transfer(
+    head: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    flatten: bool = False,
+    template: str | os.PathLike[str] | None = None,
+    landmarks: str | os.PathLike[str] | None = None,
+    shapes: Sequence[str] = (),
+    only: Sequence[Literal["shapes", "regions", "landmarks", "sliders"]] = (),
+    replace: bool = False,
+    picture: str | os.PathLike[str] | None = None,
+) -> TransferReport:
+    """Give a head of others the shapes of a template: `facepipe transfer`.
+
+    :param head: head or body: .glb .gltf .vrm .obj .ply .stl .off or USD
+    :param template: face stage with multipie68 landmarks (default the built-in head)
+    :param landmarks: landmarks of the head (default HEAD's .landmarks.json)
+    :param shapes: shapes of the template to bring (default ARKit's 52; all: every one)
+    :param only: bring these alone
+    :param replace: make shapes, regions, landmarks and sliders that the head has anew
+    :param picture: draw all shapes from the front and from between front and side
+    :param out: stage to write, or a file that an exporter writes
+    :param overwrite: put it in place of a file that is there
+    :param flatten: write a standalone file
     :raises FacepipeError: what can't be read, done or written; then nothing is written
     """

@@ -10,7 +10,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -155,16 +155,16 @@ def _read_obj(path: Path) -> Scan:
         material_faces=material_faces(obj.materials, obj.face_material),
     )
     materials = {name: one for name, one in library.materials.items() if name in obj.materials}
-    return replace(_scan_of([mesh], materials, path.stem), warnings=tuple(library.warnings))
+    return replace(scan_of([mesh], materials, path.stem), warnings=tuple(library.warnings))
 
 
 def _read_face(path: Path) -> Scan:
     imported = load("gltf" if path.suffix.lower() in (".glb", ".gltf") else "usd", path)
     materials = {material.name: material for material in imported.parts.materials}
-    return replace(_scan_of(list(imported.parts.meshes), materials, path.stem), warnings=imported.warnings)
+    return replace(scan_of(list(imported.parts.meshes), materials, path.stem), warnings=imported.warnings)
 
 
-def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> Scan:
+def scan_of(meshes: Sequence[Mesh], materials: Mapping[str, Material], name: str) -> Scan:
     """All meshes in world space as one scan; points that no face uses are left out."""
     points, triangles, colors, textured, start = [], [], [], [], 0
     pictures: list[ScanPicture] = []
@@ -194,7 +194,7 @@ def _scan_of(meshes: list[Mesh], materials: dict[str, Material], name: str) -> S
 
 
 def _textured(
-    mesh: Mesh, materials: dict[str, Material], order: tuple[int, int, int], pictures: list[ScanPicture]
+    mesh: Mesh, materials: Mapping[str, Material], order: tuple[int, int, int], pictures: list[ScanPicture]
 ) -> tuple[FloatArray, IntArray]:
     """UVs (t, 3, 2) of a mesh's triangles, and the number (t,) of the picture that each shows, -1 for none.
 
@@ -236,7 +236,7 @@ READERS: dict[str, Callable[[Path], Scan]] = {
 _TEXELS = 8  # a point: beyond, a texture holds pores that points can only make noise of
 
 
-def _point_colors(mesh: Mesh, materials: dict[str, Material]) -> FloatArray | None:
+def _point_colors(mesh: Mesh, materials: Mapping[str, Material]) -> FloatArray | None:
     """(n, 3) linear colours of the points; None where the mesh has neither colours nor a coloured material.
 
     :raises InputError: a texture that is no image

@@ -38,6 +38,7 @@ from facepipe.scanning.rebuild.declared import BakeScanOptions, FitNeutralOption
 if TYPE_CHECKING:
     from facepipe.parts import FaceParts
     from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
+    from facepipe.scanning.rebuild.scan_fit import Given
     from facepipe.stage import Face
 
 _STEPS = 18  # of a fit, at most
@@ -98,11 +99,17 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
 
         return make(textures=_TEXTURES) if self.template is None else None
 
+    def given(self, job: Job) -> Given:
+        """The scan, its landmarks, what is to be said of both, and what photos of it say."""
+        from facepipe.scanning.rebuild.scan_fit import scan_input
+
+        return scan_input(Path(self.scan), self.landmarks, job.watch)
+
     def author(self, face: Face, job: Job) -> FitNeutralReport:
         from facepipe.scanning.database import QualityLimits, load_database, misses
         from facepipe.scanning.rebuild.built_in_head import bare_head, people, settled, with_inside_fitted
         from facepipe.scanning.rebuild.fit_neutral import are_sealed, fit_neutral, shut_eyes, with_sealed_lips
-        from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named, scan_input
+        from facepipe.scanning.rebuild.scan_fit import draw_face_on_scan, named
         from facepipe.scanning.rebuild.template import Template
         from facepipe.scanning.texture import author_scan_textures
         from facepipe.verbs.author_neutral import AuthorNeutral
@@ -118,7 +125,7 @@ class FitNeutralAction(FitNeutralOptions, BakeScanOptions, ScanAction["FitNeutra
             raise InputError("--database", what)
         # Fitted without hair and lashes, which go with the skin after it.
         body = template.body(database.topology)
-        scan, landmarks, notes, photos = scan_input(Path(self.scan), self.landmarks, job.watch)
+        scan, landmarks, notes, photos = self.given(job)
         weights = self.weights or (shut_eyes(landmarks, parts.shapes) if self.open_eyes else {})
         with named(self.scan), job.watch("fit", _STEPS) as bar:
             fit, place, report = fit_neutral(body, scan, landmarks, database, self, lambda step: bar.update(), weights)

@@ -1,0 +1,70 @@
+"""Give a template the shape of a head of others: everything that the template has, and the head's own colours.
+
+HEAD is a head or a body of any tool (.glb .gltf .vrm .fbx .obj .ply .stl .off or USD), of any pose and unit. Of it the
+piece that carries nose, mouth and jaw is fitted; hair, hats, glasses, clothes and body are not. Without --template it
+becomes the built-in head, textured and ready for use: with -o head.glb for the engine at once. `facepipe transfer` is
+the other way round: the head keeps its own mesh.
+
+Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
+else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
+
+OUT is an override layer over --template; --flatten writes a standalone file, as one on the built-in head is. --without
+leaves meshes of the template out of it. --picture shows head, face and their distance. Exit code 1: done, but a limit
+of the quality gate of `facepipe database add` is missed.
+
+examples:
+  facepipe conform hero.glb -o hero_head.glb --picture hero.png
+  facepipe conform body.vrm -o head.usda --without EyeballLeft EyeballRight
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
+from facepipe.declare import option, source
+from facepipe.kinds import Job, action
+from facepipe.scanning.rebuild.fit_neutral_action import FitNeutralAction
+
+if TYPE_CHECKING:
+    from facepipe.scanning.rebuild.fit_neutral import FitNeutralReport
+    from facepipe.scanning.rebuild.scan_fit import Given
+    from facepipe.stage import Face
+
+
+@action("conform", "give a template the shape of a head of others")
+@dataclass(frozen=True, kw_only=True)
+class ConformAction(FitNeutralAction):
+    """The action."""
+
+    scan: Path = source("head or body: .glb .gltf .vrm .fbx .obj .ply .stl .off or USD", metavar="HEAD")
+    without: tuple[str, ...] = option(
+        (), "meshes of the template to leave out: of the built-in head Teeth, EyeballLeft ...", parse=tuple, words=True
+    )
+
+    def check(self) -> None:
+        super().check()
+        if Path(self.scan).is_dir():
+            raise InputError(self.scan, "is a folder, expected the file of a head (facepipe fit-neutral takes photos)")
+
+    def given(self, job: Job) -> Given:
+        from facepipe.scanning.transfer.head import Head, read_head
+
+        with job.watch("landmarks", 1) as bar:
+            head = Head.of(read_head(Path(self.scan)), str(self.scan), self.landmarks)
+            bar.update()
+        return head.scan_of_skin(), head.landmarks, head.notes, {}
+
+    def author(self, face: Face, job: Job) -> FitNeutralReport:
+        names = [mesh.name for mesh in face.meshes]
+        for name in self.without:
+            if name not in names:
+                raise InputError("--without", unknown(name, names, "mesh of the template"))
+        left_out = [face.mesh_prim(name) for name in self.without]
+        report = super().author(face, job)
+        for prim in left_out:
+            prim.SetActive(False)
+        return report

@@ -1,0 +1,153 @@
+"""A head of others: the surface of all its meshes, the landmarks on it, and the piece that is its skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.polygons import point_triangles
+from facepipe.importers.scan_file import scan_of
+from facepipe.parts import FaceParts, Mesh
+from facepipe.rig import implausible
+from facepipe.scans import LANDMARK_SCHEME, Scan, ScanLandmarks
+from facepipe.verbs.skin.surface import Surface, surface_of
+from facepipe.verbs.whole_faces import MILLIMETRES, to_millimetres, whole_points, world_to_world
+
+_BARE = (".ply", ".stl", ".off")  # of meshes without names or materials, which no importer reads as faces
+_METRES = (1.0, 0.01, 0.001, 0.1, 0.0254)  # a unit of files that say none: tried in this order
+_FEWEST = 6  # landmarks
+
+
+def unitless(path: Path) -> FaceParts | None:
+    """The head of a file that says no unit, in the first usual one that gives it a plausible size; None: another.
+
+    :raises InputError: a file that can't be used, or a cloud of points
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        from facepipe.importers import read_face
+
+        parts = read_face(path).parts()
+    elif suffix in _BARE:
+        from facepipe.importers.scan_file import read_scan
+
+        scan = read_scan(path)
+        if scan.is_cloud:
+            raise InputError(path, "a cloud of points, expected a mesh")
+        mesh = Mesh(
+            name="Head",
+            points=scan.points,
+            face_vertex_counts=np.full(len(scan.triangles), 3, np.int32),
+            face_vertex_indices=scan.triangles.ravel(),
+            colors=scan.colors,
+        )
+        parts = FaceParts(name=path.stem, meshes=(mesh,))
+    else:
+        return None
+    tried = (replace(parts, meters_per_unit=metres) for metres in _METRES)
+    return next((one for one in tried if not implausible(one)), parts)
+
+
+def read_head(path: Path) -> FaceParts:
+    """The head in any file.
+
+    :raises FacepipeError: a file that can't be used
+    """
+    from facepipe.importers import read_face
+
+    parts = unitless(path)
+    return read_face(path).parts() if parts is None else parts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """n whole points of a head of others, m of them sewn, and the 68 landmarks in the same space."""
+
+    where: str
+    parts: FaceParts
+    points: FloatArray  # (n, 3) whole points, millimetres and Y up if the file's unit and axis are true
+    surface: Surface  # sewn: points that a file splits at seams are one
+    landmarks: ScanLandmarks
+    source: str  # of the landmarks
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, parts: FaceParts, where: str, given: Path | None) -> Head:
+        """A head with landmarks from a file, else its own, else found on it.
+
+        :raises FacepipeError: a file that can't be used, or no landmarks found
+        """
+        points, source, notes = whole_points(parts), "the head's own", tuple[str, ...]()
+        own = _own_landmarks(parts, points)
+        if given is not None:
+            from facepipe.importers.scan_landmarks import read_scan_landmarks
+
+            read = read_scan_landmarks(given)
+            to = world_to_world(parts.meters_per_unit, parts.up_axis, MILLIMETRES)
+            landmarks, source = ScanLandmarks(points=read.points @ to[:3, :3].T, sigma_mm=read.sigma_mm), given.name
+        elif own is not None:
+            landmarks = own
+        else:
+            from facepipe.pictures.surface_view import draw_surface
+            from facepipe.scanning.landmarks import FindScanLandmarks
+
+            found = FindScanLandmarks(draw=draw_surface)(_scan(parts, where))
+            landmarks, source, notes = found.landmarks, "found on the head", found.report.warnings
+        if landmarks.known.sum() < _FEWEST:
+            what = f"{int(landmarks.known.sum())} of 68 are known, expected {_FEWEST} or more"
+            raise InputError(f"{where} -> landmarks", what)
+        surface = surface_of(parts, where)
+        return cls(
+            where=where, parts=parts, points=points, surface=surface, landmarks=landmarks, source=source, notes=notes
+        )
+
+    def skin(self) -> IntArray:
+        """Sewn points of the piece that carries nose, mouth and jaw: most landmarks are nearest to it."""
+        known = self.landmarks.points[self.landmarks.known]
+        nearest = closest_places(known, self.surface.points, self.surface.triangles)
+        of_triangle = self.surface.component[self.surface.triangles[:, 0]]
+        votes = np.bincount(of_triangle[nearest.triangles])
+        return np.flatnonzero(self.surface.component == votes.argmax())
+
+    def scan_of_skin(self) -> Scan:
+        """The piece that carries the face as a scan, with its colours."""
+        scan = _scan(self.parts, self.where)
+        is_skin = np.zeros(len(self.surface.points), bool)
+        is_skin[self.skin()] = True
+        start, kept = 0, []
+        for mesh in self.parts.meshes:
+            group = self.surface.group[start : start + len(mesh.points)]
+            kept.append(is_skin[group][point_triangles(mesh.face_vertex_counts, mesh.face_vertex_indices)].all(axis=1))
+            start += len(mesh.points)
+        shown = np.concatenate(kept)
+        used, corners = np.unique(scan.triangles[shown], return_inverse=True)
+        return replace(
+            scan,
+            points=scan.points[used],
+            triangles=corners.reshape(-1, 3).astype(np.int32),
+            normals=None if scan.normals is None else scan.normals[used],
+            colors=None if scan.colors is None else scan.colors[used],
+            texture=None if scan.texture is None else scan.texture.on_triangles(shown),
+        )
+
+
+def _scan(parts: FaceParts, where: str) -> Scan:
+    """All meshes as one scan, in the space of whole points."""
+    placed = zip(parts.meshes, to_millimetres(parts), strict=True)
+    meshes = tuple(replace(mesh, transform=to) for mesh, to in placed)
+    return scan_of(meshes, {one.name: one for one in parts.materials}, where)
+
+
+def _own_landmarks(parts: FaceParts, points: FloatArray) -> ScanLandmarks | None:
+    start = 0
+    for mesh in parts.meshes:
+        own = mesh.landmarks.get(LANDMARK_SCHEME)
+        if own is not None and len(own.indices) == 68:
+            return ScanLandmarks(points=points[start + np.asarray(own.indices, np.int64)])
+        start += len(mesh.points)
+    return None

@@ -1,0 +1,217 @@
+"""Shapes, regions, landmarks and sliders of a template put on a head of others, whose own points and names stay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.core.errors import InputError
+from facepipe.core.names import unknown
+from facepipe.core.reports import Report, not_in_json, table
+from facepipe.parts import FaceParts, Landmarks, Mesh, Recipe, Slider, all_regions
+from facepipe.rig.conventions import ARKIT_SHAPES, match_shapes, shapes_of
+from facepipe.scanning.database import FaceDatabase
+from facepipe.scanning.rebuild.built_in_head import bare_head, people
+from facepipe.scanning.rebuild.template import Template
+from facepipe.scanning.transfer.carry import carried
+from facepipe.scanning.transfer.fit import HeadFit, fit_head
+from facepipe.scanning.transfer.head import Head
+from facepipe.scanning.transfer.marks import carried_masks, own_points
+from facepipe.scans import LANDMARK_SCHEME
+from facepipe.stage import Face
+from facepipe.verbs.author_neutral import AuthorNeutral
+from facepipe.verbs.whole_faces import Topology, whole_face
+
+MADE = "made"
+KINDS = ("shapes", "regions", "landmarks", "sliders")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferReport(Report):
+    """What a head got, and what it could not get."""
+
+    landmarks: str  # where they come from
+    fit_mean_mm: float  # between the face of the head and the template that was fitted to it
+    fit_p95_mm: float
+    shapes: Mapping[str, Mapping[str, object]]  # shape -> verdict, and figures in millimetres
+    kept: Mapping[str, str] = field(default_factory=dict)  # shape -> the head's own, which stays
+    regions: tuple[str, ...] = ()
+    sliders: tuple[str, ...] = ()
+    authored: tuple[str, ...] = ()
+    place: Any = not_in_json()  # `Similarity` from whole points to the template's place
+    framing: Any = not_in_json()  # (68, 3) landmarks there, of which pictures are taken
+
+    @property
+    def not_made(self) -> dict[str, str]:
+        """Shape -> why it could not be made."""
+        return {name: str(one["verdict"]) for name, one in self.shapes.items() if one["verdict"] != MADE}
+
+    def as_text(self, out: Path) -> str:
+        """The report as tables for people."""
+        made = [name for name in self.shapes if name not in self.not_made]
+        rows = [
+            ("landmarks", self.landmarks),
+            ("fit", f"mean {self.fit_mean_mm:.2f} mm, 95 % below {self.fit_p95_mm:.2f} mm"),
+            ("shapes", f"{len(made)} made" + (f", {len(self.kept)} the head's own" if self.kept else "")),
+            *([("regions", ", ".join(self.regions))] if self.regions else []),
+            *([("sliders", f"{len(self.sliders)}")] if self.sliders else []),
+        ]
+        lines = [f"not made: {name}: {why}" for name, why in self.not_made.items()]
+        return "\n".join([str(out), table(rows), *lines])
+
+
+def wanted_shapes(
+    template: FaceParts, head: FaceParts, shapes: Sequence[str], *, anew: bool
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """The template's shapes to bring, and those that the head has: shape -> the head's name.
+
+    :param shapes: none: ARKit's, where the template has some; ("all",): every one
+    :param anew: also those that the head has
+    :raises InputError: a shape that the template lacks
+    """
+    names: Sequence[str] = [name for name in template.shapes if name in ARKIT_SHAPES] or template.shapes
+    if shapes:
+        names = template.shapes if tuple(shapes) == ("all",) else shapes
+    for name in names:
+        if name not in template.shapes:
+            raise InputError("--shapes", unknown(name, template.shapes, "shape of the template"))
+    own = {} if anew else match_shapes(names, head.shapes, shapes_of(head.meshes))
+    return tuple(name for name in names if name not in own), {name: ", ".join(found) for name, found in own.items()}
+
+
+def transfer(
+    face: Face,
+    recipe: Recipe,
+    step: Callable[[], object],
+    *,
+    template: Path | None = None,
+    landmarks: Path | None = None,
+    shapes: Sequence[str] = (),
+    only: Sequence[str] = (),
+    anew: bool = False,
+) -> TransferReport:
+    """Author on `face`, a layer over a head of others, what a template brings.
+
+    :param step: called after each step of the fit and each shape
+    :param template: a face stage; None: the built-in head
+    :param landmarks: their file; None: the head's own, or found on it
+    :param shapes: as for `wanted_shapes`
+    :param only: some of `KINDS`; none: all
+    :param anew: shapes, regions, landmarks and sliders that the head has are made too
+    :raises FacepipeError: no landmarks, a head that the template can't be fitted to, or nothing to bring
+    """
+    parts = face.parts()
+    body, database = _template(template)
+    names, kept = wanted_shapes(body.parts, parts, shapes, anew=anew)
+    head = Head.of(parts, face.where, landmarks)
+    skin = head.skin()
+    fit = fit_head(
+        body,
+        database,
+        head.surface.points[skin],
+        head.surface.part_triangles(skin),
+        head.landmarks,
+        name=face.where,
+        progress=lambda number: step(),
+    )
+    wanted = only or KINDS
+    deltas: dict[str, FloatArray] = {}
+    verdicts: dict[str, dict[str, object]] = {}
+    if "shapes" in wanted and names:
+        own = whole_face(body.parts, body.where).deltas
+        made = carried(body, fit, {name: own[name] for name in names}, lambda name: step())
+        for name, delta in made.deltas.items():
+            whole = np.zeros((len(head.surface.points), 3))
+            whole[skin] = delta
+            deltas[name] = whole[head.surface.group]
+            verdicts[name] = {"verdict": MADE, "largest_mm": float(np.linalg.norm(delta, axis=1).max())}
+    settled = partial(_settled, head=head, skin=skin, fit=fit, body=body.parts, wanted=wanted, anew=anew)
+    authored = AuthorNeutral(shapes=deltas, settled=settled)(face, head.points, recipe=recipe)
+    after = face.parts()
+    return TransferReport(
+        landmarks=head.source,
+        fit_mean_mm=fit.report.quality.surface_mean_mm,
+        fit_p95_mm=fit.report.quality.surface_p95_mm,
+        shapes=verdicts,
+        kept=kept,
+        regions=tuple(name for name in all_regions(after.meshes) if name not in all_regions(parts.meshes)),
+        sliders=tuple(one.name for one in after.sliders if one not in parts.sliders),
+        authored=authored.authored,
+        place=fit.place,
+        framing=fit.points[body.rows[body.landmarks]],
+        warnings=(*head.notes, *fit.report.warnings, *authored.warnings),
+    )
+
+
+def _template(path: Path | None) -> tuple[Template, FaceDatabase]:
+    """The template without hair and lashes, and who its people may be.
+
+    :raises InputError: another topology than the built-in head's: nothing is known of who its people may be
+    """
+    from facepipe.heads import make
+    from facepipe.importers import read_face
+
+    parts, where = (make(), "built-in head") if path is None else (read_face(path).parts(), str(path))
+    own = bare_head(parts)
+    if own is None:
+        raise InputError(where, "another topology than the built-in head's, which people are known of")
+    database = people(own)
+    return Template.of(parts, where).body(database.topology), database
+
+
+def _settled(
+    changed: FaceParts, *, head: Head, skin: IntArray, fit: HeadFit, body: FaceParts, wanted: Sequence[str], anew: bool
+) -> FaceParts:
+    """The head with its new shapes, and with regions, landmarks and sliders."""
+    counts = [len(mesh.points) for mesh in changed.meshes]
+    splits = np.cumsum(counts)[:-1]
+    places = fit.place.apply(head.points)
+    masks: list[dict[str, FloatArray]] = [{} for _ in counts]
+    if "regions" in wanted and (anew or not all_regions(changed.meshes)):
+        carried = carried_masks(all_regions(body.meshes), fit.points, Topology.of(body).triangles, places)
+        for name, mask in carried.items():
+            for own, part in zip(masks, np.split(mask, splits), strict=True):
+                own[name] = part
+    # of the mesh that has most of the skin: landmarks of a scheme lie on one mesh
+    on_skin = np.isin(head.surface.group, skin)
+    chosen = int(np.argmax([part.sum() for part in np.split(on_skin, splits)]))
+    start = int(np.sum(counts[:chosen]))
+    rows = start + np.flatnonzero(on_skin[start : start + counts[chosen]])
+    meshes = [replace(mesh, regions=own or mesh.regions) for mesh, own in zip(changed.meshes, masks, strict=True)]
+    if "landmarks" in wanted and (anew or not any(mesh.landmarks for mesh in meshes)):
+        meshes[chosen] = _marked(meshes[chosen], body, fit.points, places[rows], rows - start)
+    new = (_by_shapes(one) for one in body.sliders) if "sliders" in wanted else ()
+    known = {name for mesh in meshes for name in (shape.name for shape in mesh.blendshapes)}
+    taken = {one.name for one in changed.sliders}
+    sliders = [one for one in new if one.shapes and known.issuperset(dict(one.shapes)) and one.name not in taken]
+    return replace(changed, meshes=tuple(meshes), sliders=(*changed.sliders, *sliders), photos=head.parts.photos)
+
+
+def _marked(mesh: Mesh, body: FaceParts, points: FloatArray, places: FloatArray, own: IntArray) -> Mesh:
+    """The mesh with the template's landmarks and anchor.
+
+    :param points: (n, 3) whole points of the template, lying on the head
+    :param places: (k, 3) of the mesh's points `own` (k,), in the same space
+    """
+    landmarks, anchor, start = dict(mesh.landmarks), mesh.anchor, 0
+    for part in body.meshes:
+        for scheme, marks in part.landmarks.items():
+            chosen = own[own_points(points[start + marks.indices], places)]
+            if scheme == LANDMARK_SCHEME:
+                landmarks[scheme] = Landmarks(indices=chosen.astype(np.int32), names=marks.names)
+        if part.anchor is not None:
+            nearest = np.linalg.norm(places - points[start + part.anchor], axis=1).argmin()
+            anchor = int(own[nearest])
+        start += len(part.points)
+    return replace(mesh, landmarks=landmarks, anchor=anchor)
+
+
+def _by_shapes(slider: Slider) -> Slider:
+    """The slider without what it does to joints, which the head has none of, or others."""
+    return replace(slider, channels=(), channel_curves=(), value=None)

@@ -1,0 +1,94 @@
+"""Give a head of others the shapes of a template, on its own mesh: ARKit's 52, visemes, regions, landmarks, sliders.
+
+HEAD is a head or a body of any tool (.glb .gltf .vrm .obj .ply .stl .off or USD), of any pose and unit. All that it has
+stays as it is: points, texture coordinates, materials, joints, skin, clips, shapes. A shape that it has by any usual
+name is not made again, unless --replace is given. Without --from the shapes are those of the built-in head.
+
+Landmarks (multipie68, in HEAD's own coordinates) are read from --landmarks, else from HEAD's name with .landmarks.json,
+else they are those of HEAD itself, else they are found on it, which needs `pip install 'facepipe[train]'`.
+
+OUT is an override layer over HEAD where that is a stage; --flatten, and any other HEAD, give a standalone one. What
+can't be made is named, shape by shape. Exit code 1: done, but some shape that was asked for could not be made.
+
+examples:
+  facepipe transfer head.glb -o head_arkit.glb --picture shapes.png
+  facepipe transfer head.usda -o head_arkit.usda --from our_hero.usda --shapes jawOpen eyeBlinkLeft eyeBlinkRight
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from facepipe.core.errors import InputError
+from facepipe.declare import beside, option, source
+from facepipe.kinds import Job, StageAction, action
+from facepipe.scanning.rebuild.declared import landmark_file
+
+if TYPE_CHECKING:
+    from facepipe.parts import FaceParts
+    from facepipe.scanning.transfer.transfer import TransferReport
+    from facepipe.stage import Face
+
+_STEPS = 90  # of the fit, and one a shape
+
+
+@action("transfer", "give a head of others the shapes of a template")
+@dataclass(frozen=True, kw_only=True)
+class TransferAction(StageAction["TransferReport"]):
+    """The action."""
+
+    head: Path = source("head or body: .glb .gltf .vrm .obj .ply .stl .off or USD")
+    template: Path | None = source(
+        "face stage with multipie68 landmarks (default the built-in head)", default=None, flag="--from", metavar="FACE"
+    )
+    landmarks: Path | None = source(
+        "landmarks of the head (default HEAD's .landmarks.json)", default=None, flag="--landmarks", metavar="JSON"
+    )
+    shapes: tuple[str, ...] = option(
+        (), "shapes of the template to bring (default ARKit's 52; all: every one)", parse=tuple, words=True
+    )
+    only: tuple[str, ...] = option(
+        (), "bring these alone", choices=("shapes", "regions", "landmarks", "sliders"), parse=tuple, words=True
+    )
+    replace: bool = option(False, "make shapes, regions, landmarks and sliders that the head has anew")
+    picture: Path | None = beside("draw all shapes from the front and from between front and side", ".png", "draw")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "landmarks", landmark_file(self.head, self.landmarks))
+
+    def check(self) -> None:
+        super().check()
+        if self.shapes and self.only and "shapes" not in self.only:
+            raise InputError("--shapes", "given with --only without shapes, expected one or the other")
+
+    def made_base(self) -> FaceParts | None:
+        from facepipe.scanning.transfer.head import unitless
+
+        return unitless(Path(self.head))
+
+    def author(self, face: Face, job: Job) -> TransferReport:
+        from facepipe.scanning.transfer.transfer import transfer
+
+        with job.watch("transfer", _STEPS) as bar:
+            return transfer(
+                face,
+                job.recipe(),
+                bar.update,
+                template=self.template,
+                landmarks=self.landmarks,
+                shapes=self.shapes,
+                only=self.only,
+                anew=self.replace,
+            )
+
+    def missed(self, report: TransferReport) -> bool:
+        return bool(report.not_made)
+
+    def draw(self, face: Face, report: TransferReport, path: Path) -> None:
+        """The picture of all shapes."""
+        from facepipe.pictures import save_png
+        from facepipe.scanning.transfer.pictures import shape_sheet
+
+        save_png(shape_sheet(face.parts(), report.shapes, report.place, report.framing), path)
