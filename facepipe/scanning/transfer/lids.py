@@ -18,7 +18,7 @@ from facepipe.core.arrays import BoolArray, FloatArray, IntArray
 from facepipe.geometry.balls import RadialSurface
 from facepipe.geometry.contacts import STEP, Grid
 from facepipe.geometry.geodesics import graph_distances, surface_graph
-from facepipe.geometry.polygons import flipped_triangles, triangle_normals
+from facepipe.geometry.polygons import distinct_edges, flipped_triangles, triangle_normals
 from facepipe.verbs.skin.surface import smoothstep
 
 SHUT, PAINT, NO_SOCKET = "eyes are shut", "eyes are paint", "no lids around the eye"
@@ -35,12 +35,15 @@ _NEAR = 60.0  # mm from the eyeball's middle: skin that a blink may move
 _FOLLOWS = {1: (0.5, 8.5), -1: (0.5, 14.0)}  # mm along the skin from its margin: lids go with it up to, not beyond
 _RISE = (0.0, 0.35)  # of the way, that the lower lid meets the upper one
 _USUAL_RISE = 0.12
-_CORNER = 0.06  # radians beyond a corner, over which what moves it fades
+_AT_MARGIN = 0.045  # radians from the hole: of a coarse lid whose layers cross, no point lies on its outline
+_CANTHUS = 0.3  # radians from a corner, where margins start to meet halfway: shear there would turn triangles over
+_CORNER = 0.1  # radians beyond a corner, over which lids pass into what was carried
 _RIM_MM = 1.2  # along the skin from the margin: a lid's rim
 _STEP_MM = 0.5  # from one closed lid to the other, from before
 _OVER_MM = 0.03  # that the upper margin goes below the lower
 _SETTLED_MM, _ROUNDS = 0.02, 4  # of gaps that edges leave between points
 _MOST_MORE_MM = 0.5  # that the upper margin goes lower for them
+_MOST_UNFOLDED = 24  # rounds
 _TOUCH_MM = 0.05  # of skin in the eyeball, that counts as on it
 _SLIDES_MM = 0.2  # shapes that move lids less leave them where they are
 
@@ -241,10 +244,15 @@ def _lids(
     """Points of the skin around an aperture, the lid of each (1 or -1), and how far along the skin its margin is."""
     from scipy.ndimage import binary_dilation
 
-    rim = binary_dilation(hole, np.ones((3, 3)), iterations=2)
+    rim = binary_dilation(hole, np.ones((3, 3)), iterations=round(_AT_MARGIN / _CELL))
     cells = np.floor((found.places - found.low) / _CELL + 0.5).astype(np.int64)
     lengths = np.linalg.norm(points - globe.centre, axis=1)
-    there = found.front & (lengths < _FAR * globe.radius) & (cells >= 0).all(axis=1) & (cells < [rim.shape[1], rim.shape[0]]).all(axis=1)
+    there = (
+        found.front
+        & (lengths < _FAR * globe.radius)
+        & (cells >= 0).all(axis=1)
+        & (cells < [rim.shape[1], rim.shape[0]]).all(axis=1)
+    )
     seeds = np.flatnonzero(there)
     seeds = seeds[rim[cells[seeds, 1], cells[seeds, 0]]]
     columns, upper, lower = margins
@@ -276,29 +284,37 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
     """
     near, start = eye.near, points[eye.near]
     before = eye.polar(start)
-    low, high = (np.stack([np.where(eye.side == s, _reach(eye, s)[i], 0.0) for s in (1, -1)]).sum(axis=0) for i in (0, 1))
+    low, high = (
+        np.stack([np.where(eye.side == s, _reach(eye, s)[i], 0.0) for s in (1, -1)]).sum(axis=0) for i in (0, 1)
+    )
     follow = 1.0 - smoothstep((eye.distance - low) / (high - low))
+    beyond = np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1])
+    fade = 1.0 - smoothstep(beyond / _CORNER)
+    follow *= fade
     # margins meet on a line that is the lower one, raised a little
     rise = _rise(points, eye, carried)
     opening = eye.upper - eye.lower
+    inward = np.minimum(eye.columns - eye.columns[0], eye.columns[-1] - eye.columns)
+    rise = rise + (0.5 - rise) * (1.0 - smoothstep(inward / _CANTHUS))
     meeting = _smooth(eye.lower + rise * opening, 3)
     upper, mm = eye.side > 0, eye.globe.radius
     # of rims that would meet one before the other, both give way
     step = _rim(eye, before, 1) - _rim(eye, before, -1)
-    ends = np.clip(np.minimum(eye.columns - eye.columns[0], eye.columns[-1] - eye.columns) / _CORNER, 0.0, 1.0)
+    ends = np.clip(inward / _CORNER, 0.0, 1.0)
     excess = _smooth(0.5 * (step - np.clip(step, -_STEP_MM, _STEP_MM)) * ends, 15)
-    ways = np.stack([meeting - _OVER_MM / mm - eye.upper, meeting - eye.lower])
-    fade = np.clip(
-        1.0 - np.maximum(eye.columns[0] - before[:, 0], before[:, 0] - eye.columns[-1]) / _CORNER, 0.0, 1.0
-    )
-    lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess) * fade
-    way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways)) * fade
+    ways = np.stack([meeting - ends * _OVER_MM / mm - eye.upper, meeting - eye.lower])
+    lift = np.where(upper, -1.0, 1.0) * np.interp(before[:, 0], eye.columns, excess)
+    way = np.where(upper, *(np.interp(before[:, 0], eye.columns, row) for row in ways))
     other = start + carried[near]
     floor = _floor(before[:, 2])
     more = np.zeros_like(eye.columns)
     for _ in range(_ROUNDS):
         goal = before.copy()
-        goal[:, 1] += way - np.where(upper, np.interp(before[:, 0], eye.columns, more), 0.0) * fade
+        goal[:, 1] += way - np.where(upper, np.interp(before[:, 0], eye.columns, more), 0.0)
+        # no margin passes the line by more than it must, as points off the hole's outline would
+        line, deeper = (np.interp(before[:, 0], eye.columns, row) for row in (meeting, ends * _OVER_MM / mm + more))
+        least, most = line - deeper, np.maximum(line, before[:, 1])
+        goal[:, 1] = np.where(upper, np.maximum(goal[:, 1], least), np.minimum(goal[:, 1], most))
         goal[:, 2] += lift
         slid = eye.places(goal)
         mixed = other + follow[:, None] * (slid - other)
@@ -308,7 +324,8 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
         if gaps.max(initial=0.0) <= _SETTLED_MM:
             break
         more = np.minimum(more + ends * _pooled(gaps, eye, start, triangles) / mm, _MOST_MORE_MM / mm)
-    ended = _clear(points, ended, triangles, eye)
+    seen = _seen(points, triangles, eye)
+    ended = _clear(points, _unfolded(points, ended, triangles, seen, eye), seen, eye)
     delta = ended - points
     after = eye.polar(ended[near])
     inbetweens = {}
@@ -373,7 +390,8 @@ def _gaps(points: FloatArray, triangles: IntArray, eye: Aperture) -> FloatArray:
     window = np.stack([low, [eye.columns[-1], eye.upper.max() + 0.1]])
     skin = triangles[_outward(points, triangles, eye)]  # their inner sides hide no eye
     moved = _Directions.of(points, skin, eye.globe, eye.axes, window)
-    bare = ~np.isfinite(moved.depth)[:, : len(eye.columns)]
+    turns = moved.at(np.arange(len(moved.depth)), 1)[:, None]
+    bare = ~np.isfinite(moved.depth)[:, : len(eye.columns)] & (turns > eye.lower - _CELL) & (turns < eye.upper + _CELL)
     return np.asarray(bare.sum(axis=0) * _CELL * eye.globe.radius * np.cos(eye.columns))
 
 
@@ -391,36 +409,64 @@ def _pooled(gaps: FloatArray, eye: Aperture, start: FloatArray, triangles: IntAr
     return np.asarray(maximum_filter1d(gaps, 2 * cells + 1))
 
 
-_INNER = np.array([[1, 1, 1], [2, 2, 0], [2, 0, 2], [0, 2, 2], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array(
-    [[3], [4], [4], [4], [6], [6], [6]]
-)  # places of a triangle besides its corners
+def _unfolded(points: FloatArray, ended: FloatArray, triangles: IntArray, seen: IntArray, eye: Aperture) -> FloatArray:
+    """`ended` with the motion of points of triangles that turn over made that of those around, margins kept."""
+    margin = np.zeros(len(points), bool)
+    margin[eye.near[eye.distance <= 0]] = True
+    pairs = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))[0]
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    best = delta = ended - points
+    fewest = len(seen)
+    for _ in range(_MOST_UNFOLDED):
+        flips = flipped_triangles(points, points + delta, seen)
+        if flips.sum() < fewest:
+            best, fewest = delta, int(flips.sum())
+        marked = np.zeros(len(points), bool)
+        marked[seen[flips]] = True
+        marked[pairs[marked[pairs[:, 0]], 1]] = True
+        marked &= ~margin
+        if not marked.any() or not fewest:
+            break
+        mine = pairs[marked[pairs[:, 0]]]
+        total = np.zeros((len(points), 3))
+        np.add.at(total, mine[:, 0], delta[mine[:, 1]])
+        around = total[marked] / np.bincount(mine[:, 0], minlength=len(points))[marked, None]
+        delta = delta.copy()
+        delta[marked] += 0.5 * (around - delta[marked])
+    return points + best
 
 
-def _clear(points: FloatArray, ended: FloatArray, triangles: IntArray, eye: Aperture) -> FloatArray:
-    """`ended` with points lifted until triangles lie no deeper in the eyeball than they did in `points`."""
+_PLACES = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0  # of a triangle
+
+
+def _clear(points: FloatArray, ended: FloatArray, seen: IntArray, eye: Aperture) -> FloatArray:
+    """`ended` with points lifted until the triangles `seen` lie no deeper in the eyeball than they did in `points`.
+
+    Others are left alone: the fold of the socket and the lids' inner sides belong inside.
+    """
     if eye.globe.surface is None:
         return ended
-    near = np.zeros(len(points), bool)
-    near[eye.near] = True
-    kept = triangles[near[triangles].all(axis=1)]
-    kept = kept[np.linalg.norm(points[kept].mean(axis=1) - eye.globe.centre, axis=1) < 2.5 * eye.globe.radius]
-    shape = (-1, len(_INNER))
-    before = eye.globe.heights(np.einsum("sc,tci->tsi", _INNER, points[kept]).reshape(-1, 3)).reshape(shape)
-    least = np.minimum(before, 0.0) - _TOUCH_MM
-    outside = (before.max(axis=1) > 0.0) & _outward(points, kept, eye)
+    kept = seen[np.linalg.norm(points[seen].mean(axis=1) - eye.globe.centre, axis=1) < 2.5 * eye.globe.radius]
+    before, after = _heights(points, kept, eye), _heights(ended, kept, eye)
+    least = np.where(before > 0, np.minimum(before, _TOUCH_MM), before)
     ended = ended.copy()
-    for _ in range(_ROUNDS):
-        after = eye.globe.heights(np.einsum("sc,tci->tsi", _INNER, ended[kept]).reshape(-1, 3)).reshape(shape)
+    for _ in range(2 * _ROUNDS):
         short = np.maximum(least - after, 0.0).max(axis=1)
-        short[~outside] = 0.0  # the fold of the socket and the lids' inner sides belong inside
-        if not short.any():
+        if short.max(initial=0.0) <= 0.2 * _TOUCH_MM:
             break
         lift = np.zeros(len(points))
         np.maximum.at(lift, kept, short[:, None])
         rows = np.flatnonzero(lift)
         offsets = ended[rows] - eye.globe.centre
         ended[rows] += (lift[rows] / np.linalg.norm(offsets, axis=1))[:, None] * offsets
+        after = _heights(ended, kept, eye)
     return ended
+
+
+def _heights(points: FloatArray, triangles: IntArray, eye: Aperture) -> FloatArray:
+    """(t, s) mm that places of triangles lie over the globe."""
+    places = np.einsum("sc,tci->tsi", _PLACES, points[triangles])
+    return eye.globe.heights(places.reshape(-1, 3)).reshape(len(triangles), -1)
 
 
 def _outward(points: FloatArray, triangles: IntArray, eye: Aperture | Globe) -> BoolArray:
@@ -434,13 +480,9 @@ def lid_figures(points: FloatArray, delta: FloatArray, triangles: IntArray, eye:
     """How lids of (n, 3) points close that move by `delta` (n, 3)."""
     ended = points + delta
     gaps = _gaps(ended, triangles, eye)
-    around = np.zeros(len(points), bool)
-    around[eye.near[eye.distance < eye.width]] = True
-    kept = triangles[around[triangles].all(axis=1)]
-    seen = kept[_seen(points, triangles, kept, eye.axes)]
-    places = [np.einsum("sc,tci->tsi", _INNER, one[seen]).reshape(-1, 3) for one in (points, ended)]
+    seen = _seen(points, triangles, eye)
     ball = eye.globe.surface is not None
-    before, after = (eye.globe.heights(one) for one in places)
+    before, after = (_heights(one, seen, eye) for one in (points, ended))
     return LidFigures(
         gap_mean=float(gaps.mean()),
         gap_most=float(gaps.max(initial=0.0)),
@@ -450,10 +492,13 @@ def lid_figures(points: FloatArray, delta: FloatArray, triangles: IntArray, eye:
     )
 
 
-def _seen(points: FloatArray, triangles: IntArray, kept: IntArray, axes: FloatArray) -> BoolArray:
-    """(k,) which of the triangles `kept` (k, 3) are seen from before the eye, by what is nearest on a grid."""
-    grid = Grid.of(points @ axes.T, kept)
+def _seen(points: FloatArray, triangles: IntArray, eye: Aperture) -> IntArray:
+    """(k, 3) the triangles around an eye that are seen from before it, by what is nearest on a grid."""
+    around = np.zeros(len(points), bool)
+    around[eye.near[eye.distance < eye.width]] = True
+    kept = triangles[around[triangles].all(axis=1)]
+    if not len(kept):
+        return kept
+    grid = Grid.of(points @ eye.axes.T, kept)
     depth, number = grid.first(kept)
-    seen = np.zeros(len(kept), bool)
-    seen[number[(number >= 0) & (depth >= grid.first(triangles)[0])]] = True
-    return seen
+    return kept[np.unique(number[(number >= 0) & (depth >= grid.first(triangles)[0])])]
