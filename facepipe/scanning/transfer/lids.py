@@ -2,7 +2,7 @@
 
 Seen from the middle of the eyeball, skin covers every direction but the aperture. That hole is found whatever the mesh
 is like: lids with a rim, eye bags behind them, or a border at the margin. Directions are a `column`, the angle off the
-plane across the line from corner to corner, and a `turn` about that line: a lid that closes keeps its column, and turns.
+plane across the line from corner to corner, and a `turn` about that line: a lid that closes keeps its column.
 
 Carried shapes alone leave gaps of 0.6 to 5 mm, as apertures differ more than faces do.
 """
@@ -161,7 +161,8 @@ def aperture_of(
     if hole[[0, -1]].any() or hole[:, [0, -1]].any():
         return NO_SOCKET
     tall = hole.sum(axis=0).max() * _CELL * globe.radius
-    if tall < _LOWEST * width:
+    # eyes that landmarks show shut may be narrow; a hole much taller than those are apart is none between lids
+    if tall < _LOWEST * width or (apart < _SHUT_SHARE * width and tall > 2.0 * apart):
         return SHUT
     inside = np.flatnonzero(hole.any(axis=0))
     rows, high = np.arange(len(hole))[:, None], hole[:, inside]
@@ -336,6 +337,16 @@ def closed(points: FloatArray, triangles: IntArray, eye: Aperture, carried: Floa
         whole[near] = _lifted(eye, chord + follow[:, None] * (arc - chord), floor) - start
         inbetweens[share] = whole
     return Blink(delta=delta, inbetweens=inbetweens, figures=lid_figures(points, delta, triangles, eye))
+
+
+def slid(points: FloatArray, triangles: IntArray, eye: Aperture, carried: FloatArray) -> FloatArray:
+    """(n, 3) mm of a shape that moves lids without closing them, with no lid deeper in the eyeball than it was."""
+    moving = np.linalg.norm(carried[eye.near[eye.distance < eye.width]], axis=1).max(initial=0.0)
+    if eye.globe.surface is None or moving < _SLIDES_MM:
+        return carried
+    start, ended = points[eye.near], points + carried
+    ended[eye.near] = _lifted(eye, ended[eye.near], _floor(eye.polar(start)[:, 2]))
+    return _clear(points, ended, _seen(points, triangles, eye), eye) - points
 
 
 def _rim(eye: Aperture, polar: FloatArray, side: int) -> FloatArray:

@@ -341,36 +341,30 @@ def _largest_gap(heights: FloatArray) -> float:
 
 def _around(sorting: _Sorting) -> None:
     """Marks what goes with the skin: lashes, brows, shells at the lids, beards, and skin that is a piece of its own."""
+    from scipy.spatial import cKDTree
+
     marks, scale = sorting.landmarks, sorting.scale
     free = np.unique(sorting.piece[sorting.kind < 0])
     if not len(free) or not len(sorting.skin):
         return
     rows = np.flatnonzero(sorting.kind < 0)
     near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
-    away = np.full(len(sorting.points), np.inf)
+    away = np.full(len(sorting.points), 1e9)
     if len(near):
         away[near] = closest_places(sorting.points[near], sorting.points, sorting.skin).distances / scale
     border = _border(sorting.triangles, len(sorting.points))
     lids = np.concatenate([marks[part] for part in EYES.values()])
+    trees = cKDTree(lids), cKDTree(marks[17:27])
     eyes_apart = float(np.linalg.norm(lids[:6].mean(axis=0) - lids[6:].mean(axis=0))) / scale
     for number in free:
         own = rows[sorting.piece[rows] == number]
         edge = own[border[own]]
         sewn = len(edge) > 0 and (away[edge] < _SEWN_MM).mean() > _SEWN_SHARE
         wide = np.ptp(sorting.local[own, 0])
-        to_lids = (
-            np.linalg.norm(sorting.points[own, None] - lids, axis=2).min(axis=1) / scale
-            if len(own) < 20000
-            else away[own]
-        )
-        brows = (
-            np.linalg.norm(sorting.points[own, None] - marks[17:27], axis=2).min(axis=1) / scale
-            if len(own) < 20000
-            else away[own]
-        )
+        to_lids, to_brows = (tree.query(sorting.points[own])[0] / scale for tree in trees)
         if np.percentile(to_lids, 90) < 1.6 * _LASH_MM and np.median(to_lids) < _LASH_MM and away[own].min() < 2.0:
             sorting.set(own, LASHES)
-        elif np.median(brows) < _LASH_MM and np.percentile(away[own], 90) < _ON_SKIN_MM and wide < 2.2 * eyes_apart:
+        elif np.median(to_brows) < _LASH_MM and np.percentile(away[own], 90) < _ON_SKIN_MM and wide < 2.2 * eyes_apart:
             sorting.set(own, BROWS)
         elif sewn or (np.percentile(away[own], 90) < _GROWTH_MM and sorting.local[own, 1].mean() < 15.0):
             sorting.set(own, GROWTH)
