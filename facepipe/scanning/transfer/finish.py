@@ -1,0 +1,148 @@
+"""Carried shapes made shapes of the whole head: its own blinks, what goes with the skin, and what can't be, said."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from facepipe.core.arrays import FloatArray, IntArray
+from facepipe.geometry.geodesics import graph_distances, surface_graph
+from facepipe.scanning.transfer.companions import Companions, Motion
+from facepipe.scanning.transfer.lids import (
+    EYES,
+    NO_SOCKET,
+    PAINT,
+    SHUT,
+    Aperture,
+    LidFigures,
+    aperture_of,
+    closed,
+    lid_figures,
+    slid,
+)
+from facepipe.scanning.transfer.pieces import MOUTH, SKIN, TONGUE, Pieces
+
+MADE, AS_CARRIED, NO_TONGUE, SEALED = "made", "made as carried", "no tongue", "lips are sealed"
+_LIDS = ("eyeBlink", "eyeWide", "eyeSquint", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")
+_BY_LIDS = ("eyeBlink", "eyeWide", "eyeLookUp", "eyeLookDown", "eyeLookIn", "eyeLookOut")  # nothing without lids
+_OPENS = ("jawOpen", "mouthClose")
+_SEALED = 1.6  # times as far along the surface as straight, from above the mouth to below it
+_MOUTH_MM = 80.0  # from the mouth's middle: surface on which that way is looked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeVerdict:
+    """What became of a shape."""
+
+    name: str
+    verdict: str  # "made", "made as carried: why", "not made: why"
+    lids: LidFigures | None = None  # of blinks that were made
+
+    @property
+    def made(self) -> bool:
+        """Whether the head has the shape."""
+        return not self.verdict.startswith("not made")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finished:
+    """Shapes of n points of a head."""
+
+    deltas: Mapping[str, FloatArray]  # name -> (n, 3) mm; shapes that are not made are left out
+    inbetweens: Mapping[str, Mapping[float, FloatArray]]  # name -> weight -> (n, 3) mm: blinks go around eyeballs
+    verdicts: tuple[ShapeVerdict, ...]
+    notes: tuple[str, ...]  # of the head, one line each
+
+
+def finished(
+    points: FloatArray,
+    triangles: IntArray,
+    landmarks: FloatArray,
+    pieces: Pieces,
+    motion: Motion,
+    carried: Mapping[str, FloatArray],
+) -> Finished:
+    """The shapes of a whole head.
+
+    :param points: (n, 3) mm, cuts sewn, in the template's place
+    :param triangles: (t, 3) oriented outward
+    :param landmarks: (68, 3) mm
+    :param carried: name -> (n, 3) mm as the skin moves by the template; ARKit's names
+    """
+    is_skin = np.zeros(len(points), bool)
+    is_skin[pieces.of(SKIN)] = True
+    skin = triangles[is_skin[triangles].all(axis=1)]
+    found = {side: _aperture(points, skin, landmarks, pieces, motion, side) for side in EYES}
+    eyes = {side: eye for side, eye in found.items() if isinstance(eye, Aperture)}
+    companions = Companions(points, triangles, pieces, motion, eyes)
+    sealed = mouth_is_sealed(points, skin, landmarks)
+    deltas: dict[str, FloatArray] = {}
+    inbetweens: dict[str, Mapping[float, FloatArray]] = {}
+    verdicts = []
+    for name, delta in carried.items():
+        side = next((one for one in EYES if name.endswith(one)), "")
+        stem = name.removesuffix(side)
+        verdict, lids = MADE, None
+        if stem in _LIDS and side:
+            eye = found[side]
+            if isinstance(eye, Aperture) and stem == "eyeBlink":
+                blink = closed(points, skin, eye, delta)
+                delta = blink.delta
+                inbetweens[name] = {way: companions.delta(name, own, way) for way, own in blink.inbetweens.items()}
+                lids = blink.figures
+            elif isinstance(eye, Aperture):
+                delta = slid(points, skin, eye, delta)
+            elif eye == NO_SOCKET:
+                verdict = f"{AS_CARRIED}: {eye}"
+            elif stem in _BY_LIDS:
+                verdict = f"not made: {eye}"
+        elif name == "tongueOut" and not len(pieces.of(TONGUE, MOUTH)):
+            verdict = f"not made: {NO_TONGUE}"
+        elif name in _OPENS and sealed:
+            verdict = f"{AS_CARRIED}: {SEALED}"
+        made = ShapeVerdict(name=name, verdict=verdict, lids=lids)
+        verdicts.append(made)
+        if made.made:
+            whole = companions.delta(name, delta)
+            deltas[name] = whole
+            if lids is not None:
+                made = ShapeVerdict(name=name, verdict=verdict, lids=lid_figures(points, whole, skin, eyes[side]))
+                verdicts[-1] = made
+    notes = [*pieces.notes, *([SEALED] if sealed else [])]
+    notes += [f"{side.lower()} eye: {eye}" for side, eye in found.items() if eye in (SHUT, PAINT, NO_SOCKET)]
+    return Finished(deltas=deltas, inbetweens=inbetweens, verdicts=tuple(verdicts), notes=tuple(notes))
+
+
+def _aperture(
+    points: FloatArray, skin: IntArray, landmarks: FloatArray, pieces: Pieces, motion: Motion, side: str
+) -> Aperture | str:
+    globe = pieces.globes.get(side) or motion.inside.globe(side)
+    return PAINT if globe is None else aperture_of(points, skin, landmarks, side, globe)
+
+
+def mouth_is_sealed(points: FloatArray, skin: IntArray, landmarks: FloatArray) -> bool:
+    """Whether the skin goes on from lip to lip: the way from above the mouth to below it is about straight.
+
+    Outer landmarks of the lips: inner ones may be one point of a coarse mesh.
+
+    :param points: (n, 3) mm
+    :param skin: (t, 3)
+    """
+    used = np.unique(skin)
+    used = used[np.linalg.norm(points[used] - landmarks[48:68].mean(axis=0), axis=1) < _MOUTH_MM]
+    ends = landmarks[[50, 51, 52]], landmarks[[58, 57, 56]]
+    if not len(used):
+        return False
+    place = np.full(len(points), -1)
+    place[used] = np.arange(len(used))
+    near = place[skin]
+    near = near[(near >= 0).all(axis=1)]
+    graph = surface_graph(points[used], np.pad(near, ((0, 0), (0, 1)), constant_values=-1))
+    above, below = (
+        np.array([np.linalg.norm(points[used] - mark, axis=1).argmin() for mark in marks]) for marks in ends
+    )
+    along = graph_distances(graph, [above[[i]] for i in range(3)])[np.arange(3), below]
+    straight = np.linalg.norm(points[used][above] - points[used][below], axis=1)
+    return bool((along / np.maximum(straight, 1e-9)).max() < _SEALED)

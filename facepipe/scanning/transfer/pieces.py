@@ -1,0 +1,378 @@
+"""What the connected pieces of a head are: skin, eyeballs, teeth, tongue, lashes, brows, and what only lies around.
+
+Names and weights of a jaw joint come first where they say something; where they don't, places do. Two ways fail: the
+piece nearest to an eye (lashes pass for eyeballs, so that a ball must cover the middle of the aperture), and for each
+tooth the template's nearest one (rows overlap, so that teeth are sorted by the gap between the head's own rows).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from facepipe.core.arrays import BoolArray, FloatArray, IntArray
+from facepipe.core.errors import FitError
+from facepipe.geometry.balls import Ball, RadialSurface, fit_ball
+from facepipe.geometry.closest_points import closest_places
+from facepipe.geometry.polygons import components, distinct_edges, point_areas
+from facepipe.scanning.transfer.lids import EYES, Globe, eye_frame
+
+SKIN, EYE_LEFT, EYE_RIGHT, TEETH_UPPER, TEETH_LOWER, TONGUE, MOUTH, LASHES, BROWS, TEARS, GROWTH, STILL, HELPER = KINDS = (
+    "skin", "left eyeball", "right eyeball", "upper teeth", "lower teeth", "tongue", "inner mouth", "lashes", "brows",
+    "tear line", "growth", "still", "helper",
+)  # fmt: skip
+_BALLS = {"Left": EYE_LEFT, "Right": EYE_RIGHT}
+_WORDS = {  # parts of names, in the order in which they count: an eyelash is no eye, and helpers may be teeth
+    LASHES: ("lash", "wimper", "まつげ", "睫"),
+    BROWS: ("brow", "braue", "まゆ", "眉"),
+    TEARS: ("tear", "lacrimal", "occlusion", "eyewet", "eyeao", "eyeblend", "wetness"),
+    TONGUE: ("tongue", "zunge", "舌"),
+    TEETH_UPPER: ("teeth", "tooth", "dent", "gums", "^gum$", "gingiva", "歯"),  # of either row
+    HELPER: ("helper",),
+    STILL: ("glass", "spectacle", "goggle", "helmet", "^hat$", "^cap$", "hair", "髪", "cloth", "shirt", "earring"),
+    GROWTH: ("beard", "moustache", "mustache", "stubble", "sideburn"),
+}
+_ROWS = {TEETH_UPPER: ("upper", "top", "^up$", "maxill"), TEETH_LOWER: ("lower", "bottom", "^low$", "mandib")}
+_SKIN_MARKS = [*range(17), *range(27, 36), *range(48, 60)]  # jaw, nose and mouth
+_ACROSS = 90.0  # mm between outer corners of eyes, of the face that lengths below are of
+_ROUND, _BALL_RADII = 0.12, (0.25, 0.85)  # rms of the radius; radius of the eye's width
+_AROUND, _BEFORE = 1.3, 0.25  # of an eye's width: what may be part of an eye, and how far it lies before the lids
+_LAYER = 1.3  # radii: layers of an eye lie within
+_LONG = 1.6  # times as wide as high: no cornea, but a shell between the lids
+_MOUTH_BOX = np.array([[-46.0, -40.0, -90.0], [46.0, 30.0, 4.0]])  # mm from the mouth's middle
+_TOOTH, _GAP, _BITE = 17.0, 2.5, 14.0  # mm: largest single tooth; between rows; how far the bite is from the template's
+_TALL, _SLACK = 24.0, 4.0  # mm: gums of both rows in one, or the mouth's sheet; how far teeth come out of them
+_BOTH = 0.15  # share of a piece's points beyond the bite, from which on it holds both rows
+_LASH_MM, _ON_SKIN_MM, _GROWTH_MM = 11.0, 8.0, 12.0  # from lids, from the skin
+_SEWN_MM, _SEWN_SHARE = 0.5, 0.3  # of a piece's border that lies on the skin
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hints:
+    """What a file says of n points, where it says something."""
+
+    names: Sequence[str] = ()  # of meshes, groups and materials
+    name: IntArray | None = None  # (n,) into `names`, -1 where there is none
+    jaw: FloatArray | None = None  # (n,) weight of the jaw's joint
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inside:
+    """Where the inside of the fitted template lies on the head, in whole points of it."""
+
+    points: FloatArray  # (w, 3) mm
+    balls: Mapping[str, IntArray]  # Left, Right
+    upper: IntArray
+    lower: IntArray
+    tongue: IntArray
+
+    def globe(self, side: str) -> Globe | None:
+        """The template's eyeball there, as what lids slide over; None: it has none."""
+        rows = self.balls.get(side, np.zeros(0, np.int64))
+        if len(rows) < 4:
+            return None
+        ball = fit_ball(self.points[rows])
+        return Globe(centre=ball.centre, radius=ball.radius)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pieces:
+    """What n points of a head are."""
+
+    kind: IntArray  # (n,) into KINDS
+    piece: IntArray  # (n,) number of the connected piece
+    globes: Mapping[str, Globe]  # Left, Right: the head's own eyeballs
+    notes: tuple[str, ...] = ()  # one line each
+
+    def of(self, *kinds: str) -> IntArray:
+        """Points that are one of the kinds."""
+        return np.flatnonzero(np.isin(self.kind, [KINDS.index(kind) for kind in kinds]))
+
+
+@dataclass
+class _Sorting:
+    """A head on the way to its `Pieces`."""
+
+    points: FloatArray
+    triangles: IntArray
+    landmarks: FloatArray
+    piece: IntArray
+    local: FloatArray  # (n, 3) mm of an adult: to the left, up, forwards from the mouth's middle
+    scale: float
+    kind: IntArray
+    skin: IntArray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+
+    def set(self, rows: IntArray | BoolArray, kind: str) -> None:
+        self.kind[rows] = KINDS.index(kind)
+
+
+def pieces_of(
+    points: FloatArray,
+    triangles: IntArray,
+    landmarks: FloatArray,
+    hints: Hints | None = None,
+    inside: Inside | None = None,
+) -> Pieces:
+    """What the pieces of a head are.
+
+    :param points: (n, 3) mm, cuts sewn
+    :param triangles: (t, 3)
+    :param landmarks: (68, 3) mm
+    :param hints: what the file says
+    :param inside: of the fitted template; None: bites are looked for about the mouth's middle
+    """
+    hints = hints or Hints()
+    pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    piece = components(len(points), pairs)
+    middle, axes = landmarks[48:68].mean(axis=0), _face_axes(landmarks)
+    scale = max(float(np.linalg.norm(landmarks[45] - landmarks[36])), 1e-6) / _ACROSS
+    local = (points - middle) @ axes.T / scale
+    kind = np.full(len(points), KINDS.index(STILL))
+    kind[triangles.ravel()] = -1  # no surface, no piece
+    sorting = _Sorting(points, triangles, landmarks, piece, local, scale, kind)
+    said = _said(hints, len(points), piece)
+    for name in (HELPER, LASHES, BROWS, TEARS, GROWTH, STILL):
+        sorting.set(said == KINDS.index(name), name)
+    place = closest_places(landmarks[_SKIN_MARKS], points, triangles[kind[triangles[:, 0]] < 0])
+    main = np.bincount(piece[triangles[kind[triangles[:, 0]] < 0][place.triangles, 0]]).argmax()
+    sorting.set((piece == main) & (kind < 0), SKIN)
+    sorting.skin = triangles[(kind[triangles] == 0).all(axis=1)]
+    globes = {side: globe for side in EYES if (globe := _eyeball(sorting, side)) is not None}
+    notes = _mouth(sorting, said, hints.jaw, inside)
+    _around(sorting)
+    sorting.set(kind < 0, STILL)
+    return Pieces(kind=kind, piece=piece, globes=globes, notes=notes)
+
+
+def _face_axes(landmarks: FloatArray) -> FloatArray:
+    """(3, 3) rows: to the face's left, up, forwards."""
+    right = landmarks[[42, 45]].mean(axis=0) - landmarks[[36, 39]].mean(axis=0)
+    right /= max(np.linalg.norm(right), 1e-9)
+    up = landmarks[36:48].mean(axis=0) - landmarks[48:68].mean(axis=0)
+    up = up - (up @ right) * right
+    up /= max(np.linalg.norm(up), 1e-9)
+    return np.stack([right, up, np.cross(right, up)])
+
+
+def _said(hints: Hints, count: int, piece: IntArray) -> IntArray:
+    """(n,) the kind that names give, -1 where they give none; TEETH_UPPER for teeth of a row that no name gives."""
+    said = np.full(count, -1)
+    if hints.name is None or not len(hints.names):
+        return said
+    of_names = np.append([named_kind(name)[0] for name in hints.names], -1)
+    return np.asarray(of_names[hints.name])
+
+
+def named_kind(name: str) -> tuple[int, bool]:
+    """The kind that a name of a mesh, group or material gives, -1 for none, and whether it gives the row of teeth."""
+    words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^\W\d_a-zA-Z]+", name)]
+    joined = "".join(words)
+
+    def has(part: str) -> bool:
+        if part.startswith("^"):
+            return any(word == part.strip("^$") for word in words)
+        return part in joined
+
+    if words[:1] == ["joint"]:  # cubes that mark joints
+        return KINDS.index(HELPER), True
+    for kind, parts in _WORDS.items():
+        if kind == HELPER and "eye" in joined:
+            break
+        if any(map(has, parts)):
+            if kind != TEETH_UPPER:
+                return KINDS.index(kind), True
+            rows = [row for row, own in _ROWS.items() if any(map(has, own))]
+            return KINDS.index(rows[0] if len(rows) == 1 else TEETH_UPPER), len(rows) == 1
+    return -1, False
+
+
+def _eyeball(sorting: _Sorting, side: str) -> Globe | None:
+    """Marks the pieces of an eyeball, and shells between its lids; None where no ball covers the aperture's middle."""
+    middle, axes, width = eye_frame(sorting.landmarks, side)
+    local = (sorting.points - middle) @ axes.T / max(width, 1e-9)
+    free = np.flatnonzero(sorting.kind < 0)
+    reach = np.abs(local[free]).max(axis=1)
+    candidates = [
+        rows for number in np.unique(sorting.piece[free[reach < _AROUND]])
+        if len(rows := free[sorting.piece[free] == number]) >= 4 and np.abs(local[rows]).max() < 2.0 * _AROUND
+    ]  # fmt: skip
+    areas = point_areas(sorting.points, sorting.triangles)
+    best: tuple[float, Ball, IntArray] | None = None
+    for rows in candidates:
+        member = np.zeros(len(sorting.points), bool)
+        member[rows] = True
+        if not _covers(local, sorting.triangles[member[sorting.triangles[:, 0]]]):
+            continue
+        try:
+            ball = fit_ball(sorting.points[rows], areas[rows] if areas[rows].any() else None)
+        except FitError:
+            continue
+        spread = np.ptp(local[rows, :2], axis=0).min() * width
+        fits = _BALL_RADII[0] * width <= ball.radius <= _BALL_RADII[1] * width and ball.rms <= _ROUND * ball.radius
+        behind = (ball.centre - middle) @ axes[2] < 0.25 * ball.radius
+        if fits and behind and spread > ball.radius and (best is None or spread > best[0]):
+            best = (float(spread), ball, rows)
+    if best is None:
+        return None
+    _, ball, rows = best
+    shell = [rows]
+    sorting.set(rows, _BALLS[side])
+    for other in candidates:
+        away = np.linalg.norm(sorting.points[other] - ball.centre, axis=1)
+        if other is rows or away.max() > _LAYER * ball.radius:
+            continue
+        wide, high = np.ptp(local[other, :2], axis=0) * width
+        if away.min() > 0.9 * ball.radius and wide > _LONG * high and wide > 0.5 * width:
+            sorting.set(other, TEARS)
+        elif wide > 0.15 * width and high > 0.15 * width:
+            sorting.set(other, _BALLS[side])
+            shell.append(other)
+    every = np.concatenate(shell)
+    away = np.linalg.norm(sorting.points[every] - ball.centre, axis=1)
+    outer = sorting.points[every[away > 0.93 * ball.radius]]
+    return Globe(centre=ball.centre, radius=ball.radius, surface=RadialSurface(outer, ball.centre))
+
+
+def _covers(local: FloatArray, triangles: IntArray) -> bool:
+    """Whether one of the triangles lies across the aperture's middle, as seen from before the eye, and not before it.
+
+    :param local: (n, 3) widths of the eye along it, up and forwards from the aperture's middle
+    """
+    corners = local[triangles]
+    flat = corners[:, :, :2]
+    turns = np.stack(
+        [flat[:, i, 0] * flat[:, (i + 1) % 3, 1] - flat[:, i, 1] * flat[:, (i + 1) % 3, 0] for i in range(3)], axis=1
+    )
+    across = (turns >= 0).all(axis=1) | (turns <= 0).all(axis=1)
+    return bool((across & (corners[:, :, 2].max(axis=1) < _BEFORE) & (np.abs(turns).sum(axis=1) > 0)).any())
+
+
+def _mouth(sorting: _Sorting, said: IntArray, jaw: FloatArray | None, inside: Inside | None) -> tuple[str, ...]:
+    """Marks teeth, tongue and what else is in the mouth; what is to be said of it."""
+    local, kind = sorting.local, sorting.kind
+    teeth, tongues, sheets = [], [], []
+    for number in np.unique(sorting.piece[kind < 0]):
+        rows = np.flatnonzero((sorting.piece == number) & (kind < 0))
+        own, low, high = said[rows[0]], local[rows].min(axis=0), local[rows].max(axis=0)
+        middle = local[rows].mean(axis=0)
+        named = own in map(KINDS.index, (TONGUE, TEETH_UPPER, TEETH_LOWER))
+        if not named and not ((middle > _MOUTH_BOX[0]) & (middle < _MOUTH_BOX[1]) & (high - low < 130.0)).all():
+            continue
+        if not named and (middle[2] > -1.0 or high[2] > 12.0):  # before the lips: a beard
+            continue
+        if own == KINDS.index(TONGUE) or (own < 0 and _is_tongue(local[rows])):
+            tongues.append(rows)
+        else:
+            teeth.append(rows)
+    boxes = np.array([[pick(local[rows], axis=0) for pick in (np.min, np.max)] for rows in teeth])
+    for i, rows in enumerate(teeth):  # what holds others is gums, or the sheet of the mouth
+        holds = (boxes[:, 0] > boxes[i, 0] - _SLACK).all(axis=1) & (boxes[:, 1] < boxes[i, 1] + _SLACK).all(axis=1)
+        tall = boxes[i, 1, 1] - boxes[i, 0, 1] > _TALL
+        if said[rows[0]] < 0 and tall and holds.sum() > 2:
+            sheets.append(rows)
+    teeth = [rows for rows in teeth if not any(rows is sheet for sheet in sheets)]
+    for rows in tongues:
+        sorting.set(rows, TONGUE)
+    for rows in sheets:
+        sorting.set(rows, MOUTH)
+    if not teeth:
+        return ("no teeth",)
+    _rows(sorting, teeth, said, jaw, inside)
+    return ()
+
+
+def _is_tongue(local: FloatArray) -> bool:
+    """Whether a piece is long, in the middle, and filled there, as no row of teeth is."""
+    wide, high, deep = np.ptp(local, axis=0)
+    middle = local.mean(axis=0)
+    if not (abs(middle[0]) < 5.0 and 14.0 < wide < 60.0 and deep > 18.0 and deep > 0.8 * high):
+        return False
+    back = local[:, 2] < local[:, 2].max() - 0.5 * deep
+    core = np.abs(local[:, 0] - middle[0]) < 0.2 * wide
+    return bool((back & core).mean() > 0.08)
+
+
+def _rows(
+    sorting: _Sorting, teeth: Sequence[IntArray], said: IntArray, jaw: FloatArray | None, inside: Inside | None
+) -> None:
+    """Sorts teeth into rows: by the jaw's weights, by names, else each piece by the gap between the head's own rows."""
+    lower, slope = KINDS.index(TEETH_LOWER), 0.0
+    bite = 0.0
+    if inside is not None and len(inside.upper) and len(inside.lower):
+        middle, axes = sorting.landmarks[48:68].mean(axis=0), _face_axes(sorting.landmarks)
+        up, low = ((inside.points[rows] - middle) @ axes.T / sorting.scale for rows in (inside.upper, inside.lower))
+        slope = float(np.mean([np.polyfit(one[:, 2], one[:, 1], 1)[0] for one in (up, low)]))
+        bite = float(np.mean([(one[:, 1] - slope * one[:, 2]).mean() for one in (up, low)]))
+    height = sorting.local[:, 1] - slope * sorting.local[:, 2] - bite
+    means = np.array([height[rows].mean() for rows in teeth])
+    whole = np.array([np.ptp(sorting.local[rows, 0]) >= _TOOTH for rows in teeth])
+    threshold = _largest_gap(means[~whole]) if (~whole).sum() >= 4 else 0.0
+    between = threshold  # rows of one piece each lie apart, wherever the template's bite is
+    if whole.sum() > 1 and np.ptp(means[whole]) > 2.0 * _GAP:
+        between = float((means[whole].min() + means[whole].max()) / 2)
+    elif whole.sum() == 1 and whole.all():
+        threshold = between = _largest_gap(height[teeth[0]])
+    weighted = jaw is not None and max(jaw[rows].mean() for rows in teeth) > 0.5
+    for i, rows in enumerate(teeth):
+        row_named = said[rows[0]] == lower or any(said[other[0]] == lower for other in teeth)
+        if weighted and jaw is not None:
+            own = jaw[rows] > 0.5
+            goes = own if 0.1 < own.mean() < 0.9 else np.full(len(rows), own.mean() > 0.5)
+        elif row_named and said[rows[0]] >= 0:
+            goes = np.full(len(rows), said[rows[0]] == lower)
+        elif whole.sum() == 1 and whole[i] and _BOTH < (height[rows] < between).mean() < 1.0 - _BOTH:
+            goes = height[rows] < between
+        else:
+            goes = np.full(len(rows), means[i] < (between if whole[i] else threshold))
+        sorting.set(rows[~goes], TEETH_UPPER)
+        sorting.set(rows[goes], TEETH_LOWER)
+
+
+def _largest_gap(heights: FloatArray) -> float:
+    """The middle of the largest gap between heights that lies near the template's bite, 0 where there is none."""
+    ordered = np.sort(heights)
+    gaps, middles = np.diff(ordered), (ordered[1:] + ordered[:-1]) / 2
+    gaps = np.where(np.abs(middles) < _BITE, gaps, 0.0)
+    return float(middles[gaps.argmax()]) if len(gaps) and gaps.max() > _GAP else 0.0
+
+
+def _around(sorting: _Sorting) -> None:
+    """Marks what goes with the skin: lashes, brows, shells at the lids, beards, and skin that is a piece of its own."""
+    from scipy.spatial import cKDTree
+
+    marks, scale = sorting.landmarks, sorting.scale
+    free = np.unique(sorting.piece[sorting.kind < 0])
+    if not len(free) or not len(sorting.skin):
+        return
+    rows = np.flatnonzero(sorting.kind < 0)
+    near = rows[np.linalg.norm(sorting.points[rows] - marks.mean(axis=0), axis=1) < 2.0 * _ACROSS * scale]
+    away = np.full(len(sorting.points), 1e9)
+    if len(near):
+        away[near] = closest_places(sorting.points[near], sorting.points, sorting.skin).distances / scale
+    border = _border(sorting.triangles, len(sorting.points))
+    lids = np.concatenate([marks[part] for part in EYES.values()])
+    trees = cKDTree(lids), cKDTree(marks[17:27])
+    eyes_apart = float(np.linalg.norm(lids[:6].mean(axis=0) - lids[6:].mean(axis=0))) / scale
+    for number in free:
+        own = rows[sorting.piece[rows] == number]
+        edge = own[border[own]]
+        sewn = len(edge) > 0 and (away[edge] < _SEWN_MM).mean() > _SEWN_SHARE
+        wide = np.ptp(sorting.local[own, 0])
+        to_lids, to_brows = (tree.query(sorting.points[own])[0] / scale for tree in trees)
+        if np.percentile(to_lids, 90) < 1.6 * _LASH_MM and np.median(to_lids) < _LASH_MM and away[own].min() < 2.0:
+            sorting.set(own, LASHES)
+        elif np.median(to_brows) < _LASH_MM and np.percentile(away[own], 90) < _ON_SKIN_MM and wide < 2.2 * eyes_apart:
+            sorting.set(own, BROWS)
+        elif sewn or (np.percentile(away[own], 90) < _GROWTH_MM and sorting.local[own, 1].mean() < 15.0):
+            sorting.set(own, GROWTH)
+
+
+def _border(triangles: IntArray, count: int) -> BoolArray:
+    """(n,) points on edges of one triangle."""
+    edges, _, uses = distinct_edges(np.concatenate([triangles[:, :2], triangles[:, 1:], triangles[:, [2, 0]]]))
+    border = np.zeros(count, bool)
+    border[edges[uses == 1].ravel()] = True
+    return border
