@@ -224,7 +224,7 @@ def _typed(values: npt.NDArray[np.float64], kind: str) -> Columns:
 def read_ply(path: Path) -> Scan:
     """The points of `path`, with its triangles where it has faces.
 
-    Faces of any size become fans of triangles; strips of triangles are read as well. Colours are sRGB in the file: whole
+    Faces of any size become fans of triangles; strips of triangles are read too. Colours are sRGB in the file: whole
     numbers over the range of their type, or floats in 0..1. Normals are made unit length; where one is not, all are
     left out.
 
